@@ -1,0 +1,22 @@
+# For developers. `./setup.sh` installs; every target here does so first where it needs it.
+.PHONY: check test stress bench docs
+PYTHON := .venv/bin/python
+
+check:  ## import rules, linter, types
+	./setup.sh check
+
+test: check  ## the checks, then every test but the stress tests
+	$(PYTHON) -m pytest
+
+stress: check  ## minutes of random and huge input
+	$(PYTHON) -m pytest -m stress
+
+bench:  ## every benchmark that has a quick form, as JSON in build/bench
+	./setup.sh
+	mkdir -p build/bench
+	for name in sfm plan; do .venv/bin/radiant bench $$name --quick --json build/bench/$$name.json || exit 1; done
+
+docs:  ## docs/cli.md from the command line itself
+	./setup.sh
+	mkdir -p docs
+	$(PYTHON) -m typer radiant_app.cli utils docs --name radiant --output docs/cli.md

@@ -1,0 +1,1 @@
+"""Joining models: synthetic views, retraining, cropping at borders."""

@@ -1,0 +1,78 @@
+"""Crop-merge: keep of each model what lies in its own region and concatenate (paper Sec. III-D, the cloud's fallback). Once per merge.
+
+A region's owner may be blind in a part of it that only a neighbour's oblique cameras saw. There the neighbour's Gaussians stay: those
+with no Gaussian of the owner within `BLIND_FACTOR` times their own size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.splats import Splats, concatenate_splats
+
+BLIND_FACTOR = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MergeResult:
+    """The merged model and how many Gaussians each rule kept or dropped."""
+
+    splats: Splats
+    num_own: int
+    """Kept inside their own region."""
+    num_filled: int
+    """Kept outside it, where the owner is blind."""
+    num_dropped: int
+    """Cut away."""
+
+
+def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray) -> MergeResult:
+    """Merge M models by the power diagram of `sites` (M,2) m with `weights` (M,) m²: Gaussian x belongs to argmin ‖x − s‖² − w.
+
+    Regions reach to infinity, so every place has exactly one owner. Raises BadInput when the counts differ or there is no model.
+    """
+    if not models:
+        raise BadInput("no models to merge: pass at least one.")
+    sites = checked_array("sites", sites, (len(models), 2))
+    weights = checked_array("weights", weights, (len(models),))
+    owners = [_owners(model, sites, weights) for model in models]
+    kept, num_filled = [], 0
+    for index, model in enumerate(models):
+        own = owners[index] == index
+        filled = _blind_spots(model, owners[index], index, models, owners)
+        num_filled += int(filled.sum())
+        kept.append(model.select(own | filled))
+    total = sum(len(model) for model in models)
+    merged = concatenate_splats(kept)
+    return MergeResult(splats=merged, num_own=len(merged) - num_filled, num_filled=num_filled, num_dropped=total - len(merged))
+
+
+def _owners(model: Splats, sites: FloatArray, weights: FloatArray) -> NDArray[np.int64]:
+    positions = model.means[:, None, :2].astype(np.float64)
+    return np.argmin(((positions - sites) ** 2).sum(-1) - weights, axis=1)
+
+
+def _blind_spots(
+    model: Splats, owner: NDArray[np.int64], index: int, models: Sequence[Splats], owners: Sequence[NDArray[np.int64]]
+) -> NDArray[np.bool_]:
+    """Mask (N,) of the Gaussians of model `index` that lie in another's region where that other has nothing near."""
+    filled = np.zeros(len(model), dtype=bool)
+    sizes = np.exp(model.log_scales.astype(np.float64).max(axis=1))
+    for other, other_model in enumerate(models):
+        foreign = np.flatnonzero(owner == other) if other != index else np.zeros(0, np.int64)
+        own_of_other = other_model.means[owners[other] == other]
+        if not len(foreign):
+            continue
+        if not len(own_of_other):
+            filled[foreign] = True
+            continue
+        distances, _ = KDTree(own_of_other).query(model.means[foreign])
+        filled[foreign] = distances > BLIND_FACTOR * sizes[foreign]
+    return filled

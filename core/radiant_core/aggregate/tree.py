@@ -1,0 +1,47 @@
+"""`Tree`: the whole computation, cloud over edges over devices, folded from the leaves up. Pure: who runs a node is not its business."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, TypeVar
+
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+
+Result = TypeVar("Result")
+Tier = Literal["cloud", "edge", "device"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tree:
+    """A node and its children; `id` is the path of the node's folder in a run, for example "devices/north-1"."""
+
+    id: str
+    tier: Tier
+    children: tuple[Tree, ...] = ()
+
+    def __iter__(self) -> Iterator[Tree]:
+        """All nodes, every child before its parent."""
+        for child in self.children:
+            yield from child
+        yield self
+
+    def fold(self, combine: Callable[[Tree, Sequence[Result]], Result]) -> Result:
+        """`combine(node, results of its children)` from the leaves up; the result of the root."""
+        return combine(self, [child.fold(combine) for child in self.children])
+
+    def map_ids(self, rename: Callable[[str], str]) -> Tree:
+        """The same tree with renamed nodes."""
+        return replace(self, id=rename(self.id), children=tuple(child.map_ids(rename) for child in self.children))
+
+
+def tree_of_plan(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> Tree:
+    """Cloud over the edges and devices that have cameras; idle ones are left out."""
+    edges = []
+    for index, plan in enumerate(edge_plans):
+        devices = tuple(
+            Tree(id=f"devices/{device_id}", tier="device") for device_id in plan.device_ids if len(plan.cameras_of(device_id))
+        )
+        if devices:
+            edges.append(Tree(id=f"edges/{cloud_plan.edge_ids[index]}", tier="edge", children=devices))
+    return Tree(id="cloud", tier="cloud", children=tuple(edges))

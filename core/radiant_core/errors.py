@@ -1,0 +1,23 @@
+"""The few errors of the project: bad input, a stage that failed, a stored file that changed."""
+
+from __future__ import annotations
+
+
+class RadiantError(Exception):
+    """Base of all errors that a user may cause and read; `exit_code` is what the command line returns."""
+
+    exit_code = 1
+
+
+class BadInput(RadiantError, ValueError):
+    """An input cannot be used; the message says what came, what was expected and what to do next."""
+
+    exit_code = 2
+
+
+class StageFailed(RadiantError):
+    """A stage of a run did not finish; the message names the stage and its reason."""
+
+
+class StoreDamaged(RadiantError):
+    """A stored file is missing or its bytes are not those that were written."""

@@ -1,0 +1,1 @@
+"""How good a model is: splits, image errors, seam errors, metrics."""

@@ -1,0 +1,107 @@
+"""World frames: where the origin is, how latitude and longitude become metres, and similarity transforms.
+
+Computed once per scene. WGS84 constants: NIMA TR8350.2. ECEF → ENU as in Hofmann-Wellenhof et al., GNSS (2008), ch. 8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+
+WGS84_SEMI_MAJOR_M = 6378137.0
+WGS84_FLATTENING = 1 / 298.257223563
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """What the world coordinates mean.
+
+    kind "metric": metres, x east, y north, z up from `origin_lat_lon_alt` (3,) degrees and metres, float64.
+    kind "unscaled": no GPS was found; z is up as estimated, one unit is arbitrary, the origin is zero.
+    `residual_m`: median distance of the camera centres to GPS, None without GPS.
+    """
+
+    kind: Literal["metric", "unscaled"]
+    origin_lat_lon_alt: FloatArray
+    residual_m: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "origin_lat_lon_alt", checked_array("origin_lat_lon_alt", self.origin_lat_lon_alt, (3,)))
+        if self.kind not in ("metric", "unscaled"):
+            raise BadInput(f"frame kind {self.kind!r} is unknown: use 'metric' or 'unscaled'.")
+        if self.residual_m is not None and not (np.isfinite(self.residual_m) and self.residual_m >= 0):
+            raise BadInput(f"the residual of a frame is {self.residual_m}, expected a distance or None without GPS.")
+
+    @property
+    def unit(self) -> str:
+        """"m" or, where nothing fixes the scale, "units"."""
+        return "m" if self.kind == "metric" else "units"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sim3:
+    """Similarity y = scale · rotation · x + translation; rotation (3,3), translation (3,), float64."""
+
+    scale: float
+    rotation: FloatArray
+    translation: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", checked_array("rotation", self.rotation, (3, 3)))
+        object.__setattr__(self, "translation", checked_array("translation", self.translation, (3,)))
+        if not (np.isfinite(self.scale) and self.scale > 0):
+            raise BadInput(f"the scale of a similarity is {self.scale}, expected a positive number.")
+        rotation = np.clip(self.rotation, -10, 10)
+        # 1e-6: an estimate in float64 is orthonormal to 1e-12, one through float32 to 1e-7; a scaled one misses by far more.
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+            raise BadInput("the rotation of a similarity is not orthonormal or mirrors: put its scale into `scale`.")
+
+    def apply(self, points: ArrayLike) -> FloatArray:
+        """Points (P,3) moved into the target frame (P,3)."""
+        return self.scale * np.asarray(points, np.float64) @ self.rotation.T + self.translation
+
+    def apply_to_poses(self, cam_from_world: ArrayLike) -> FloatArray:
+        """Poses (C,4,4) of the same cameras seen from the target frame (C,4,4); camera units become target units."""
+        poses = np.array(cam_from_world, dtype=np.float64)
+        rotations = poses[:, :3, :3] @ self.rotation.T
+        poses[:, :3, 3] = self.scale * poses[:, :3, 3] - rotations @ self.translation
+        poses[:, :3, :3] = rotations
+        return poses
+
+    def inverse(self) -> Sim3:
+        """The similarity that undoes this one."""
+        return Sim3(
+            scale=1 / self.scale, rotation=self.rotation.T, translation=-(self.rotation.T @ self.translation) / self.scale
+        )
+
+
+def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
+    """Metres east, north, up (P,3) of positions (P,3) [deg, deg, m] about an origin (3,), float64. BadInput off the globe."""
+    positions = checked_array("lat_lon_alt", lat_lon_alt, (None, 3))
+    origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
+    if (np.abs(positions[:, 0]) > 90).any() or (np.abs(positions[:, 1]) > 180).any():
+        raise BadInput("a latitude exceeds 90° or a longitude 180°: give latitude, longitude, altitude in degrees and metres.")
+    lat, lon = np.radians(origin[:2])
+    ecef_from_enu = np.array(
+        [
+            [-np.sin(lon), -np.sin(lat) * np.cos(lon), np.cos(lat) * np.cos(lon)],
+            [np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat) * np.sin(lon)],
+            [0.0, np.cos(lat), np.sin(lat)],
+        ]
+    )
+    return (_ecef_from_geodetic(positions) - _ecef_from_geodetic(origin[None])) @ ecef_from_enu
+
+
+def _ecef_from_geodetic(positions: FloatArray) -> FloatArray:
+    lat, lon, alt = np.radians(positions[:, 0]), np.radians(positions[:, 1]), positions[:, 2]
+    eccentricity2 = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
+    normal_m = WGS84_SEMI_MAJOR_M / np.sqrt(1 - eccentricity2 * np.sin(lat) ** 2)
+    radius_m = (normal_m + alt) * np.cos(lat)
+    z_m = (normal_m * (1 - eccentricity2) + alt) * np.sin(lat)
+    return np.stack([radius_m * np.cos(lon), radius_m * np.sin(lon), z_m], axis=1)

@@ -1,0 +1,1 @@
+"""Geometry on points and meshes through Open3D."""

@@ -1,0 +1,1 @@
+"""Strict readers and atomic writers; the only place where files become types."""

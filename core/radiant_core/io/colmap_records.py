@@ -1,0 +1,164 @@
+"""The records of a COLMAP model and the checks that they fit each other. Format: https://colmap.github.io/format.html"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, rotmats_from_quats
+
+MAX_SIDE_PX = 1 << 17
+
+PARAM_COUNTS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+}
+"""Number of parameters of each camera model, in the order of COLMAP's model numbers 0, 1, 2, …"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColmapCamera:
+    """One set of intrinsics; params in the order of COLMAP's model."""
+
+    camera_id: int
+    model: str
+    size_wh: tuple[int, int]
+    params: tuple[float, ...]
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether the camera has no distortion at all."""
+        return self.model in ("PINHOLE", "SIMPLE_PINHOLE")
+
+    @property
+    def K(self) -> FloatArray:
+        """Calibration matrix (3,3) px of a pinhole camera."""
+        fx, fy, cx, cy = self.params if self.model == "PINHOLE" else (self.params[0], *self.params)
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColmapImage:
+    """One posed image: quat_wxyz (4,), translation (3,) of cam_from_world; points2d (K,2) px; point3d_ids (K,), -1 for none."""
+
+    image_id: int
+    name: str
+    camera_id: int
+    quat_wxyz: FloatArray
+    translation: FloatArray
+    points2d: FloatArray
+    point3d_ids: NDArray[np.int64]
+
+    @property
+    def cam_from_world(self) -> FloatArray:
+        """Rigid pose (4,4)."""
+        pose = np.eye(4)
+        pose[:3, :3] = rotmats_from_quats(self.quat_wxyz[None])[0]
+        pose[:3, 3] = self.translation
+        return pose
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColmapPoints:
+    """ids (P,); xyz (P,3); colors (P,3) uint8; errors_px (P,); tracks (T,3): point index, image id, index of its 2D point."""
+
+    ids: NDArray[np.int64]
+    xyz: FloatArray
+    colors: NDArray[np.uint8]
+    errors_px: FloatArray
+    tracks: NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColmapModel:
+    """A whole model, images in the order of their names."""
+
+    cameras: dict[int, ColmapCamera]
+    images: tuple[ColmapImage, ...]
+    points: ColmapPoints
+
+    def observations(self) -> NDArray[np.int64]:
+        """Who sees what (T,2): point index, image index in `images`; a point seen twice by an image counts once."""
+        ids = np.array([image.image_id for image in self.images], dtype=np.int64)
+        order = np.argsort(ids)
+        image_indices = order[np.searchsorted(ids[order], self.points.tracks[:, 1])]
+        return np.unique(np.stack([self.points.tracks[:, 0], image_indices], axis=1), axis=0)
+
+
+def checked_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: ColmapPoints, source: str) -> ColmapModel:
+    """The records as one model, after checking that they fit each other; BadInput names `source` and the first misfit."""
+    by_id = {camera.camera_id: camera for camera in cameras}
+    _require_unique("camera id", [camera.camera_id for camera in cameras], source)
+    _require_unique("image id", [image.image_id for image in images], source)
+    _require_unique("image name", [image.name for image in images], source)
+    for camera in cameras:
+        _check_camera(camera, source)
+    for image in images:
+        _check_image(image, by_id, source)
+    _check_points(points, images, source)
+    return ColmapModel(cameras=by_id, images=tuple(sorted(images, key=lambda image: image.name)), points=points)
+
+
+def _require_unique(what: str, values: list, source: str) -> None:
+    if len(set(values)) != len(values):
+        seen: set = set()
+        twice = next(value for value in values if value in seen or seen.add(value))
+        raise BadInput(f"{source}: {what} {twice!r} comes twice: export the model again.")
+
+
+def _check_camera(camera: ColmapCamera, source: str) -> None:
+    label = f"{source}: camera {camera.camera_id}"
+    if not all(0 < side <= MAX_SIDE_PX for side in camera.size_wh):
+        raise BadInput(f"{label} has the size {camera.size_wh[0]} × {camera.size_wh[1]}, expected 1 to {MAX_SIDE_PX} px a side.")
+    num_focals = 1 if camera.model.startswith("SIMPLE") or camera.model in ("RADIAL", "RADIAL_FISHEYE") else 2
+    if not np.isfinite(camera.params).all() or min(camera.params[:num_focals]) <= 0:
+        raise BadInput(f"{label} has the parameters {camera.params}, expected finite numbers and a positive focal length.")
+
+
+def _check_image(image: ColmapImage, cameras: dict[int, ColmapCamera], source: str) -> None:
+    label = f"{source}: image {image.image_id} ({image.name!r})"
+    path = PurePosixPath(image.name)
+    if not image.name or path.is_absolute() or ".." in path.parts or "\\" in image.name or not image.name.isprintable():
+        raise BadInput(f"{label} has a name that is no relative path inside the image folder: rename the image.")
+    if image.camera_id not in cameras:
+        raise BadInput(f"{label} names camera {image.camera_id}, which is not in the cameras file: export the model again.")
+    pose = np.concatenate([image.quat_wxyz, image.translation])
+    if not np.isfinite(pose).all() or not np.isfinite(image.points2d).all():
+        raise BadInput(f"{label} has a pose or 2D point that is not finite: export the model again.")
+    # COLMAP writes unit quaternions with 17 digits; 1 % admits hand-written ones and no garbage.
+    if abs(np.linalg.norm(image.quat_wxyz) - 1) > 0.01:
+        raise BadInput(f"{label} has a quaternion of length {np.linalg.norm(image.quat_wxyz):.3g}, expected 1.")
+
+
+def _check_points(points: ColmapPoints, images: list[ColmapImage], source: str) -> None:
+    if len(np.unique(points.ids)) != len(points.ids):
+        raise BadInput(f"{source}: a point id comes twice in points3D: export the model again.")
+    if not (np.isfinite(points.xyz).all() and np.isfinite(points.errors_px).all()):
+        raise BadInput(f"{source}: a 3D point has a coordinate or error that is not finite: export the model again.")
+    num_points2d = {image.image_id: len(image.points2d) for image in images}
+    seen_ids = np.unique(points.tracks[:, 1])
+    unknown = [int(image_id) for image_id in seen_ids if int(image_id) not in num_points2d]
+    if unknown:
+        raise BadInput(f"{source}: a track in points3D names image {unknown[0]}, which is not in the images file.")
+    limits = np.array([num_points2d[int(image_id)] for image_id in seen_ids], dtype=np.int64)
+    limit_of_track = limits[np.searchsorted(seen_ids, points.tracks[:, 1])] if len(seen_ids) else limits
+    if ((points.tracks[:, 2] < 0) | (points.tracks[:, 2] >= limit_of_track)).any():
+        raise BadInput(f"{source}: a track in points3D names a 2D point that its image does not have: export the model again.")
+    for image in images:
+        named = image.point3d_ids[image.point3d_ids != -1]
+        if not np.isin(named, points.ids).all():
+            raise BadInput(f"{source}: image {image.name!r} names a 3D point that is not in points3D: export the model again.")

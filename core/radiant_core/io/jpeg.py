@@ -1,0 +1,163 @@
+"""What a JPEG says before its pixels: size, camera, focal length, GPS position, and whether the file is whole.
+
+Walks the marker segments once per photograph, a few kilobytes each; no pixel is decoded. A damaged EXIF block only loses
+its own facts. Layout: ITU-T T.81 annex B (markers), TIFF 6.0 section 2 (directories), CIPA DC-008 (EXIF and GPS tags).
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiant_core.numerics import FloatArray
+
+_START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_START_OF_SCAN, _END_OF_IMAGE, _APP1 = 0xDA, 0xD9, 0xE1
+_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}
+
+MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
+FOCAL_LENGTH = 0x920A
+LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = range(1, 7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExifFacts:
+    """What EXIF says; empty text or None where it says nothing usable."""
+
+    make: str = ""
+    model: str = ""
+    focal_mm: float | None = None
+    lat_lon_alt: tuple[float, float, float] | None = None
+    """Degrees north, degrees east, metres; None unless all three are there and on the globe."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JpegFacts:
+    """What the markers of a JPEG say; size_wh is None without a frame header, whole is False when the end is missing."""
+
+    size_wh: tuple[int, int] | None
+    whole: bool
+    exif: ExifFacts
+
+
+def read_jpeg_facts(data: bytes) -> JpegFacts:
+    """Size, wholeness and EXIF of the JPEG `data`; never raises, whatever the bytes are."""
+    size_wh, exif, scan_offset = None, ExifFacts(), None
+    for marker, start, end in _segments(data):
+        if marker in _START_OF_FRAME and end - start >= 5:
+            height, width = struct.unpack_from(">HH", data, start + 1)
+            size_wh = (width, height) if width and height else None
+        elif marker == _APP1 and data[start : start + 6] == b"Exif\0\0":
+            exif = read_exif(data[start + 6 : end])
+        elif marker == _START_OF_SCAN:
+            scan_offset = end
+    # Inside a scan 0xFF is always followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
+    whole = scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
+    return JpegFacts(size_wh=size_wh, whole=whole, exif=exif)
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Marker, start and end of each segment's content, up to and including the first start of scan."""
+    offset = 2 if data[:2] == b"\xff\xd8" else len(data)
+    while offset + 4 <= len(data) and data[offset] == 0xFF:
+        marker = data[offset + 1]
+        if marker == 0xFF:
+            offset += 1
+            continue
+        end = offset + 2 + int.from_bytes(data[offset + 2 : offset + 4], "big")
+        if end < offset + 4 or end > len(data):
+            return
+        yield marker, offset + 4, end
+        if marker in (_START_OF_SCAN, _END_OF_IMAGE):
+            return
+        offset = end
+
+
+def read_exif(tiff: bytes) -> ExifFacts:
+    """The facts in an EXIF block (a TIFF header and its directories); never raises."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
+    if order is None or len(tiff) < 8:
+        return ExifFacts()
+    main = _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
+    details = _directory(tiff, order, _pointer(main, EXIF_POINTER))
+    focal_mm = _number(details.get(FOCAL_LENGTH))
+    return ExifFacts(
+        make=_text(main.get(MAKE)),
+        model=_text(main.get(MODEL)),
+        focal_mm=focal_mm if focal_mm is not None and focal_mm > 0 else None,
+        lat_lon_alt=_position(_directory(tiff, order, _pointer(main, GPS_POINTER))),
+    )
+
+
+Value = bytes | FloatArray
+"""A tag's value: bytes of text or undefined types, else its numbers as float64."""
+
+
+def _directory(tiff: bytes, order: str, offset: int) -> dict[int, Value]:
+    """Tag → value of the directory at `offset`, entries that point outside left out; empty when it does not fit."""
+    if not 8 <= offset <= len(tiff) - 2:
+        return {}
+    count = struct.unpack_from(order + "H", tiff, offset)[0]
+    if offset + 2 + 12 * count > len(tiff):
+        return {}
+    values = {}
+    for entry in range(offset + 2, offset + 2 + 12 * count, 12):
+        tag, kind, length = struct.unpack_from(order + "HHI", tiff, entry)
+        num_bytes = _TYPE_BYTES.get(kind, 0) * length
+        start = entry + 8 if num_bytes <= 4 else struct.unpack_from(order + "I", tiff, entry + 8)[0]
+        if num_bytes > 0 and start + num_bytes <= len(tiff):
+            values[tag] = _value(tiff[start : start + num_bytes], order, kind)
+    return values
+
+
+def _value(raw: bytes, order: str, kind: int) -> Value:
+    if kind in (1, 2, 7):
+        return raw
+    numbers = np.frombuffer(raw, dtype=order + {3: "u2", 4: "u4", 5: "u4", 9: "i4", 10: "i4"}[kind]).astype(np.float64)
+    if kind in (3, 4, 9):
+        return numbers
+    nominators, denominators = numbers.reshape(-1, 2).T
+    return np.divide(nominators, denominators, out=np.full(len(nominators), np.nan), where=denominators != 0)
+
+
+def _pointer(directory: dict[int, Value], tag: int) -> int:
+    number = _number(directory.get(tag))
+    return 0 if number is None or number < 0 else int(number)
+
+
+def _number(value: Value | None) -> float | None:
+    if value is None or isinstance(value, bytes) or not math.isfinite(value[0]):
+        return None
+    return float(value[0])
+
+
+def _text(value: Value | None) -> str:
+    return value.split(b"\0")[0].decode("ascii", "replace").strip() if isinstance(value, bytes) else ""
+
+
+def _position(gps: dict[int, Value]) -> tuple[float, float, float] | None:
+    lat = _degrees(gps.get(LATITUDE), gps.get(LATITUDE_REF), b"NS")
+    lon = _degrees(gps.get(LONGITUDE), gps.get(LONGITUDE_REF), b"EW")
+    alt = _number(gps.get(ALTITUDE))
+    if lat is None or lon is None or alt is None or abs(lat) > 90 or abs(lon) > 180:
+        return None
+    # Receivers without a fix write exact zeros.
+    if lat == 0 and lon == 0:
+        return None
+    below_sea = gps.get(ALTITUDE_REF)
+    return lat, lon, -alt if isinstance(below_sea, bytes) and below_sea[:1] == b"\x01" else alt
+
+
+def _degrees(value: Value | None, reference: Value | None, letters: bytes) -> float | None:
+    """Degrees of a (degrees, minutes, seconds) triple with its hemisphere letter; None when either is unusable."""
+    letter = reference[:1] if isinstance(reference, bytes) else b""
+    if value is None or isinstance(value, bytes) or len(value) != 3 or not letter or letter not in letters:
+        return None
+    degrees = float(value @ (1, 1 / 60, 1 / 3600))
+    if not math.isfinite(degrees):
+        return None
+    return -degrees if letter == letters[1:] else degrees

@@ -1,0 +1,114 @@
+"""A Mill 19 / Mega-NeRF folder as posed pinhole photographs.
+
+Read once per scene. Layout: coordinates.pt {origin_drb (3,), pose_scale_factor}, and for train and val each
+rgbs/NNNNNN.jpg and metadata/NNNNNN.pt {H, W, intrinsics (fx, fy, cx, cy), c2w (3,4)}. The world's axes are down, right,
+back; the camera's right, up, back; images are undistorted already, so `distortion` is not applied again. Hence
+    centre = pose_scale_factor · R · c2w[:, 3],   R the matrix with rows right, −back, −down: x right, y forward, z up.
+The place of the middle, origin_drb, is left out: it has no latitude or longitude and only costs digits.
+Source: Turki et al., Mega-NeRF, CVPR 2022, and the layout of its published data.
+"""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+
+MAX_METADATA_BYTES = 1 << 20
+_WORLD_FROM_DRB = np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]])
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mill19Scene:
+    """Cameras named by their file path in the folder ("train/rgbs/000001.jpg"), z up, middle of the scene near the origin."""
+
+    cameras: Cameras
+    held_out: tuple[str, ...]
+    """Names of the images in val/."""
+
+
+def read_mill19(folder: Path) -> Mill19Scene:
+    """The posed photographs of a Mill 19 folder, lengths in its own unit (published ones: metres).
+
+    Raises BadInput naming the file when one is missing, is no such file, or holds values that make no camera.
+    """
+    coordinates_path = folder / "coordinates.pt"
+    coordinates = _load(coordinates_path)
+    scale = float(_numbers(coordinates, "pose_scale_factor", (), coordinates_path))
+    if not scale > 0:
+        raise BadInput(f"{coordinates_path}: pose_scale_factor is {scale}, expected a positive number.")
+    entries = [(split, path) for split in ("train", "val") for path in sorted((folder / split / "metadata").glob("*.pt"))]
+    if not entries:
+        raise BadInput(f"{folder} has no train/metadata/*.pt or val/metadata/*.pt: give a folder in the Mega-NeRF layout.")
+    names = [_image_name(folder, split, path) for split, path in entries]
+    facts = [_camera(path, scale) for _, path in entries]
+    cameras = Cameras(
+        names=tuple(names),
+        Ks=np.array([K for K, _, _ in facts]),
+        cam_from_world=np.array([pose for _, pose, _ in facts]),
+        sizes_wh=np.array([size_wh for _, _, size_wh in facts]),
+    )
+    held_out = tuple(name for name, (split, _) in zip(names, entries, strict=True) if split == "val")
+    return Mill19Scene(cameras=cameras, held_out=held_out)
+
+
+def _image_name(folder: Path, split: str, metadata_path: Path) -> str:
+    for suffix in (".jpg", ".JPG", ".png"):
+        name = f"{split}/rgbs/{metadata_path.stem}{suffix}"
+        if (folder / name).is_file():
+            return name
+    raise BadInput(f"{metadata_path} has no image {split}/rgbs/{metadata_path.stem}.jpg beside it: fetch the image or remove it.")
+
+
+def _camera(path: Path, scale: float) -> tuple[FloatArray, FloatArray, tuple[int, int]]:
+    """K (3,3), cam_from_world (4,4) and size of one metadata file."""
+    metadata = _load(path)
+    fx, fy, cx, cy = _numbers(metadata, "intrinsics", (4,), path)
+    world_from_camera = _numbers(metadata, "c2w", (3, 4), path)
+    rotation = _OPENGL_FROM_OPENCV @ world_from_camera[:, :3].T @ _WORLD_FROM_DRB.T
+    # float32 rotations are orthonormal to 1e-7 only; the nearest rotation keeps the rest of the pipeline exact.
+    U, singular, Vt = np.linalg.svd(rotation)
+    if np.abs(singular - 1).max() > 1e-3 or np.linalg.det(U @ Vt) < 0:
+        raise BadInput(f"{path}: the first three columns of c2w are no rotation: export the metadata again.")
+    pose = np.eye(4)
+    pose[:3, :3] = U @ Vt
+    pose[:3, 3] = -pose[:3, :3] @ (_WORLD_FROM_DRB @ world_from_camera[:, 3] * scale)
+    width, height = (int(_numbers(metadata, key, (), path)) for key in ("W", "H"))
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), pose, (width, height)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    """The dictionary in a .pt file; only tensors, numbers and containers are ever built from it."""
+    import torch
+
+    if not path.is_file():
+        raise BadInput(f"{path} does not exist: expected a folder in the Mega-NeRF layout with coordinates.pt, train and val.")
+    if path.stat().st_size > MAX_METADATA_BYTES:
+        raise BadInput(f"{path} has {path.stat().st_size} bytes, expected metadata of at most {MAX_METADATA_BYTES}.")
+    try:
+        loaded = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, pickle.UnpicklingError, EOFError, ValueError, KeyError, OSError) as error:
+        raise BadInput(f"{path} is no readable .pt file of tensors ({type(error).__name__}): fetch it again.") from None
+    if not isinstance(loaded, dict):
+        raise BadInput(f"{path} holds a {type(loaded).__name__}, expected a dictionary of tensors.")
+    return loaded
+
+
+def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> FloatArray:
+    """The finite numbers of `shape` under `key`."""
+    try:
+        values = np.asarray(loaded[key], dtype=np.float64)
+    except (KeyError, TypeError, ValueError, RuntimeError):
+        raise BadInput(f"{path} has no numbers under {key!r}: expected the Mega-NeRF layout.") from None
+    values = values.reshape(shape) if values.size == 1 and shape == () else values
+    if values.shape != shape or not np.isfinite(values).all():
+        raise BadInput(f"{path}: {key!r} has shape {values.shape} or is not finite, expected {shape} finite numbers.")
+    return values

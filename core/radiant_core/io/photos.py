@@ -1,0 +1,144 @@
+"""Photographs in a folder: which can be used, their size, camera and GPS position; and one image as an array.
+
+`list_photographs` decodes every file once, at an eighth of its size, to be sure that it is whole; `load_photograph` decodes
+one at the size asked for. EXIF orientation is ignored: pixels stay as they are stored, as structure from motion needs them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.io.jpeg import ExifFacts, read_jpeg_facts
+
+SUFFIXES = (".jpg", ".jpeg", ".png")
+MAX_FILE_BYTES = 1 << 29
+MAX_PIXELS = 1 << 28
+_PNG_SIGNATURE, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xae\x42\x60\x82"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraKey:
+    """Photographs with equal keys share one set of intrinsics."""
+
+    make: str
+    model: str
+    focal_mm: float | None
+    size_wh: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photograph:
+    """One usable photograph: its file name, path, size in pixels, GPS position (degrees, degrees, metres) and camera."""
+
+    name: str
+    path: Path
+    size_wh: tuple[int, int]
+    lat_lon_alt: tuple[float, float, float] | None
+    camera: CameraKey
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skipped:
+    """A file that looks like a photograph and cannot be used, with the reason."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoListing:
+    """The photographs of a folder in the order of their names, and what was skipped."""
+
+    photographs: tuple[Photograph, ...]
+    skipped: tuple[Skipped, ...]
+
+
+def list_photographs(
+    folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None
+) -> PhotoListing:
+    """The usable photographs (JPEG, PNG) directly in `folder`, truncated or undecodable ones skipped and named.
+
+    `on_photo(done, total)` is called after each file; `names` asks for these files only, subfolders with '/' allowed.
+    Raises BadInput when the folder is missing, is no folder, or holds fewer than two usable photographs.
+    """
+    if not folder.is_dir():
+        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with JPEG or PNG files.")
+    if names is None:
+        names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    names = [name for name in names if (folder / name).is_file()]
+    if not names:
+        raise BadInput(f"{folder} contains no photographs (.jpg, .jpeg, .png): give the folder that holds the image files.")
+    photographs: list[Photograph] = []
+    skipped: list[Skipped] = []
+    for done, found in enumerate(_inspected(folder, names), start=1):
+        if isinstance(found, Photograph):
+            photographs.append(found)
+        else:
+            skipped.append(found)
+        if on_photo is not None:
+            on_photo(done, len(names))
+    if len(photographs) < 2:
+        lost = f" ({len(skipped)} skipped: {skipped[0].name} {skipped[0].reason})" if skipped else ""
+        raise BadInput(f"{folder} has {len(photographs)} usable photograph(s){lost}: at least 2 that overlap are needed.")
+    return PhotoListing(photographs=tuple(photographs), skipped=tuple(skipped))
+
+
+def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:
+    """The photograph (H,W,3) float32 RGB in 0..1, area-averaged to `size_wh` px; BadInput when it cannot be decoded."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        raise BadInput(f"the photograph {path} cannot be decoded: remove it or fetch it again.")
+    if (image.shape[1], image.shape[0]) != tuple(size_wh):
+        image = cv2.resize(image, tuple(size_wh), interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(image[:, :, ::-1], dtype=np.float32) / np.float32(255)
+
+
+def _inspected(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]:
+    """What each file is, in order; decoding releases the interpreter lock, so threads help."""
+    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
+        yield from pool.map(lambda name: _inspect(folder / name, name), names)
+
+
+def _inspect(path: Path, name: str) -> Photograph | Skipped:
+    if path.stat().st_size > MAX_FILE_BYTES:
+        return Skipped(name=name, reason=f"is larger than {MAX_FILE_BYTES >> 20} MiB")
+    data = path.read_bytes()
+    size_wh, whole, exif = _png_facts(data) if data.startswith(_PNG_SIGNATURE) else _jpeg_facts(data)
+    if size_wh is None:
+        return Skipped(name=name, reason="is not a JPEG or PNG image")
+    if size_wh[0] * size_wh[1] > MAX_PIXELS:
+        return Skipped(name=name, reason=f"has {size_wh[0]} × {size_wh[1]} pixels, more than {MAX_PIXELS}")
+    if not whole:
+        return Skipped(name=name, reason="is truncated (its end is missing)")
+    if not _decodes(data, size_wh):
+        return Skipped(name=name, reason="cannot be decoded")
+    camera = CameraKey(make=exif.make, model=exif.model, focal_mm=exif.focal_mm, size_wh=size_wh)
+    return Photograph(name=name, path=path, size_wh=size_wh, lat_lon_alt=exif.lat_lon_alt, camera=camera)
+
+
+def _jpeg_facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
+    facts = read_jpeg_facts(data)
+    return facts.size_wh, facts.whole, facts.exif
+
+
+def _png_facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
+    width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    return (width, height) if width and height else None, _PNG_END in data, ExifFacts()
+
+
+def _decodes(data: bytes, size_wh: tuple[int, int]) -> bool:
+    """Whether the whole bit stream decodes to an image of the promised shape (within the rounding of the 1/8 size)."""
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        return False
+    return image is not None and all(abs(got * 8 - want) <= 8 for got, want in zip(image.shape[::-1], size_wh, strict=True))

@@ -1,0 +1,189 @@
+"""What flows between stages, as files: arrays as safetensors, plans as readable JSON; no pickle, nothing lost.
+
+Every file says in its metadata which schema and version it is. Reading takes no more memory than the file is long.
+Runs once per stage.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.frames import Frame
+from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+
+VERSION = "1"
+
+SPLATS_DTYPES: dict[str, str] = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"), "F32")
+CAMERAS_DTYPES = {"Ks": "F64", "cam_from_world": "F64", "sizes_wh": "I64"}
+SCENE_DTYPES = {**CAMERAS_DTYPES, "points": "F64", "colors": "U8", "observations": "I64", "origin_lat_lon_alt": "F64"}
+
+
+def save_splats(path: Path, splats: Splats) -> None:
+    """Write a model (N Gaussians) to `path`, atomically; raises as `write_atomic`."""
+    _save_arrays(path, "radiant.splats", splats.arrays(), {})
+
+
+def load_splats(path: Path) -> Splats:
+    """The model that `save_splats` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    arrays, _ = _load_arrays(path, "radiant.splats", SPLATS_DTYPES)
+    with _naming(path):
+        return Splats(**arrays)
+
+
+def save_cameras(path: Path, cameras: Cameras) -> None:
+    """Write C cameras to `path`, atomically; raises as `write_atomic`."""
+    _save_arrays(path, "radiant.cameras", _camera_arrays(cameras), {"names": list(cameras.names)})
+
+
+def load_cameras(path: Path) -> Cameras:
+    """The cameras that `save_cameras` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    arrays, about = _load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
+    with _naming(path):
+        return Cameras(names=_texts(about["names"]), **arrays)
+
+
+def save_scene(path: Path, scene: SfmScene) -> None:
+    """Write cameras, points, colours, observations and frame to `path`, atomically; raises as `write_atomic`."""
+    arrays = {
+        **_camera_arrays(scene.cameras),
+        "points": scene.points,
+        "colors": scene.colors,
+        "observations": scene.observations,
+        "origin_lat_lon_alt": scene.frame.origin_lat_lon_alt,
+    }
+    about = {"names": list(scene.cameras.names), "frame_kind": scene.frame.kind, "frame_residual_m": scene.frame.residual_m}
+    _save_arrays(path, "radiant.scene", arrays, about)
+
+
+def load_scene(path: Path) -> SfmScene:
+    """The scene that `save_scene` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    arrays, about = _load_arrays(path, "radiant.scene", SCENE_DTYPES)
+    with _naming(path):
+        residual_m = about["frame_residual_m"]
+        return SfmScene(
+            cameras=Cameras(names=_texts(about["names"]), **{name: arrays[name] for name in CAMERAS_DTYPES}),
+            points=arrays["points"],
+            colors=arrays["colors"],
+            observations=arrays["observations"],
+            frame=Frame(
+                kind=about["frame_kind"],
+                origin_lat_lon_alt=arrays["origin_lat_lon_alt"],
+                residual_m=None if residual_m is None else float(residual_m),
+            ),
+        )
+
+
+def save_plan(path: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
+    """Write both levels of a plan as readable JSON, atomically; raises as `write_atomic`."""
+    levels = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
+    write_json(path, {"schema": "radiant.plan", "version": VERSION, **levels})
+
+
+def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """The plan that `save_plan` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    record = read_json(path)
+    with _naming(path):
+        if not isinstance(record, dict):
+            raise BadInput("it holds no plan: pass the plan.json of a run.")
+        _require_schema(record, "radiant.plan")
+        cloud = CloudPlan(**_plan_fields(CloudPlan, record["cloud"]))
+        edges = tuple(EdgePlan(**_plan_fields(EdgePlan, edge)) for edge in record["edges"])
+    return cloud, edges
+
+
+def _camera_arrays(cameras: Cameras) -> dict[str, NDArray]:
+    return {name: getattr(cameras, name) for name in CAMERAS_DTYPES}
+
+
+def _save_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about: Mapping[str, Any]) -> None:
+    metadata = {"schema": schema, "version": VERSION, "about": json.dumps(about, allow_nan=False)}
+    write_atomic(path, save(dict(arrays), metadata))
+
+
+def _load_arrays(path: Path, schema: str, dtypes: Mapping[str, str]) -> tuple[dict[str, NDArray], dict[str, Any]]:
+    """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes are exactly these."""
+    if not Path(path).is_file():
+        raise StoreDamaged(f"cannot read {path}: there is no such file: run the stage that writes it again.")
+    try:
+        with safe_open(os.fspath(path), framework="np") as file, _naming(path):
+            metadata = file.metadata() or {}
+            _require_schema(metadata, schema)
+            found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
+            if found != dtypes:
+                raise BadInput(f"it holds the arrays {found}, expected {dict(dtypes)}: write it anew with this version.")
+            return {name: file.get_tensor(name) for name in dtypes}, json.loads(metadata["about"])
+    except (SafetensorError, OSError) as error:
+        raise StoreDamaged(f"{path} is not a whole safetensors file: {error}: run the stage that writes it again.") from error
+
+
+def _require_schema(metadata: Mapping[str, Any], schema: str) -> None:
+    found = (metadata.get("schema"), metadata.get("version"))
+    if found != (schema, VERSION):
+        raise BadInput(f"it says schema and version {found}, expected {(schema, VERSION)}: check which file it is.")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn whatever a wrong content raises into BadInput that names the file."""
+    try:
+        yield
+    except (BadInput, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        reason = error if isinstance(error, BadInput) else f"its content is not as written ({type(error).__name__}: {error})."
+        raise BadInput(f"cannot use {path}: {reason}") from error
+
+
+def _texts(values: Any) -> tuple[str, ...]:
+    if not (isinstance(values, list) and all(isinstance(value, str) for value in values)):
+        raise BadInput("a list of names holds something else: write the file anew.")
+    return tuple(values)
+
+
+def _jsonable(plan: CloudPlan | EdgePlan) -> dict[str, Any]:
+    return {field.name: _plain(getattr(plan, field.name)) for field in fields(plan)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _plan_fields(plan_type: type[CloudPlan | EdgePlan], record: Any) -> dict[str, Any]:
+    names = {field.name for field in fields(plan_type)}
+    if not isinstance(record, dict) or set(record) != names:
+        raise BadInput(f"a part of it is no {plan_type.__name__}, which has exactly {sorted(names)}: plan again.")
+    return {name: _parsed(name, value) for name, value in record.items()}
+
+
+def _parsed(name: str, value: Any) -> Any:
+    """A field of a plan from JSON; arrays stay lists for the plan's own checks, empty polygons regain their two columns."""
+    if name in ("edge_ids", "device_ids"):
+        return _texts(value)
+    if name in ("borders", "strips"):
+        return tuple(np.zeros((0, 2)) if polygon == [] else polygon for polygon in value)
+    if name in ("method", "status", "edge_id", "certified"):
+        wanted = bool if name == "certified" else str
+        if not isinstance(value, wanted):
+            raise BadInput(f"its {name} is {value!r}, expected {wanted.__name__}: plan again.")
+        return value
+    if name == "history":
+        return tuple(float(makespan_s) for makespan_s in value)
+    if name == "lower_bound_s":
+        return float(value)
+    return np.zeros((0, 2)) if name == "sites" and value == [] else value

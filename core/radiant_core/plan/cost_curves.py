@@ -1,0 +1,45 @@
+"""Cost curves: a time or a size as a function of the number of cameras (paper Sec. III-B, the profiled G, F, H).
+
+    value(c) = constant + linear · c + power_coefficient · c ** exponent,   value(0) = 0
+
+No camera costs nothing: a device or edge without work neither starts nor sends. All coefficients are non-negative,
+so curves never fall. Evaluated once per plan on the counts 0..C.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class CostCurve:
+    """Seconds or bytes against cameras. Raises BadInput for a coefficient that is negative or not finite."""
+
+    constant: float = 0.0
+    """Cost of having any work at all."""
+    linear: float = 0.0
+    """Cost per camera."""
+    power_coefficient: float = 0.0
+    """Factor of the power term."""
+    exponent: float = 1.0
+    """Exponent of the power term, 0 to 4."""
+
+    def __post_init__(self) -> None:
+        for name in ("constant", "linear", "power_coefficient", "exponent"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0:
+                raise BadInput(f"cost curve: {name} is {value}, expected a finite number of at least 0.")
+        if self.exponent > 4:
+            raise BadInput(f"cost curve: exponent is {self.exponent}, expected at most 4.")
+
+    def __call__(self, num_cameras: ArrayLike) -> FloatArray:
+        """Cost for camera counts of any shape."""
+        counts = np.asarray(num_cameras, dtype=np.float64)
+        cost = self.constant + self.linear * counts + self.power_coefficient * counts**self.exponent
+        return np.where(counts > 0, cost, 0.0)

@@ -1,0 +1,94 @@
+"""Strips for the devices of an edge (paper Sec. III-C, RTP): who trains which of the edge's cameras.
+
+The quotas come from `deadline`; the cameras are sorted along the longer side of the smallest rectangle around them and dealt
+in the order in which the devices are listed; strips are cut midway between the last camera of one device and the first of
+the next. Runs once per edge and plan, O(K log K) in the edge's cameras K.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from shapely import MultiPoint, get_coordinates
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.plan.deadline import device_time_s, edge_table
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.power_diagram import clip_polygon
+from radiant_core.plan.system import Edge, System
+
+
+def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[EdgePlan, ...]:
+    """One `EdgePlan` per edge for the cameras (C,2) m of a plan of the same system; BadInput when plan and input differ."""
+    positions = checked_array("positions", positions, (len(plan.edge_of_camera), 2))
+    if plan.edge_ids != tuple(edge.id for edge in system.edges):
+        raise BadInput(f"the plan is for edges {', '.join(plan.edge_ids)}, the system has others: plan this system anew.")
+    members = (np.flatnonzero(plan.edge_of_camera == index) for index in range(len(system.edges)))
+    return tuple(
+        split_edge(edge, positions, indices, border) for edge, indices, border in zip(system.edges, members, plan.borders, strict=True)
+    )
+
+
+def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], border: FloatArray) -> EdgePlan:
+    """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m, to its devices; strips partition `border` (V,2) m.
+
+    BadInput when the devices cannot hold them.
+    """
+    quotas = edge_table(edge, len(camera_indices)).quotas(len(camera_indices))
+    own = positions[camera_indices]
+    centre = own.mean(axis=0) if len(own) else np.zeros(2)
+    axis = long_axis(own)
+    along = (own - centre) @ axis
+    across = (own - centre) @ np.array([-axis[1], axis[0]])
+    order = np.lexsort((camera_indices, across, along))
+    device_of_camera = np.empty(len(own), dtype=np.int64)
+    device_of_camera[order] = np.repeat(np.arange(len(quotas)), quotas)
+    strips = [strip + centre for strip in _strips(border - centre, axis, along[order], quotas)]
+    return EdgePlan(
+        edge_id=edge.id,
+        device_ids=tuple(device.id for device in edge.devices),
+        camera_indices=camera_indices,
+        device_of_camera=device_of_camera,
+        strips=tuple(strips),
+        device_time_s=np.array([float(device_time_s(d, q)) for d, q in zip(edge.devices, quotas, strict=True)]),
+    )
+
+
+def long_axis(points: ArrayLike) -> FloatArray:
+    """Unit vector (2,) along the longer side of the smallest rectangle around points (K,2), pointing to angles in [0°, 180°).
+
+    One side of that rectangle lies on an edge of the convex hull (Freeman, Shapira 1975). Among equal rectangles the longest,
+    then the smallest angle; east for one spot.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    spread = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    if spread == 0:
+        return np.array([1.0, 0.0])
+    hull = get_coordinates(MultiPoint((points - points.mean(axis=0)) / spread).convex_hull)
+    sides = np.diff(hull, axis=0)
+    sides = sides[np.hypot(*sides.T) > 1e-12]
+    angles = np.arctan2(sides[:, 1], sides[:, 0])
+    angles = np.unique(np.round(np.concatenate([angles, angles + np.pi / 2]) % np.pi, 12)) % np.pi
+    axes = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    lengths = np.ptp(hull @ axes.T, axis=0)
+    widths = np.ptp(hull @ np.stack([-axes[:, 1], axes[:, 0]]), axis=0)
+    # Rounded, so that rectangles which are equal by symmetry do not change places with the last digit.
+    best = np.lexsort((angles, -np.round(lengths, 9), np.round(lengths * widths, 9)))[0]
+    return axes[best]
+
+
+def _strips(border: FloatArray, axis: FloatArray, along: FloatArray, quotas: NDArray[np.int64]) -> list[FloatArray]:
+    """The border (V,2) cut across `axis` where the sorted coordinates `along` (K,) pass from one device to the next."""
+    strips, rest = [], border
+    ends = np.cumsum(quotas)
+    for quota, end in zip(quotas, ends, strict=True):
+        if quota == 0:
+            strips.append(np.empty((0, 2)))
+        elif end == len(along):
+            strips.append(rest)
+        else:
+            cut = float(along[end - 1] + along[end]) / 2
+            strips.append(clip_polygon(rest, axis, cut))
+            rest = clip_polygon(rest, -axis, -cut)
+    return strips

@@ -1,0 +1,102 @@
+"""`CloudPlan` and `EdgePlan`: what the planner hands on. E edges, D devices of one edge, C cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+
+PlanStatus = Literal["optimal", "converged", "stopped", "infeasible"]
+"""optimal: equals the lower bound with a certificate; converged: within the threshold; stopped: iteration limit; infeasible: the
+devices cannot hold all cameras."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CloudPlan:
+    """Regions of the edges: a power diagram of the edge positions and the cameras in each cell.
+
+    sites (E,2) m; weights (E,) m²: camera x belongs to argmin ‖x − sites_e‖² − weights_e;
+    borders: per edge a convex polygon (V,2) m, counter-clockwise, clipped to the scene; empty (0,2) for an empty cell;
+    edge_of_camera (C,); edge_time_s (E,); lower_bound_s: the best makespan any assignment of these counts can reach;
+    history: makespan in seconds after each iteration.
+    """
+
+    method: str
+    edge_ids: tuple[str, ...]
+    sites: FloatArray
+    weights: FloatArray
+    borders: tuple[FloatArray, ...]
+    edge_of_camera: NDArray[np.int64]
+    edge_time_s: FloatArray
+    lower_bound_s: float
+    status: PlanStatus
+    certified: bool
+    """Whether every camera was found to lie in its own power cell."""
+    history: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        count = len(self.edge_ids)
+        if count == 0 or len(set(self.edge_ids)) != count:
+            raise BadInput(f"the plan has the edges {self.edge_ids}, expected one or more, each with its own id.")
+        if self.status not in get_args(PlanStatus) or not np.isfinite(self.lower_bound_s):
+            raise BadInput(f"the plan has status {self.status!r} and lower bound {self.lower_bound_s} s: plan again.")
+        object.__setattr__(self, "sites", checked_array("sites", self.sites, (count, 2)))
+        object.__setattr__(self, "weights", checked_array("weights", self.weights, (count,)))
+        object.__setattr__(self, "edge_time_s", checked_array("edge_time_s", self.edge_time_s, (count,)))
+        object.__setattr__(self, "edge_of_camera", checked_array("edge_of_camera", self.edge_of_camera, (None,), np.int64))
+        object.__setattr__(self, "borders", tuple(checked_array("borders", border, (None, 2)) for border in self.borders))
+        if len(self.borders) != count:
+            raise BadInput(f"the plan has {len(self.borders)} borders for {count} edges: give one polygon per edge.")
+        if len(self.edge_of_camera) and not (self.edge_of_camera.min() >= 0 and self.edge_of_camera.max() < count):
+            raise BadInput("the plan assigns a camera to an edge that is not there: check edge_of_camera.")
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Cameras per edge (E,)."""
+        return np.bincount(self.edge_of_camera, minlength=len(self.edge_ids))
+
+    @property
+    def makespan_s(self) -> float:
+        """Time of the slowest edge."""
+        return float(self.edge_time_s.max())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EdgePlan:
+    """One edge's cameras dealt to its devices by RTP (paper Sec. III-C).
+
+    camera_indices (K,) into the scene's cameras; device_of_camera (K,) into `device_ids`; strips: per device a polygon (V,2) m
+    inside the edge's border, empty (0,2) without cameras; device_time_s (D,).
+    """
+
+    edge_id: str
+    device_ids: tuple[str, ...]
+    camera_indices: NDArray[np.int64]
+    device_of_camera: NDArray[np.int64]
+    strips: tuple[FloatArray, ...]
+    device_time_s: FloatArray
+
+    def __post_init__(self) -> None:
+        count = len(self.device_ids)
+        if len(set(self.device_ids)) != count:
+            raise BadInput(f"the plan of edge {self.edge_id!r} has the devices {self.device_ids}: give each its own id.")
+        object.__setattr__(self, "camera_indices", checked_array("camera_indices", self.camera_indices, (None,), np.int64))
+        shape = (len(self.camera_indices),)
+        if len(np.unique(self.camera_indices)) != shape[0] or self.camera_indices.min(initial=0) < 0:
+            raise BadInput(f"the plan of edge {self.edge_id!r} has a camera twice or a negative index: check camera_indices.")
+        object.__setattr__(self, "device_of_camera", checked_array("device_of_camera", self.device_of_camera, shape, np.int64))
+        object.__setattr__(self, "device_time_s", checked_array("device_time_s", self.device_time_s, (count,)))
+        object.__setattr__(self, "strips", tuple(checked_array("strips", strip, (None, 2)) for strip in self.strips))
+        if len(self.strips) != count:
+            raise BadInput(f"the plan of edge {self.edge_id!r} has {len(self.strips)} strips for {count} devices.")
+        if shape[0] and not (self.device_of_camera.min() >= 0 and self.device_of_camera.max() < count):
+            raise BadInput(f"the plan of edge {self.edge_id!r} gives a camera to a device that is not there.")
+
+    def cameras_of(self, device_id: str) -> NDArray[np.int64]:
+        """Indices (K,) into the scene's cameras of one device."""
+        return self.camera_indices[self.device_of_camera == self.device_ids.index(device_id)]

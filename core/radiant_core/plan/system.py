@@ -1,0 +1,94 @@
+"""`System`: the edges, their devices, how fast each is and how fast it sends (paper Sec. III-B)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.cost_curves import CostCurve
+
+_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Device:
+    """A machine that holds photographs and trains (paper: device n with G, F_n, H, B^n and |C^n_max|)."""
+
+    id: str
+    """Letters, digits, - and _; names the device's folder."""
+    init_s: CostCurve
+    """G: seconds to initialise against cameras."""
+    train_s: CostCurve
+    """F_n: seconds to train against cameras."""
+    model_bytes: CostCurve
+    """H: bytes of the trained model against cameras."""
+    uplink_bytes_per_s: float
+    """B^n: bandwidth to the edge."""
+    max_cameras: int | None = None
+    """|C^n_max|: how many cameras its memory can hold, None without a limit."""
+
+    def __post_init__(self) -> None:
+        _require_id("device", self.id)
+        _require_bandwidth(f"device {self.id!r}", self.uplink_bytes_per_s)
+        if self.max_cameras is not None and self.max_cameras < 0:
+            raise BadInput(f"device {self.id!r}: max_cameras is {self.max_cameras}, expected at least 0.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edge:
+    """A machine that owns a region and joins its devices' models (paper: edge m at P^m with F_m and B^m)."""
+
+    id: str
+    """Letters, digits, - and _; names the edge's folder."""
+    position: tuple[float, float] | None
+    """x east, y north in the scene's frame, metres; None: placed by `seeded_positions` when the scene is known."""
+    lat_lon_deg: tuple[float, float] | None = None
+    """Latitude and longitude instead of `position`; turned into metres when the scene's origin is known."""
+    aggregate_s: CostCurve
+    """F_m: seconds to aggregate against cameras."""
+    uplink_bytes_per_s: float
+    """B^m: bandwidth to the cloud."""
+    devices: tuple[Device, ...]
+    """At least one."""
+
+    def __post_init__(self) -> None:
+        _require_id("edge", self.id)
+        _require_bandwidth(f"edge {self.id!r}", self.uplink_bytes_per_s)
+        for pair in (self.position, self.lat_lon_deg):
+            if pair is not None and not np.isfinite(pair).all():
+                raise BadInput(f"edge {self.id!r}: position {pair} is not finite: give two numbers.")
+        if not self.devices:
+            raise BadInput(f"edge {self.id!r} has no devices: give it at least one.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class System:
+    """All edges. Raises BadInput without edges, or when an edge or device id comes twice."""
+
+    edges: tuple[Edge, ...]
+
+    def __post_init__(self) -> None:
+        if not self.edges:
+            raise BadInput("the system has no edges: give it at least one.")
+        for kind, ids in (("edge", [edge.id for edge in self.edges]), ("device", [d.id for d in self.devices])):
+            twice = sorted({name for name in ids if ids.count(name) > 1})
+            if twice:
+                raise BadInput(f"{kind} id {twice[0]!r} comes twice: ids name folders and must differ.")
+
+    @property
+    def devices(self) -> tuple[Device, ...]:
+        """Devices of all edges in order."""
+        return tuple(device for edge in self.edges for device in edge.devices)
+
+
+def _require_id(kind: str, name: str) -> None:
+    if not _ID.fullmatch(name):
+        raise BadInput(f"{kind} id {name!r} cannot name a folder: use up to 64 letters, digits, '-' and '_'.")
+
+
+def _require_bandwidth(owner: str, value: float) -> None:
+    if not np.isfinite(value) or value <= 0:
+        raise BadInput(f"{owner}: uplink_bytes_per_s is {value}, expected a positive number of bytes per second.")

@@ -1,0 +1,1 @@
+"""Differentiable Gaussian rendering behind one contract."""

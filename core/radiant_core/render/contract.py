@@ -1,0 +1,154 @@
+"""The contract of every rasterizer: what goes in, what comes out, which constants decide (EWA splatting, Zwicker 2002; 3DGS, Kerbl 2023).
+
+    image(p) = Σ_i c_i w_i + background · (1 − Σ_i w_i)        w_i = α_i Π_{k<i} (1 − α_k)              (paper Eqn. 2)
+    α_i = min(α_max, o_i exp(−½ (p − m_i)ᵀ Σ'_i⁻¹ (p − m_i))), Σ' = J W Σ Wᵀ Jᵀ + 0.3 px² I            (paper Eqns. 1, 3)
+
+`rasterize` runs once per image and training step. C cameras, N Gaussians, K SH bases, H W pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from radiant_core.errors import BadInput
+from radiant_core.splats import SH_BASES, Splats
+
+ALPHA_MIN = 1 / 255
+"""A Gaussian adds to a pixel only where its α reaches this: one step of an 8-bit image."""
+ALPHA_MAX = 0.999
+"""α is capped here, so that gradients behind a Gaussian never vanish altogether."""
+DILATION_PX2 = 0.3
+"""Added to the diagonal of each 2D covariance: no Gaussian is narrower than a pixel's low-pass filter."""
+TRANSMITTANCE_CUT = 1e-4
+"""A Gaussian that would bring a pixel's transmittance to this or below is not blended, nor is any behind it."""
+
+Backend = Literal["auto", "reference"]
+"""auto: the fastest there is; reference: plain PyTorch, the oracle."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SplatTensors:
+    """The torch twin of `Splats`, same names and shapes; leaves that may require gradients. Not validated: it is made inside."""
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    logit_opacities: Tensor
+    sh0: Tensor
+    shN: Tensor
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The six tensors by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @staticmethod
+    def from_splats(splats: Splats, dtype: torch.dtype = torch.float32) -> SplatTensors:
+        """Copies of the arrays as tensors of `dtype`."""
+        return SplatTensors(**{name: torch.from_numpy(np.array(array)).to(dtype) for name, array in splats.arrays().items()})
+
+    def to_splats(self) -> Splats:
+        """A validated numpy copy; BadInput where training left a value that is not finite."""
+        return Splats(**{name: tensor.detach().cpu().numpy() for name, tensor in self.tensors().items()})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RenderOutput:
+    """What a rasterizer gives back, differentiable in all six tensors of the splats except for `radii_px`."""
+
+    images: Tensor
+    """(C,H,W,3) colour over the background."""
+    alphas: Tensor
+    """(C,H,W) Σ w."""
+    depths: Tensor
+    """(C,H,W) expected depth Σ w z / Σ w, metres; 0 where nothing was hit."""
+    radii_px: Tensor
+    """(C,N) half the long side of the box in which a Gaussian reaches α_min; 0 where it is culled."""
+    means2d: Tensor
+    """(C,N,2) projected centres; keeps its gradient, in pixels, for densification."""
+
+
+def rasterize(
+    splats: SplatTensors,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    *,
+    sh_degree: int,
+    background: Tensor | None = None,
+    near_m: float = 0.01,
+    far_m: float = 1e10,
+    antialiased: bool = False,
+    backend: Backend = "auto",
+) -> RenderOutput:
+    """Render C cameras: viewmats (C,4,4) cam_from_world, Ks (C,3,3) px, background (3) or None for black.
+
+    Raises BadInput naming the tensor when a shape is wrong or a value is not finite.
+    """
+    from radiant_core.render.torch_reference import rasterize_reference
+
+    if backend not in ("auto", "reference"):
+        raise BadInput(f"backend {backend!r} is unknown: use 'auto' or 'reference'.")
+    _check(splats, viewmats, Ks, sh_degree)
+    if width < 1 or height < 1:
+        raise BadInput(f"the image is {width} × {height} px, expected at least 1 × 1.")
+    view = ViewOptions(
+        width=width,
+        height=height,
+        sh_degree=sh_degree,
+        near_m=near_m,
+        far_m=far_m,
+        antialiased=antialiased,
+        background=torch.zeros(3, dtype=splats.means.dtype) if background is None else background,
+    )
+    return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewOptions:
+    """What one call has besides splats and cameras."""
+
+    width: int
+    height: int
+    sh_degree: int
+    near_m: float
+    far_m: float
+    antialiased: bool
+    background: Tensor
+
+
+def resolve_backend(backend: Backend) -> str:
+    """The backend that `auto` stands for on this machine."""
+    return "reference" if backend == "auto" else backend
+
+
+def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, sh_degree: int) -> None:
+    count, cameras = len(splats), viewmats.shape[0]
+    shapes = {
+        "means": (count, 3),
+        "quats": (count, 4),
+        "log_scales": (count, 3),
+        "logit_opacities": (count,),
+        "sh0": (count, 1, 3),
+        "shN": (count, splats.shN.shape[1] if splats.shN.ndim == 3 else -1, 3),
+    }
+    checks = [(name, tensor, shapes[name]) for name, tensor in splats.tensors().items()]
+    for name, tensor, shape in [*checks, ("viewmats", viewmats, (cameras, 4, 4)), ("Ks", Ks, (cameras, 3, 3))]:
+        if tuple(tensor.shape) != shape:
+            raise BadInput(f"{name} has shape {tuple(tensor.shape)}, expected {shape}: check which tensor was passed.")
+        # One sum finds a NaN or Inf at a tenth of the cost of isfinite; the exact index is searched only then.
+        if not torch.isfinite(tensor.detach().sum()):
+            bad = ~torch.isfinite(tensor.detach())
+            if bad.any():
+                first = tuple(bad.nonzero()[0].tolist())
+                raise BadInput(f"{name} has {int(bad.sum())} values that are not finite, the first at index {first}: remove them first.")
+    if not 0 <= sh_degree <= 3 or SH_BASES[sh_degree] > splats.shN.shape[1] + 1:
+        raise BadInput(f"sh_degree is {sh_degree} but shN has {splats.shN.shape[1]} bases: use a degree these bases can hold.")

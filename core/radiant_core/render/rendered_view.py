@@ -1,0 +1,45 @@
+"""One rendered picture as numpy, without gradients: for synthetic views, evaluation and the command line. Once per picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from radiant_core.cameras import Cameras
+from radiant_core.render.contract import Backend, SplatTensors, rasterize
+from radiant_core.splats import Splats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RenderedView:
+    """image (H,W,3) in 0..1, alpha (H,W) in 0..1, depth (H,W) m, 0 where nothing was hit; float32."""
+
+    name: str
+    image: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    depth: NDArray[np.float32]
+
+    @property
+    def image_bytes(self) -> NDArray[np.uint8]:
+        """The image in 8 bits (H,W,3)."""
+        return (self.image * 255).round().astype(np.uint8)
+
+
+def render_views(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> Iterator[RenderedView]:
+    """Render every camera at its size, one picture in memory at a time."""
+    tensors = SplatTensors.from_splats(splats)
+    for index, (width, height) in enumerate(cameras.sizes_wh):
+        one = slice(index, index + 1)
+        viewmats, Ks = torch.tensor(cameras.cam_from_world[one]), torch.tensor(cameras.Ks[one])
+        with torch.no_grad():
+            output = rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=splats.sh_degree, backend=backend)
+        yield RenderedView(
+            name=cameras.names[index],
+            image=output.images[0].clamp(0, 1).numpy(),
+            alpha=output.alphas[0].clamp(0, 1).numpy(),
+            depth=output.depths[0].numpy(),
+        )

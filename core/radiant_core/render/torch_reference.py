@@ -1,0 +1,214 @@
+"""The reference rasterizer: plain PyTorch in any floating type, no early termination, gradients by autograd. The oracle.
+
+Per image: project all Gaussians (O(N)), list for each 8×8 tile the Gaussians whose box touches it in order of depth, then blend
+groups of tiles with lists of similar length as one dense block (tiles × pixels × list). Cost: pairs of pixel and Gaussian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from radiant_core.render.contract import ALPHA_MAX, ALPHA_MIN, DILATION_PX2, TRANSMITTANCE_CUT, RenderOutput, SplatTensors, ViewOptions
+from radiant_core.render.harmonics import colors_from_sh
+
+TILE_PX = 8
+MAX_HALF_AXIS_PX = 1e9
+"""Gaussians larger than this in the image are culled: their determinant leaves float32."""
+PAIRS_PER_BLOCK = 2_000_000
+"""Upper bound of pixel–Gaussian pairs blended at once, unless one tile alone has more: bounds memory."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Projection:
+    """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), opacities (N,), extents (N,2) px, depths (N,) m, visible (N,)."""
+
+    means2d: Tensor
+    conics: Tensor
+    opacities: Tensor
+    extents: Tensor
+    depths: Tensor
+    visible: Tensor
+
+
+def rasterize_reference(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
+    """`contract.rasterize` in plain PyTorch, one camera after another."""
+    projections = [_project(splats, viewmat, K, view) for viewmat, K in zip(viewmats, Ks, strict=True)]
+    # Stacked before blending, so that the returned tensor lies on the way of the gradients.
+    means2d = torch.stack([projection.means2d for projection in projections])
+    if means2d.requires_grad:
+        means2d.retain_grad()
+    pictures = [
+        _shade(splats, viewmats[index], replace(projection, means2d=means2d[index]), view)
+        for index, projection in enumerate(projections)
+    ]
+    images, alphas, depths = (torch.stack(parts) for parts in zip(*pictures, strict=True))
+    radii_px = torch.stack([torch.where(p.visible, p.extents.amax(-1), 0).detach() for p in projections])
+    return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=radii_px, means2d=means2d)
+
+
+def _shade(splats: SplatTensors, viewmat: Tensor, projection: _Projection, view: ViewOptions) -> tuple[Tensor, Tensor, Tensor]:
+    """Image (H,W,3), alpha (H,W) and expected depth (H,W) of one camera."""
+    center = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    directions = torch.nn.functional.normalize(splats.means - center, dim=-1)
+    colors = colors_from_sh(directions, splats.sh0, splats.shN, view.sh_degree)
+    features = torch.cat([colors, projection.depths[:, None], torch.ones_like(projection.depths)[:, None]], dim=1)
+    blended = _blend(projection, features, view)
+    alphas = blended[..., 4]
+    images = blended[..., :3] + (1 - alphas)[..., None] * view.background.to(alphas)
+    return images, alphas, blended[..., 3] / alphas.clamp_min(1e-10)
+
+
+def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions) -> _Projection:
+    """EWA projection. The Jacobian is taken at a point clamped to 0.3 image widths outside the frustum, as 3DGS does, and
+    differentiated as it is computed: no gradient flows into a clamped coordinate."""
+    in_camera = splats.means @ viewmat[:3, :3].T + viewmat[:3, 3]
+    depths = in_camera[:, 2]
+    in_range = (depths > view.near_m) & (depths < view.far_m)
+    z = torch.where(in_range, depths, torch.ones_like(depths))
+    x_over_z, y_over_z = in_camera[:, 0] / z, in_camera[:, 1] / z
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    means2d = torch.stack([fx * x_over_z + cx, fy * y_over_z + cy], dim=-1)
+    cov2d, bounded = _covariances_2d(splats, viewmat, _jacobians(K, x_over_z, y_over_z, z, view))
+    conics, compensation, visible = _invert_dilated(cov2d)
+    opacities = torch.sigmoid(splats.logit_opacities)
+    if view.antialiased:
+        opacities = opacities * compensation
+    extents = _extents(cov2d, opacities)
+    low, high = means2d - extents, means2d + extents
+    size = means2d.new_tensor([view.width, view.height])
+    visible = visible & bounded & in_range & (extents > 0).all(-1) & (high > 0).all(-1) & (low < size).all(-1)
+    return _Projection(means2d=means2d, conics=conics, opacities=opacities, extents=extents, depths=depths, visible=visible)
+
+
+def _jacobians(K: Tensor, x_over_z: Tensor, y_over_z: Tensor, z: Tensor, view: ViewOptions) -> Tensor:
+    """Jacobians (N,2,3) of the projection at points clamped to a window 1.3 times the image."""
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    margin_x, margin_y = 0.15 * view.width / fx, 0.15 * view.height / fy
+    x = torch.clamp(x_over_z, -cx / fx - margin_x, (view.width - cx) / fx + margin_x)
+    y = torch.clamp(y_over_z, -cy / fy - margin_y, (view.height - cy) / fy + margin_y)
+    zero = torch.zeros_like(z)
+    return torch.stack([fx / z, zero, -fx * x / z, zero, fy / z, -fy * y / z], dim=-1).reshape(-1, 2, 3)
+
+
+def _covariances_2d(splats: SplatTensors, viewmat: Tensor, jacobians: Tensor) -> tuple[Tensor, Tensor]:
+    """(N,3) xx, xy, yy of J W R S Sᵀ Rᵀ Wᵀ Jᵀ, before dilation, and whether it is within bounds (N,)."""
+    scaled_axes = _rotations(splats.quats) * torch.exp(splats.log_scales)[:, None, :]
+    half = jacobians @ viewmat[:3, :3] @ scaled_axes
+    # Zeroed before it is squared: an overflow there would turn into NaN on the way back, even if it is culled later.
+    bounded = half.detach().abs().amax((1, 2)) < MAX_HALF_AXIS_PX
+    row_x, row_y = torch.where(bounded[:, None, None], half, 0.0).unbind(1)
+    return torch.stack([(row_x * row_x).sum(-1), (row_x * row_y).sum(-1), (row_y * row_y).sum(-1)], dim=-1), bounded
+
+
+def _rotations(quats: Tensor) -> Tensor:
+    """Rotation matrices (N,3,3) of quaternions wxyz (N,4) of any length; scaled by the largest entry first, so that none overflows."""
+    largest = quats.detach().abs().amax(-1, keepdim=True)
+    identity = quats.new_tensor([1.0, 0.0, 0.0, 0.0])
+    safe = torch.where(largest > 0, quats / torch.where(largest > 0, largest, 1.0), identity)
+    w, x, y, z = torch.nn.functional.normalize(safe, dim=-1).unbind(-1)
+    entries = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(entries, dim=-1).reshape(-1, 3, 3)
+
+
+def _invert_dilated(cov2d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Inverse (N,3) of the dilated covariance, the opacity compensation √(det Σ / det Σ') (N,), and whether it is usable (N,)."""
+    xx, xy, yy = cov2d.unbind(-1)
+    dilated_xx, dilated_yy = xx + DILATION_PX2, yy + DILATION_PX2
+    # det(Σ + sI) = det Σ + s·tr Σ + s²: written out, since xx·yy − xy² alone cancels for long thin Gaussians.
+    determinant = (xx * yy - xy * xy).clamp_min(0.0)
+    dilated = determinant + DILATION_PX2 * (xx + yy) + DILATION_PX2**2
+    usable = torch.isfinite(dilated) & torch.isfinite(1 / dilated)
+    divisor = torch.where(usable, dilated, torch.ones_like(dilated))
+    conics = torch.stack([dilated_yy, -xy, dilated_xx], dim=-1) / divisor[:, None]
+    ratio = torch.where(usable, determinant, torch.zeros_like(determinant)) / divisor
+    # √ has an infinite slope at 0: flat Gaussians get a floor far under one 8-bit step.
+    return conics, ratio.clamp_min(1e-12).sqrt(), usable
+
+
+def _extents(cov2d: Tensor, opacities: Tensor) -> Tensor:
+    """Half sides (N,2) px of the box in which α ≥ α_min: √(2 ln(o / α_min) · Σ'_ii); 0 where it never is."""
+    reach = 2 * torch.log((opacities.detach() / ALPHA_MIN).clamp_min(1.0))
+    variances = cov2d.detach()[:, [0, 2]] + DILATION_PX2
+    return torch.sqrt(reach[:, None] * variances)
+
+
+def _blend(projection: _Projection, features: Tensor, view: ViewOptions) -> Tensor:
+    """Alpha-blend features (N,F) into (H,W,F)."""
+    tiles_x, tiles_y = -(-view.width // TILE_PX), -(-view.height // TILE_PX)
+    lists, starts, counts = _tile_lists(projection, tiles_x, tiles_y)
+    tile_order = torch.argsort(counts, descending=True)
+    tile_order = tile_order[: int((counts > 0).sum())]
+    blocks = [
+        _blend_block(projection, features, lists, starts[tiles], counts[tiles], _pixel_centres(tiles, tiles_x, features))
+        for tiles in _blocks_of_tiles(tile_order, counts)
+    ]
+    canvas = features.new_zeros(tiles_x * tiles_y, TILE_PX * TILE_PX, features.shape[1])
+    if blocks:
+        canvas = canvas.index_copy(0, tile_order, torch.cat(blocks))
+    rows = canvas.reshape(tiles_y, tiles_x, TILE_PX, TILE_PX, -1).permute(0, 2, 1, 3, 4)
+    return rows.reshape(tiles_y * TILE_PX, tiles_x * TILE_PX, -1)[: view.height, : view.width]
+
+
+def _tile_lists(projection: _Projection, tiles_x: int, tiles_y: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Gaussian indices by tile, front to back, with start and count per tile. Equal depths keep the order of the input."""
+    visible = projection.visible.nonzero().squeeze(-1)
+    order = visible[torch.argsort(projection.depths.detach()[visible], stable=True)]
+    means2d, extents = projection.means2d.detach()[order], projection.extents[order]
+    limit = means2d.new_tensor([tiles_x - 1, tiles_y - 1])
+    zero = torch.zeros_like(limit)
+    first = torch.minimum(torch.maximum(((means2d - extents) / TILE_PX).floor(), zero), limit).long()
+    last = torch.minimum(torch.maximum(((means2d + extents) / TILE_PX).floor(), zero), limit).long()
+    spans = last - first + 1
+    per_gaussian = spans.prod(-1)
+    owner = torch.repeat_interleave(torch.arange(len(order)), per_gaussian)
+    within = torch.arange(len(owner)) - torch.repeat_interleave(per_gaussian.cumsum(0) - per_gaussian, per_gaussian)
+    tile_x = first[owner, 0] + within % spans[owner, 0]
+    tile_y = first[owner, 1] + within // spans[owner, 0]
+    tile = tile_y * tiles_x + tile_x
+    by_tile = torch.argsort(tile, stable=True)
+    counts = torch.bincount(tile, minlength=tiles_x * tiles_y)
+    return order[owner[by_tile]], counts.cumsum(0) - counts, counts
+
+
+def _blocks_of_tiles(tile_order: Tensor, counts: Tensor) -> list[Tensor]:
+    """Cut tiles, longest list first, so that a block pads no list to more than 1.5 times and stays under the pair limit."""
+    lengths = counts[tile_order].tolist()
+    blocks, start = [], 0
+    for stop in range(1, len(lengths) + 1):
+        pairs = (stop - start) * lengths[start] * TILE_PX * TILE_PX
+        if stop == len(lengths) or lengths[stop] * 1.5 < lengths[start] or pairs >= PAIRS_PER_BLOCK:
+            blocks.append(tile_order[start:stop])
+            start = stop
+    return blocks
+
+
+def _pixel_centres(tiles: Tensor, tiles_x: int, like: Tensor) -> Tensor:
+    """Pixel centres (tiles, P, 2) px."""
+    inside = torch.arange(TILE_PX * TILE_PX)
+    x = (tiles % tiles_x)[:, None] * TILE_PX + inside % TILE_PX
+    y = (tiles // tiles_x)[:, None] * TILE_PX + inside // TILE_PX
+    return torch.stack([x, y], dim=-1).to(like) + 0.5
+
+
+def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, starts: Tensor, counts: Tensor, pixels: Tensor) -> Tensor:
+    """Blend lists of Gaussians into pixels (tiles, P, 2): (tiles, P, F)."""
+    slots = torch.arange(int(counts.max()))
+    present = slots < counts[:, None]
+    chosen = lists[torch.where(present, starts[:, None] + slots, starts[:, None])]
+    delta = pixels[:, :, None, :] - projection.means2d[chosen][:, None]
+    xx, xy, yy = projection.conics[chosen][:, None].unbind(-1)
+    dx, dy = delta.unbind(-1)
+    exponent = -0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy
+    alphas = (projection.opacities[chosen][:, None] * torch.exp(exponent.clamp_max(0.0))).clamp_max(ALPHA_MAX)
+    alphas = torch.where((alphas >= ALPHA_MIN) & present[:, None], alphas, 0.0)
+    transmittance_after = torch.cumprod(1 - alphas, dim=-1)
+    transmittance = torch.cat([torch.ones_like(alphas[..., :1]), transmittance_after[..., :-1]], dim=-1)
+    weights = torch.where(transmittance_after.detach() > TRANSMITTANCE_CUT, alphas * transmittance, 0.0)
+    return weights @ features[chosen]

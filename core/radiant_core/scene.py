@@ -1,0 +1,57 @@
+"""`SfmScene`: what structure from motion gives, cameras and sparse points in one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame
+from radiant_core.numerics import FloatArray, checked_array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SfmScene:
+    """C cameras and P points with who sees what.
+
+    points (P,3) in the frame's unit, float64; colors (P,3) uint8; observations (T,2): point index, camera index.
+    Raises BadInput when shapes disagree or an observation points outside.
+    """
+
+    cameras: Cameras
+    points: FloatArray
+    colors: NDArray[np.uint8]
+    observations: NDArray[np.int64]
+    frame: Frame
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", checked_array("points", self.points, (None, 3)))
+        object.__setattr__(self, "colors", checked_array("colors", self.colors, (len(self.points), 3), np.uint8))
+        object.__setattr__(self, "observations", checked_array("observations", self.observations, (None, 2), np.int64))
+        limits = (len(self.points), len(self.cameras))
+        if len(self.observations) and ((self.observations < 0) | (self.observations >= limits)).any():
+            raise BadInput("an observation names a point or camera that is not there: check the indices of `observations`.")
+
+    def seen_by(self, camera_indices: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Sorted indices (K,) of the points that at least one of these cameras observes."""
+        seen = np.isin(self.observations[:, 1], camera_indices)
+        return np.unique(self.observations[seen, 0])
+
+    def restricted_to(self, camera_indices: NDArray[np.int64]) -> SfmScene:
+        """The scene as these cameras (K,) know it: they, the points they observe, and their observations."""
+        points = self.seen_by(camera_indices)
+        new_point = np.full(len(self.points), -1)
+        new_point[points] = np.arange(len(points))
+        new_camera = np.full(len(self.cameras), -1)
+        new_camera[camera_indices] = np.arange(len(camera_indices))
+        mine = self.observations[np.isin(self.observations[:, 1], camera_indices)]
+        return SfmScene(
+            cameras=self.cameras.select(camera_indices),
+            points=self.points[points],
+            colors=self.colors[points],
+            observations=np.stack([new_point[mine[:, 0]], new_camera[mine[:, 1]]], axis=1),
+            frame=self.frame,
+        )

@@ -1,0 +1,180 @@
+"""Similarities between point sets: least squares, robust against outliers, and as a yardstick against a reference model.
+
+Least squares (once per fit): with centred X, Y and the SVD  Yᵀ X / N = U D Vᵀ,
+    R = U S Vᵀ,  s = tr(D S) / var(X),  t = ȳ − s R x̄,   S = diag(1, 1, det(U Vᵀ)).
+Robust (once per scene): 500 fits to three random pairs, the one with the smallest median residual, then refits to all
+pairs within 2.5 robust standard deviations. Source: Umeyama, PAMI 13 (1991); least median of squares: Rousseeuw (1984).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import Sim3
+from radiant_core.numerics import FloatArray, checked_array
+
+NUM_TRIALS = 500
+INLIER_SIGMAS = 2.5
+SIGMA_FROM_MEDIAN = 1 / 1.538
+"""Standard deviation per axis from the median length of a 3D Gaussian error (the median of a chi distribution, 3 axes)."""
+MAX_SCALE_ERROR = 0.2
+MAX_TILT_ERROR_RAD = np.radians(5.0)
+
+AlignStatus = Literal["ok", "too few", "inconsistent", "collinear"]
+"""ok; too few: under three pairs; inconsistent: the scale is not known to 20 %; collinear: the rotation about the line
+through the positions is not known to 5°."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Alignment:
+    """What a robust fit found; never an exception for positions that cannot be aligned."""
+
+    status: AlignStatus
+    target_from_source: Sim3 | None
+    """None exactly when the status is "too few"."""
+    residuals: FloatArray
+    """Distances (N,) in the target's unit; empty without a fit."""
+    inliers: NDArray[np.bool_]
+    """Which pairs (N,) the fit used."""
+    scale_error: float
+    """Predicted relative standard deviation of the scale; infinite without a fit."""
+    tilt_error_rad: float
+    """Predicted standard deviation of the rotation about the line that fits the positions best; infinite without a fit."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CenterErrors:
+    """Camera centres against a reference after the least-squares similarity, in the reference's unit."""
+
+    reference_from_scene: Sim3
+    errors: FloatArray
+    """Distances (N,)."""
+    extent: float
+    """Largest distance between two reference centres."""
+
+    @property
+    def max_percent(self) -> float:
+        """Largest error in percent of the extent."""
+        return 100 * float(self.errors.max()) / self.extent
+
+    @property
+    def median_percent(self) -> float:
+        """Median error in percent of the extent."""
+        return 100 * float(np.median(self.errors)) / self.extent
+
+
+def fit_sim3(source: ArrayLike, target: ArrayLike) -> Sim3:
+    """Least-squares similarity of the pairs source (N,3) → target (N,3), N ≥ 2; BadInput when all of one side coincide."""
+    source, target = _checked_pairs(source, target)
+    if len(source) < 2:
+        raise BadInput(f"{len(source)} pair of positions cannot fix a similarity: at least 2 are needed, 3 for the rotation.")
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    from_source, from_target = source - source_mean, target - target_mean
+    variance = np.square(from_source).sum() / len(source)
+    U, D, Vt = np.linalg.svd(from_target.T @ from_source / len(source))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    scale = float(D @ signs / variance) if variance > 0 else 0.0
+    if not scale > 0:
+        raise BadInput("all positions on one side of a similarity coincide: it has no scale; give positions that differ.")
+    rotation = (U * signs) @ Vt
+    return Sim3(scale=scale, rotation=rotation, translation=target_mean - scale * rotation @ source_mean)
+
+
+def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignment:
+    """Similarity of the pairs source (N,3) → target (N,3) that up to half of them may contradict.
+
+    The predicted errors come from the residual's standard deviation σ and the spread of the inliers along their axes:
+    scale_error = σ / (s · |first axis|), tilt_error = σ / (s · |second axis|), so a straight flight line shows.
+    """
+    source, target = _checked_pairs(source, target)
+    start = _least_median_fit(source, target, seed)
+    if start is None:
+        return Alignment(
+            status="too few",
+            target_from_source=None,
+            residuals=np.zeros(0),
+            inliers=np.zeros(len(source), bool),
+            scale_error=np.inf,
+            tilt_error_rad=np.inf,
+        )
+    fit, residuals, inliers = _refit(source, target, start)
+    sigma = SIGMA_FROM_MEDIAN * float(np.median(residuals[inliers]))
+    spread = fit.scale * np.linalg.svd(source[inliers] - source[inliers].mean(axis=0), compute_uv=False)
+    sigma = max(sigma, 1e-9 * spread[0])
+    scale_error, tilt_error = sigma / spread[0], sigma / max(spread[1], 1e-9 * spread[0])
+    status: AlignStatus = "ok"
+    if scale_error > MAX_SCALE_ERROR:
+        status = "inconsistent"
+    elif tilt_error > MAX_TILT_ERROR_RAD:
+        status = "collinear"
+    return Alignment(
+        status=status,
+        target_from_source=fit,
+        residuals=residuals,
+        inliers=inliers,
+        scale_error=scale_error,
+        tilt_error_rad=tilt_error,
+    )
+
+
+def compare_centers(scene_centers: ArrayLike, reference_centers: ArrayLike) -> CenterErrors:
+    """How far camera centres (N,3) are from reference centres (N,3) after the plain least-squares similarity.
+
+    No outlier is left out, so a single lost camera shows in the maximum. BadInput for fewer than three cameras.
+    """
+    source, target = _checked_pairs(scene_centers, reference_centers)
+    if len(source) < 3:
+        raise BadInput(f"{len(source)} cameras cannot be compared with a reference: a similarity needs at least 3.")
+    fit = fit_sim3(source, target)
+    distances = np.linalg.norm(target[:, None] - target[None], axis=2)
+    return CenterErrors(
+        reference_from_scene=fit,
+        errors=np.linalg.norm(fit.apply(source) - target, axis=1),
+        extent=float(distances.max()),
+    )
+
+
+def _checked_pairs(source: ArrayLike, target: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    source = checked_array("source", source, (None, 3))
+    return source, checked_array("target", target, (len(source), 3))
+
+
+def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3 | None:
+    """The similarity through three random pairs with the smallest median residual; None where no three pairs give one."""
+    if len(source) < 3:
+        return None
+    rng = np.random.default_rng(seed)
+    best, best_median = None, np.inf
+    for _ in range(NUM_TRIALS):
+        picked = rng.choice(len(source), 3, replace=False)
+        try:
+            fit = fit_sim3(source[picked], target[picked])
+        except BadInput:
+            continue
+        median = float(np.median(np.linalg.norm(fit.apply(source) - target, axis=1)))
+        # A shrunken scene always lies near the middle of the target; compare in the source's unit so that it cannot win.
+        if median / fit.scale < best_median:
+            best, best_median = fit, median / fit.scale
+    return best
+
+
+def _refit(source: FloatArray, target: FloatArray, fit: Sim3) -> tuple[Sim3, FloatArray, NDArray[np.bool_]]:
+    """Least squares over the inliers, repeated until they stay the same (at most ten times)."""
+    inliers = np.zeros(len(source), bool)
+    residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
+    extent = float(np.ptp(target, axis=0).max())
+    for _ in range(10):
+        # The floor keeps pairs that agree to rounding error from being called outliers.
+        limit = max(INLIER_SIGMAS * np.sqrt(3) * SIGMA_FROM_MEDIAN * float(np.median(residuals)), 1e-9 * extent)
+        within = residuals <= limit
+        if within.sum() < 3 or (within == inliers).all():
+            break
+        inliers = within
+        fit = fit_sim3(source[inliers], target[inliers])
+        residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
+    return fit, residuals, inliers if inliers.any() else np.ones(len(source), bool)

@@ -1,0 +1,47 @@
+"""Calls into pycolmap: import order, logging, Ctrl-C, progress and errors in one place.
+
+`zlib` comes before pycolmap: pycolmap exports a static copy that breaks PNG writing and zipfile when it is loaded first.
+The database is never opened by Python's own sqlite3 while pycolmap has it open: two SQLite libraries in one process drop
+each other's file locks, and pycolmap was seen to die of a bus error.
+"""
+
+from __future__ import annotations
+
+import zlib  # noqa: F401
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any, TypeVar
+
+import pycolmap
+
+from radiant_core.errors import StageFailed
+
+__all__ = ["call_colmap", "pycolmap"]
+TICK_S = 0.25
+Result = TypeVar("Result")
+pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL.value)
+
+
+def call_colmap(
+    doing: str, call: Callable[..., Result], *args: Any, on_tick: Callable[[], None] | None = None, **options: Any
+) -> Result:
+    """`call(*args, **options)` in a thread of its own, so that Ctrl-C is heard here; `on_tick` is called every 0.25 s meanwhile.
+
+    A `cancellation_token` among the options is cancelled on Ctrl-C. Raises StageFailed, naming what it was `doing`, when
+    pycolmap gives up.
+    """
+    token = options.get("cancellation_token")
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        future = pool.submit(call, *args, **options)
+        try:
+            while wait([future], timeout=TICK_S).not_done:
+                if on_tick is not None:
+                    on_tick()
+        except BaseException:
+            if token is not None:
+                token.cancel()
+            raise
+    try:
+        return future.result()
+    except (RuntimeError, ValueError) as error:
+        raise StageFailed(f"structure from motion failed while {doing}: {str(error).strip()}") from error

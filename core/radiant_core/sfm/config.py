@@ -1,0 +1,86 @@
+"""What structure from motion can be told, what it reports while it runs, and what it gives."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.scene import SfmScene
+
+Matching = Literal["auto", "spatial", "exhaustive"]
+"""auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each with its GPS neighbours;
+exhaustive: every pair."""
+Mapper = Literal["auto", "incremental", "global"]
+"""auto: incremental, then the global mapper where more than a twentieth stays unregistered; the others: that one alone."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SfmConfig:
+    """Settings of structure from motion; raises BadInput for a value out of range."""
+
+    max_image_size_px: int = 1600
+    """Long side in pixels to which photographs are reduced for finding features."""
+    max_num_features: int = 4096
+    """Features kept per photograph, roughly."""
+    num_neighbors: int = 30
+    """With GPS, each photograph is matched with this many nearest ones."""
+    matching: Matching = "auto"
+    """Which pairs are matched: auto, spatial (GPS neighbours) or exhaustive (all)."""
+    mapper: Mapper = "auto"
+    """Which mapper estimates the poses: auto, incremental or global."""
+    num_threads: int = 0
+    """Threads, 0 for all cores."""
+    seed: int = 0
+    """Seed of every random choice; with more than one thread results still differ in the last digits."""
+
+    def __post_init__(self) -> None:
+        for name, least in (
+            ("max_image_size_px", 64),
+            ("max_num_features", 64),
+            ("num_neighbors", 1),
+            ("num_threads", 0),
+            ("seed", 0),
+        ):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise BadInput(f"sfm.{name} is {value!r}, expected a whole number of at least {least}.")
+        for name, choices in (("matching", get_args(Matching)), ("mapper", get_args(Mapper))):
+            if getattr(self, name) not in choices:
+                raise BadInput(f"sfm.{name} is {getattr(self, name)!r}, expected one of {', '.join(choices)}.")
+
+    @property
+    def threads(self) -> int:
+        """The number of threads to start, at least one."""
+        return self.num_threads or os.cpu_count() or 1
+
+
+Phase = Literal["checking photographs", "features", "matching", "mapping", "triangulating", "undistorting"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SfmProgress:
+    """How far one phase is; `done` of `total` photographs, or pairs while matching."""
+
+    phase: Phase
+    done: int
+    total: int
+
+
+Report = Callable[[SfmProgress], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SfmResult:
+    """The scene, where its undistorted photographs are (same names), who is not in it, and what was decided on the way."""
+
+    scene: SfmScene
+    undistorted_folder: Path
+    unregistered: tuple[str, ...]
+    """Usable photographs without a pose in the scene."""
+    decisions: tuple[Decision, ...]
+    warnings: tuple[str, ...]

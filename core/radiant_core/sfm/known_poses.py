@@ -1,0 +1,144 @@
+"""Sparse points for photographs whose poses are known: features, neighbours by position, triangulation; poses stay.
+
+Once per scene, for folders that come with poses and without points (Mill 19). Triangulation and the clean-up of points are
+COLMAP's; camera poses and intrinsics are not touched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame
+from radiant_core.io.colmap import ColmapCamera, ColmapImage, ColmapPoints, checked_model, read_model, write_model
+from radiant_core.io.mill19 import read_mill19
+from radiant_core.io.photos import CameraKey, Photograph
+from radiant_core.numerics import FloatArray
+from radiant_core.scene import SfmScene
+from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
+from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.database import extract_features, match_pairs
+from radiant_core.sfm.pairs import neighbor_pairs
+from radiant_core.sfm.workspace import listed, start_clean
+
+NO_POINTS = ColmapPoints(
+    ids=np.zeros(0, np.int64),
+    xyz=np.zeros((0, 3)),
+    colors=np.zeros((0, 3), np.uint8),
+    errors_px=np.zeros(0),
+    tracks=np.zeros((0, 3), np.int64),
+)
+
+
+def scene_from_mill19(folder: Path, work_folder: Path, config: SfmConfig, report: Report) -> SfmResult:
+    """The scene of a Mill 19 / Mega-NeRF folder: its poses, and points triangulated from its photographs.
+
+    Raises BadInput when the folder is not in that layout or an image cannot be used.
+    """
+    cameras = read_mill19(folder).cameras
+    scene = scene_from_poses(cameras, folder, work_folder, config, report)
+    decision = Decision(
+        stage="sfm",
+        topic="frame",
+        choice="the poses of the folder, z up",
+        figure=float(len(cameras)),
+        unit="photographs",
+        reason="coordinates.pt gives a scale and no place on the globe",
+    )
+    told = "the folder's poses are used as they are; its unit is the metre only if whoever made it said so."
+    return SfmResult(scene=scene, undistorted_folder=folder, unregistered=(), decisions=(decision,), warnings=(told,))
+
+
+def scene_from_poses(cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report) -> SfmScene:
+    """Points for C pinhole cameras with known poses and the photographs of the same names in `photo_folder`.
+
+    Raises BadInput when a photograph is missing, has another size than its camera, or when no point can be triangulated.
+    """
+    photographs = _photographs_of(cameras, listed(photo_folder, report, cameras.names).photographs)
+    start_clean(work_folder)
+    database = work_folder / "database.db"
+    extract_features(database, photo_folder, photographs, config, report)
+    model_folder = _write_poses(cameras, database, work_folder / "sparse")
+    match_pairs(database, neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors), config, report)
+    report(SfmProgress(phase="triangulating", done=0, total=len(cameras)))
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = config.threads
+    options.random_seed = config.seed
+    call_colmap(
+        "triangulating",
+        pycolmap.triangulate_points,
+        pycolmap.Reconstruction(model_folder),
+        database,
+        photo_folder,
+        model_folder,
+        options=options,
+        cancellation_token=pycolmap.CancellationToken(),
+    )
+    report(SfmProgress(phase="triangulating", done=len(cameras), total=len(cameras)))
+    model = read_model(model_folder)
+    if not len(model.points.ids):
+        raise BadInput(f"no point can be triangulated from the photographs in {photo_folder} with their poses: check that they belong together.")
+    return SfmScene(
+        cameras=cameras.named([image.name for image in model.images]),
+        points=model.points.xyz,
+        colors=model.points.colors,
+        observations=model.observations(),
+        frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
+    )
+
+
+def _photographs_of(cameras: Cameras, photographs: tuple[Photograph, ...]) -> tuple[Photograph, ...]:
+    """The photographs in the order of the cameras, grouped by calibration instead of EXIF."""
+    by_name = {photo.name: photo for photo in photographs}
+    lost = [name for name in cameras.names if name not in by_name]
+    if lost:
+        raise BadInput(f"photograph {lost[0]!r} is missing or cannot be decoded ({len(lost)} in all): fetch it or drop its pose.")
+    grouped = []
+    for name, K, size_wh in zip(cameras.names, cameras.Ks, cameras.sizes_wh, strict=True):
+        photo = by_name[name]
+        if photo.size_wh != tuple(size_wh):
+            raise BadInput(f"photograph {name!r} has {photo.size_wh} px and its camera {tuple(size_wh)}: scale the one or the other.")
+        grouped.append(replace(photo, camera=CameraKey(make="", model=repr(K.tolist()), focal_mm=None, size_wh=photo.size_wh)))
+    return tuple(grouped)
+
+
+def _write_poses(cameras: Cameras, database: Path, folder: Path) -> Path:
+    """Write the known poses as a model without points, with the numbers of the database; the calibrations go into both."""
+    index_of = {name: index for index, name in enumerate(cameras.names)}
+    intrinsics: dict[int, ColmapCamera] = {}
+    images = []
+    with pycolmap.Database.open(database) as store:
+        for image in store.read_all_images():
+            index = index_of[image.name]
+            K, (width, height) = cameras.Ks[index], cameras.sizes_wh[index]
+            params = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+            intrinsics[image.camera_id] = ColmapCamera(
+                camera_id=image.camera_id, model="PINHOLE", size_wh=(int(width), int(height)), params=params
+            )
+            images.append(_posed_image(image, cameras.cam_from_world[index]))
+        for camera in store.read_all_cameras():
+            camera.model = pycolmap.CameraModelId.PINHOLE
+            camera.params = intrinsics[camera.camera_id].params
+            camera.has_prior_focal_length = True
+            store.update_camera(camera)
+    write_model(folder, checked_model([*intrinsics.values()], images, NO_POINTS, str(folder)))
+    return folder
+
+
+def _posed_image(image: pycolmap.Image, cam_from_world: FloatArray) -> ColmapImage:
+    x, y, z, w = Rotation.from_matrix(cam_from_world[:3, :3]).as_quat()
+    return ColmapImage(
+        image_id=image.image_id,
+        name=image.name,
+        camera_id=image.camera_id,
+        quat_wxyz=np.array([w, x, y, z]),
+        translation=cam_from_world[:3, 3],
+        points2d=np.zeros((0, 2)),
+        point3d_ids=np.zeros(0, np.int64),
+    )

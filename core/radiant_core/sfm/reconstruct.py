@@ -1,0 +1,109 @@
+"""Structure from motion: a folder of photographs in, cameras and sparse points in one world frame out.
+
+Once per scene: list and check the photographs, features, matches, poses (`database.py`, `mapping.py`), undistort to pinhole
+(`undistort.py`), then the world frame (`world.py`). EXIF orientation is ignored for pixels throughout.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from radiant_core.errors import BadInput
+from radiant_core.io.colmap import read_model
+from radiant_core.io.photos import Photograph, PhotoListing
+from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.database import extract_features, match_pairs
+from radiant_core.sfm.known_poses import scene_from_mill19
+from radiant_core.sfm.mapping import Mapped, MappingJob, map_photographs
+from radiant_core.sfm.pairs import choose_pairs
+from radiant_core.sfm.undistort import undistort
+from radiant_core.sfm.workspace import listed, start_clean
+from radiant_core.sfm.world import scene_in_world
+
+__all__ = [
+    "Mapper",
+    "Matching",
+    "Phase",
+    "Report",
+    "SfmConfig",
+    "SfmProgress",
+    "SfmResult",
+    "reconstruct",
+    "scene_from_colmap",
+    "scene_from_mill19",
+]
+
+def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report) -> SfmResult:
+    """Cameras, points and undistorted photographs of the usable photographs in `photo_folder`.
+
+    `work_folder` gets undistorted/ and sparse/; what an interrupted attempt left there is removed first.
+    Raises BadInput when fewer than two photographs can be used or they do not overlap.
+    """
+    listing = listed(photo_folder, report)
+    photographs = listing.photographs
+    start_clean(work_folder)
+    pairs, matching = choose_pairs(photographs, config)
+    database = work_folder / "database.db"
+    extract_features(database, photo_folder, photographs, config, report)
+    match_pairs(database, pairs, config, report)
+    job = MappingJob(
+        photo_folder=photo_folder,
+        photographs=photographs,
+        database=database,
+        pairs=pairs,
+        work_folder=work_folder / "models",
+        config=config,
+        report=report,
+    )
+    mapped = map_photographs(job)
+    _save_model(mapped, work_folder)
+    undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
+    scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
+    return SfmResult(
+        scene=scene,
+        undistorted_folder=undistorted.image_folder,
+        unregistered=mapped.unregistered,
+        decisions=(matching, *mapped.decisions, *decisions),
+        warnings=(*_skip_warnings(listing), *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
+    )
+
+
+def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path, report: Report) -> SfmResult:
+    """The scene of an existing COLMAP model, binary or text, and its images.
+
+    Pinhole images are used where they are; others are undistorted into `work_folder`. The frame comes from the images' GPS
+    where they have it. Raises BadInput when the model cannot be read or an image is missing or cannot be decoded.
+    """
+    model = read_model(model_folder)
+    listing = listed(image_folder, report, tuple(image.name for image in model.images))
+    usable = {photo.name for photo in listing.photographs}
+    lost = [image.name for image in model.images if image.name not in usable]
+    if lost:
+        reasons = {skipped.name: skipped.reason for skipped in listing.skipped}
+        why = reasons.get(lost[0], "is not there")
+        raise BadInput(
+            f"image {lost[0]!r} of the model {why} in {image_folder} ({len(lost)} in all): give the folder of its images."
+        )
+    images_to_use = image_folder
+    if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):
+        start_clean(work_folder)
+        undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
+        model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
+    scene, decisions, warnings = scene_in_world(model, listing.photographs, seed=0)
+    return SfmResult(scene=scene, undistorted_folder=images_to_use, unregistered=(), decisions=decisions, warnings=warnings)
+
+
+def _save_model(mapped: Mapped, work_folder: Path) -> None:
+    (work_folder / "sparse").mkdir()
+    mapped.model.write_binary(work_folder / "sparse")
+
+
+def _skip_warnings(listing: PhotoListing) -> tuple[str, ...]:
+    return tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
+
+
+def _unregistered_warnings(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:
+    if not unregistered:
+        return ()
+    names = ", ".join(unregistered[:10])
+    return (f"{len(unregistered)} of {len(photographs)} photographs have no pose and are left out: {names}.",)

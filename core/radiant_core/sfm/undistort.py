@@ -1,0 +1,42 @@
+"""Photographs and model without lens distortion: pinhole cameras, the same file names. Once per scene, all pixels."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
+from radiant_core.sfm.config import Report, SfmProgress
+
+JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True, kw_only=True)
+class Undistorted:
+    """Where the pinhole model and its images are."""
+
+    model_folder: Path
+    image_folder: Path
+
+
+def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_threads: int, report: Report) -> Undistorted:
+    """Write work_folder/undistorted/{images,sparse}; the folder appears only when it is complete."""
+    part, final = work_folder / "undistorted.part", work_folder / "undistorted"
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    report(SfmProgress(phase="undistorting", done=0, total=1))
+    call_colmap(
+        "undistorting",
+        pycolmap.undistort_images,
+        part,
+        model_folder,
+        image_folder,
+        output_type="COLMAP",
+        jpeg_quality=JPEG_QUALITY,
+        num_threads=num_threads,
+        cancellation_token=pycolmap.CancellationToken(),
+    )
+    part.rename(final)
+    report(SfmProgress(phase="undistorting", done=1, total=1))
+    return Undistorted(model_folder=final / "sparse", image_folder=final / "images")

@@ -1,0 +1,29 @@
+"""The two ends of a work folder: which photographs go in, and nothing of an earlier attempt left in it."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from radiant_core.io.photos import PhotoListing, list_photographs
+from radiant_core.sfm.config import Report, SfmProgress
+
+WORK_FILES = ("database.db", "database.db-shm", "database.db-wal", "pairs.txt")
+WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part")
+"""All that structure from motion puts into its work folder, and all that it removes there when it starts."""
+
+
+def listed(folder: Path, report: Report, names: tuple[str, ...] | None = None) -> PhotoListing:
+    """`list_photographs` with its progress, of those `names` where given; BadInput as there."""
+    return list_photographs(
+        folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names
+    )
+
+
+def start_clean(work_folder: Path) -> None:
+    """Make the work folder and remove what an earlier attempt left of ours in it."""
+    work_folder.mkdir(parents=True, exist_ok=True)
+    for name in WORK_FILES:
+        (work_folder / name).unlink(missing_ok=True)
+    for name in WORK_FOLDERS:
+        shutil.rmtree(work_folder / name, ignore_errors=True)

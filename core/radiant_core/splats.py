@@ -1,0 +1,73 @@
+"""`Splats`: a 3D Gaussian model as numpy arrays, in the values that are stored (before activation)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import checked_array
+
+SH_BASES = (1, 4, 9, 16)
+"""Number of spherical-harmonics bases K for degree 0 to 3."""
+
+SH_C0 = 0.28209479177387814
+"""Value of the constant basis function, sqrt(1/4π): colour = 0.5 + SH_C0 · sh0."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Splats:
+    """N Gaussians, float32: means (N,3) m; quats (N,4) wxyz; log_scales (N,3) ln m; logit_opacities (N,);
+    sh0 (N,1,3); shN (N,K-1,3) with K in 1, 4, 9, 16.
+
+    Raises BadInput on a wrong shape or a value that is not finite, naming the tensor, the count and the first index.
+    """
+
+    means: NDArray[np.float32]
+    quats: NDArray[np.float32]
+    log_scales: NDArray[np.float32]
+    logit_opacities: NDArray[np.float32]
+    sh0: NDArray[np.float32]
+    shN: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        count = len(np.asarray(self.means))
+        shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh0": (1, 3), "shN": (None, 3)}
+        for name, rest in shapes.items():
+            object.__setattr__(self, name, checked_array(name, getattr(self, name), (count, *rest), np.float32))
+        if self.shN.shape[1] + 1 not in SH_BASES:
+            raise BadInput(f"shN has {self.shN.shape[1]} bases, expected 0, 3, 8 or 15 (degree 0 to 3): pad or cut it.")
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree 0 to 3 of the spherical harmonics."""
+        return SH_BASES.index(self.shN.shape[1] + 1)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the six arrays."""
+        return sum(array.nbytes for array in self.arrays().values())
+
+    def arrays(self) -> dict[str, NDArray[np.float32]]:
+        """The six arrays by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def select(self, chosen: ArrayLike) -> Splats:
+        """The Gaussians that a mask (N,) bool or an index list (K,) int chooses."""
+        chosen = np.asarray(chosen)
+        return Splats(**{name: array[chosen] for name, array in self.arrays().items()})
+
+
+def concatenate_splats(parts: Sequence[Splats]) -> Splats:
+    """All Gaussians of `parts` in order; lower SH degrees are padded with zeros to the highest. BadInput without parts."""
+    if not parts:
+        raise BadInput("no models to concatenate: pass at least one.")
+    bases = max(part.shN.shape[1] for part in parts)
+    padded = [{**part.arrays(), "shN": np.pad(part.shN, ((0, 0), (0, bases - part.shN.shape[1]), (0, 0)))} for part in parts]
+    return Splats(**{name: np.concatenate([arrays[name] for arrays in padded]) for name in padded[0]})

@@ -1,0 +1,86 @@
+"""The first Gaussians: one per sparse point, as wide as its neighbours are far (Kerbl 2023, Sec. 5.1), and a sky. Once per model."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.splats import SH_BASES, SH_C0, Splats
+
+INITIAL_OPACITY = 0.1
+NUM_SKY = 400
+
+
+def initial_splats(points: FloatArray, colors: NDArray[np.uint8], cameras: Cameras, *, max_num_splats: int, sh_degree: int) -> Splats:
+    """Gaussians from points (P,3) m and colours (P,3), at most `max_num_splats`, and a sky where cameras look above the horizon.
+
+    Duplicate points are merged; when there are too many, they are thinned out evenly along x, their sorted order.
+    Raises BadInput with fewer than 4 different points.
+    """
+    points, first = np.unique(np.asarray(points, np.float64), axis=0, return_index=True)
+    colors = np.asarray(colors)[first]
+    if len(points) < 4:
+        raise BadInput(f"only {len(points)} different sparse points, expected at least 4: take more overlapping photographs.")
+    sky = _sky_points(points, cameras)
+    kept = np.unique(np.linspace(0, len(points) - 1, max(4, min(len(points), max_num_splats - len(sky)))).astype(np.int64))
+    points, colors = points[kept], colors[kept]
+    spacing = _neighbour_distance(points)
+    means = np.concatenate([points, sky])
+    sky_radius = np.linalg.norm(sky - sky.mean(0), axis=1).max() if len(sky) else 0.0
+    scales = np.concatenate([spacing, np.full(len(sky), 1.5 * sky_radius / np.sqrt(NUM_SKY))])
+    rgb = np.concatenate([colors / 255.0, np.full((len(sky), 3), 0.75)])
+    count = len(means)
+    return Splats(
+        means=means,
+        quats=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        log_scales=np.log(np.repeat(scales[:, None], 3, axis=1)),
+        logit_opacities=np.full(count, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY))),
+        sh0=((rgb - 0.5) / SH_C0)[:, None],
+        shN=np.zeros((count, SH_BASES[sh_degree] - 1, 3)),
+    )
+
+
+def sky_share(cameras: Cameras) -> float:
+    """Share of image area above the horizon (z up), estimated from a 9×9 grid of pixels per camera."""
+    if not len(cameras):
+        return 0.0
+    steps = (np.arange(9) + 0.5) / 9
+    grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    pixels = grid[None] * cameras.sizes_wh[:, None]
+    rays = np.concatenate([pixels, np.ones((*pixels.shape[:2], 1))], axis=-1)
+    in_camera = np.einsum("cij,cpj->cpi", np.linalg.inv(cameras.Ks), rays)
+    up = np.einsum("ci,cpi->cp", cameras.cam_from_world[:, :3, 2], in_camera)
+    return float((up > 0).mean())
+
+
+def camera_extent(cameras: Cameras) -> float:
+    """1.1 × the largest distance of a camera from the mean of all centres (3DGS's scene extent), at least 1e-6."""
+    centers = cameras.centers
+    return max(1e-6, 1.1 * float(np.linalg.norm(centers - centers.mean(0), axis=1).max()))
+
+
+def _neighbour_distance(points: FloatArray) -> FloatArray:
+    """Root mean square distance (P,) to the 3 nearest neighbours. Lone points, often wrong ones, get no more than 3 times the 90th
+    percentile: unlimited they cover the image and made a step 8 times as dear."""
+    distances, _ = KDTree(points).query(points, k=4)
+    spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
+    return np.clip(spacing, 1e-7, 3 * np.quantile(spacing, 0.9))
+
+
+def _sky_points(points: FloatArray, cameras: Cameras) -> FloatArray:
+    """Points (S,3) on a half sphere far around everything; none when under 0.5 % of the image area looks up."""
+    if sky_share(cameras) < 0.005:
+        return np.zeros((0, 3))
+    everything = np.concatenate([points, cameras.centers])
+    low, high = np.quantile(everything, [0.02, 0.98], axis=0)
+    radius = 4 * float(np.linalg.norm(high - low))
+    # Fibonacci lattice: even area per point; from 3° below the horizon, where distant ground ends.
+    index = np.arange(NUM_SKY) + 0.5
+    z = np.sin(np.radians(-3)) + (1 - np.sin(np.radians(-3))) * index / NUM_SKY
+    angle = np.pi * (1 + np.sqrt(5)) * index
+    shell = np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
+    return (low + high) / 2 + radius * shell

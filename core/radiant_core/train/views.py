@@ -1,0 +1,47 @@
+"""`TrainingViews`: what a model is fitted to, photographs on a device or synthetic views at an edge. V views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainingViews:
+    """V cameras with their images (H,W,3) uint8 and, for synthetic views, weights (H,W) uint8 (255 is 1); sizes may differ.
+
+    Eight bits are what a photograph has: a float copy would take four times the memory. Raises BadInput when sizes disagree.
+    """
+
+    cameras: Cameras
+    images: tuple[NDArray[np.uint8], ...]
+    weights: tuple[NDArray[np.uint8], ...] | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.images) != len(self.cameras) or not len(self.cameras):
+            raise BadInput(f"{len(self.images)} images for {len(self.cameras)} cameras: give one image per camera, at least one.")
+        for name, (width, height), image in zip(self.cameras.names, self.cameras.sizes_wh, self.images, strict=True):
+            if image.shape != (height, width, 3) or image.dtype != np.uint8:
+                raise BadInput(f"image {name!r} is {image.shape} {image.dtype}, expected ({height}, {width}, 3) uint8.")
+        if self.weights is not None and [w.shape for w in self.weights] != [i.shape[:2] for i in self.images]:
+            raise BadInput("weights and images differ in size: give one weight per pixel.")
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+
+def concatenate_views(parts: list[TrainingViews]) -> TrainingViews:
+    """All views of `parts` in order; either all of them have weights or none."""
+    from radiant_core.cameras import concatenate_cameras
+
+    weights = [part.weights for part in parts]
+    return TrainingViews(
+        cameras=concatenate_cameras([part.cameras for part in parts]),
+        images=tuple(image for part in parts for image in part.images),
+        weights=tuple(w for part in weights for w in part) if all(part is not None for part in weights) else None,  # type: ignore[union-attr]
+    )

@@ -1,0 +1,7 @@
+"""`python -m radiant_app` is the command `radiant`."""
+
+import sys
+
+from radiant_app.cli import main
+
+sys.exit(main())

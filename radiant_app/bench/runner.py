@@ -1,0 +1,41 @@
+"""`radiant bench NAME`: runs one benchmark, prints its figures as a table and writes them as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import typer
+
+from radiant_app.demo import sample_scenes_folder
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.metric import Metric, metrics_to_json
+from radiant_core.io.run_store import write_json
+
+
+def run_bench(name: str, json_file: Path | None, quick: bool, scene: Path | None) -> None:
+    """Run the benchmark `name` and report; BadInput for an unknown name or an unwritable file."""
+    metrics = measure(name, quick, scene)
+    typer.echo(table(metrics))
+    if json_file is not None:
+        write_json(json_file, metrics_to_json(metrics))
+        typer.echo(f"written: {json_file}")
+
+
+def measure(name: str, quick: bool, scene: Path | None) -> Sequence[Metric]:
+    """The figures of one benchmark."""
+    if name == "sfm":
+        from radiant_app.bench.sfm import bench_sfm
+
+        return bench_sfm(scene or sample_scenes_folder() / "town", quick)
+    if name == "plan":
+        from radiant_app.bench.plan import bench_plan
+
+        return bench_plan(quick)
+    raise BadInput(f"benchmark {name!r} is unknown: use sfm or plan.")
+
+
+def table(metrics: Sequence[Metric]) -> str:
+    """Key, value and unit per line, aligned."""
+    width = max((len(metric.key) for metric in metrics), default=0)
+    return "\n".join(f"{metric.key:<{width}}  {metric.value:>12.6g} {metric.unit}" for metric in metrics)

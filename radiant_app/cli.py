@@ -1,0 +1,279 @@
+"""The command `radiant`. Heavy libraries are imported inside the commands, so that `radiant --help` answers at once."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn
+
+import typer
+
+from radiant_core.errors import BadInput, RadiantError
+
+app = typer.Typer(
+    help="Photographs of a large scene into one 3D Gaussian model, planned and trained over unequal machines.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C; what typer returns for it."""
+
+TrainPreset = Literal["draft", "default", "standard", "paper"]
+AggregatePreset = Literal["default", "paper"]
+PlanMethod = Literal["exact", "paper", "voronoi", "even"]
+Matching = Literal["auto", "spatial", "exhaustive"]
+View = Literal["regions", "cameras", "seams", "splats", "compare"]
+
+RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
+TrainPresetOption = Annotated[TrainPreset, typer.Option(help="draft: a quick look; standard: plain 3DGS; paper: its 20,000 steps.")]
+LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
+NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
+MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
+Seed = Annotated[int, typer.Option(help="Seed of every random choice.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
+Out = Annotated[Path, typer.Option("--out", help="Where the result is written; must not exist or be empty.", show_default=False)]
+SystemFile = Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; without it two edges with two equal devices.")]
+
+
+@app.command()
+def run(
+    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
+    out: Out,
+    system: SystemFile = None,
+    train_preset: TrainPresetOption = "default",
+    aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
+    plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
+    matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
+    long_side_px: LongSide = None,
+    steps: NumSteps = None,
+    max_splats: MaxSplats = None,
+    seed: Seed = 0,
+    workers: Annotated[int, typer.Option(min=0, help="Processes at a time; 0: one per core.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Photographs in, one Gaussian model out: structure from motion, plan, devices, edges, cloud, report."""
+    from radiant_app.config import RunConfig
+    from radiant_core.train.needs import Overrides
+
+    config = RunConfig(
+        source=source,
+        out=out,
+        system=system,
+        train_preset=train_preset,
+        aggregate_preset=aggregate_preset,
+        plan_method=plan_method,
+        matching=matching,
+        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
+        seed=seed,
+        max_workers=workers,
+    )
+    _run(config, resume, as_json)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder of the run.")] = Path("demo_run"),
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted demo.")] = False,
+) -> None:
+    """The whole job on the sample town that comes with the project: some minutes on two cores."""
+    from radiant_app.demo import demo_config
+
+    _run(demo_config(out), resume or out.exists(), as_json=False)
+
+
+@app.command()
+def sfm(
+    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
+    out: Out,
+    matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
+    as_json: AsJson = False,
+) -> None:
+    """Structure from motion alone: cameras and sparse points, undistorted photographs."""
+    from radiant_app import commands
+
+    _finish(commands.sfm(source, out, matching, _listener()), as_json)
+
+
+@app.command()
+def plan(
+    scene: Annotated[Path, typer.Argument(help="Folder made by `radiant sfm`, or a run.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="File of the plan; a picture with the same name is put beside it.", show_default=False)],
+    system: SystemFile = None,
+    plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Regions per edge and photographs per device, from positions alone."""
+    from radiant_app import commands
+
+    _finish(commands.plan(scene, out, system, plan_method, seed), as_json)
+
+
+@app.command()
+def train(
+    scene: Annotated[Path, typer.Argument(help="Folder made by `radiant sfm`.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="PLY of the model.", show_default=False)],
+    train_preset: TrainPresetOption = "default",
+    long_side_px: LongSide = None,
+    steps: NumSteps = None,
+    max_splats: MaxSplats = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
+) -> None:
+    """One model from all photographs of a scene but every 8th, without regions."""
+    from radiant_app import commands
+    from radiant_core.train.needs import Overrides
+
+    overrides = Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats)
+    _finish(commands.train(scene, out, (train_preset, overrides, seed), _listener()), as_json)
+
+
+@app.command()
+def aggregate(
+    run_folder: RunFolder,
+    out: Annotated[Path, typer.Option("--out", help="PLY of the joined scene.", show_default=False)],
+    aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
+    epochs: Annotated[int, typer.Option(min=1, help="How often each synthetic view is shown.")] = 10,
+    as_json: AsJson = False,
+) -> None:
+    """Join the device models of a run once more, in another way."""
+    from radiant_app import commands
+
+    _finish(commands.aggregate(run_folder, out, aggregate_preset, epochs, _listener()), as_json)
+
+
+@app.command()
+def render(
+    model: Annotated[Path, typer.Argument(help="A run, or a PLY together with --cameras.", show_default=False)],
+    out: Out,
+    cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without it the run's held-out cameras.")] = None,
+    long_side_px: LongSide = None,
+    as_json: AsJson = False,
+) -> None:
+    """Pictures of a model from given cameras."""
+    from radiant_app import commands
+
+    _finish(commands.render(model, out, cameras, long_side_px, _listener()), as_json)
+
+
+@app.command()
+def evaluate(
+    run_folder: RunFolder,
+    ply: Annotated[Path | None, typer.Option(help="Another model to score on the run's held-out photographs.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """PSNR, SSIM and FLIP on the run's held-out photographs."""
+    from radiant_app import commands
+
+    _finish(commands.evaluate(run_folder, ply, _listener()), as_json)
+
+
+@app.command()
+def inspect(
+    run_folder: RunFolder,
+    screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
+    view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
+) -> None:
+    """Regions, cameras, seams and splats of a run: in a window, or as a picture."""
+    from radiant_app import commands
+
+    if screenshot is None:
+        from radiant_viewer.inspector import open_window
+
+        raise typer.Exit(open_window(run_folder))
+    typer.echo(commands.screenshot(run_folder, view, screenshot))
+
+
+@app.command()
+def export(
+    model: Annotated[Path, typer.Argument(help="A run, or a model.safetensors of a device or edge.", show_default=False)],
+    out: Annotated[Path, typer.Argument(help="PLY to write.", show_default=False)],
+) -> None:
+    """A model as a standard 3DGS PLY."""
+    from radiant_app import commands
+
+    typer.echo(commands.export(model, out))
+
+
+@app.command()
+def bench(
+    name: Annotated[Literal["sfm", "plan"], typer.Argument(help="What to measure.")],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
+    scene: Annotated[Path | None, typer.Option(help="Scene with known cameras; the sample town without it.")] = None,
+) -> None:
+    """Run time beside error."""
+    from radiant_app.bench.runner import run_bench
+
+    run_bench(name, json_file, quick, scene)
+
+
+@app.command()
+def doctor(as_json: AsJson = False) -> None:
+    """What this machine has and what is missing, with what to do about it."""
+    from radiant_app.doctor import examine, table
+
+    findings = examine()
+    typer.echo(json.dumps([vars(finding) for finding in findings], indent=2) if as_json else table(findings))
+    if any(not finding.ok and finding.needed for finding in findings):
+        raise typer.Exit(1)
+
+
+def main() -> NoReturn:
+    """Entry point: one sentence for what a user can mend, exit code 2 for bad input, 130 for Ctrl-C."""
+    try:
+        code = app(standalone_mode=False)
+    except RadiantError as error:
+        _say(str(error))
+        sys.exit(error.exit_code)
+    except OSError as error:
+        _say(f"{error.strerror or error} ({error.filename}): check the path, the rights and the free space.")
+        sys.exit(BadInput.exit_code)
+    except typer.TyperException as error:
+        _say(f"{error} `radiant --help` and `radiant COMMAND --help` say what there is.")
+        sys.exit(BadInput.exit_code)
+    if code == INTERRUPTED:
+        _say("interrupted; what was finished is kept: go on with the same command and --resume.")
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _run(config: Any, resume: bool, as_json: bool) -> None:
+    from radiant_app.pipeline import run as run_pipeline
+
+    with _listener() as listener:
+        result = run_pipeline(config, listener, resume=resume)
+    if as_json:
+        typer.echo(json.dumps(result.metrics))
+        return
+    typer.echo(f"held-out {result.metrics['psnr_db']:.2f} dB, {result.metrics['num_gaussians']:,} Gaussians")
+    typer.echo(f"report: {result.report}")
+
+
+def _finish(result: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    for key, value in result.items():
+        if not isinstance(value, list | dict):
+            typer.echo(f"{key}: {value}")
+
+
+def _listener() -> Any:
+    from rich.console import Console
+
+    from radiant_app.progress import ProgressDisplay
+
+    return ProgressDisplay(Console(stderr=True))
+
+
+def _say(message: str) -> None:
+    typer.echo(f"radiant: {message}", err=True)
+
+
+if __name__ == "__main__":
+    main()

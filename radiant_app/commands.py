@@ -1,0 +1,216 @@
+"""The single steps of the main job as commands: each returns what the command line prints, as a plain dictionary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.config import PlanMethod
+from radiant_app.evaluation import held_out_figures, png_bytes
+from radiant_app.events import StageProgress, StageStarted
+from radiant_app.nodes import load_images, place_of
+from radiant_app.progress import ProgressDisplay
+from radiant_core.aggregate.config import AggregateConfig, AggregatePreset
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_plan, save_scene
+from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.scene import SfmScene
+from radiant_core.train.needs import Overrides
+
+
+def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay) -> dict[str, Any]:
+    """Structure from motion of `source` into the new folder `out`."""
+    from radiant_app.sources import reconstruct_source
+
+    _require_new(out)
+    task = {"source": str(source), "sfm": {"matching": matching}}
+    with _stage(display, "sfm") as report:
+        result = reconstruct_source(task, out, lambda progress: report(progress.done, progress.total, progress.phase))
+    save_scene(out / "scene.safetensors", result.scene)
+    write_json(out / "result.json", {"images": place_of(result.undistorted_folder, out), "unregistered": list(result.unregistered)})
+    return {
+        "cameras": len(result.scene.cameras),
+        "points": len(result.scene.points),
+        "frame": result.scene.frame.kind,
+        "gps_residual_m": result.scene.frame.residual_m,
+        "unregistered": ", ".join(result.unregistered) or "none",
+        "warnings": "; ".join(result.warnings) or "none",
+        "folder": str(out),
+    }
+
+
+def plan(scene_folder: Path, out: Path, system_path: Path | None, method: PlanMethod, seed: int) -> dict[str, Any]:
+    """Plan the training cameras of a scene; writes the plan and a picture beside it."""
+    from radiant_app.system_file import even_system, load_system
+    from radiant_core.plan.device_split import split_edges
+    from radiant_core.plan.edge_sites import place_edges
+    from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+    from radiant_viewer.images import save_png
+    from radiant_viewer.views import plan_picture
+
+    scene = training_part(_load_scene(scene_folder))
+    system = even_system(2, 2) if system_path is None else load_system(system_path)
+    origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
+    positions = scene.cameras.centers[:, :2]
+    system = place_edges(system, positions, origin, seed)
+    cloud_plan = plan_regions(positions, system, method=method)
+    if isinstance(cloud_plan, PlanInfeasible):
+        raise BadInput(f"plan: {cloud_plan.reason}")
+    edge_plans = split_edges(positions, cloud_plan, system)
+    save_plan(out, cloud_plan, edge_plans)
+    save_png(out.with_suffix(".png"), plan_picture(scene, cloud_plan, edge_plans))
+    return {
+        "makespan_s": cloud_plan.makespan_s,
+        "lower_bound_s": cloud_plan.lower_bound_s,
+        "status": cloud_plan.status,
+        "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud_plan.edge_ids, cloud_plan.counts, strict=True)),
+        "plan": str(out),
+        "picture": str(out.with_suffix(".png")),
+    }
+
+
+def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], display: ProgressDisplay) -> dict[str, Any]:
+    """One model of all training photographs of a scene as PLY; `choice` is preset, overrides and seed."""
+    from radiant_core.render.contract import resolve_backend
+    from radiant_core.train.config import train_preset
+    from radiant_core.train.initialize import initial_splats
+    from radiant_core.train.needs import fit_to_backend
+    from radiant_core.train.trainer import FitOptions, fit_splats
+    from radiant_core.train.views import TrainingViews
+
+    preset, overrides, seed = choice
+    config, decisions = fit_to_backend(replace(train_preset(preset), seed=seed), resolve_backend("auto"), overrides)
+    scene = training_part(_load_scene(scene_folder))
+    cameras = scene.cameras.scaled(config.long_side_px)
+    images = load_images(_images_folder(scene_folder), cameras)
+    initial = initial_splats(scene.points, scene.colors, cameras, max_num_splats=config.max_num_splats, sh_degree=config.sh_degree)
+    with _stage(display, "train") as report:
+        options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
+        result = fit_splats(initial, TrainingViews(cameras=cameras, images=images), config, options)
+    save_ply(out, result.splats)
+    return {
+        "gaussians": len(result.splats),
+        "seconds": round(result.seconds, 2),
+        "last_loss": result.last_loss,
+        "decisions": [asdict(decision) for decision in decisions],
+        "model": str(out),
+    }
+
+
+def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, display: ProgressDisplay) -> dict[str, Any]:
+    """Join the device models of a finished run with other settings; writes a PLY."""
+    from radiant_core.aggregate.crop_merge import crop_merge
+    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.train.config import TrainConfig
+    from radiant_core.train.trainer import FitOptions
+
+    cloud_plan, _ = load_plan(run / "plan.json")
+    config = AggregateConfig(preset=preset, num_epochs=epochs)
+    models, rows, seconds = [], [], 0.0
+    for row, edge in enumerate(cloud_plan.edge_ids):
+        if not (run / "edges" / edge / "task.json").exists():
+            continue
+        task = read_json(run / "edges" / edge / "task.json")
+        inbox = [run / "edges" / edge / "inbox" / device for device in task["devices"]]
+        with _stage(display, f"edges/{edge}") as report:
+            options = FitOptions(report=lambda p, report=report: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
+            device_models = [load_splats(place / "model.safetensors") for place in inbox]
+            device_cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
+            result = retrain_on_synthetic_views(device_models, device_cameras, TrainConfig(**task["train"]), config, options)
+        models.append(result.splats)
+        rows.append(row)
+        seconds += result.seconds
+    merged = crop_merge(models, cloud_plan.sites[rows], cloud_plan.weights[rows])
+    save_ply(out, merged.splats)
+    return {"gaussians": len(merged.splats), "retrain_s": round(seconds, 2), "filled": merged.num_filled, "model": str(out)}
+
+
+def render(model: Path, out: Path, cameras_path: Path | None, long_side_px: int | None, display: ProgressDisplay) -> dict[str, Any]:
+    """PNG pictures of a run's scene or a PLY into the new folder `out`."""
+    from radiant_core.render.rendered_view import render_views
+
+    if cameras_path is None and not model.is_dir():
+        raise BadInput(f"{model} is no run folder: give --cameras, a cameras.safetensors, to render a PLY.")
+    cameras = load_cameras(cameras_path or model / "evaluation" / "cameras.safetensors")
+    if long_side_px is not None:
+        cameras = cameras.scaled(long_side_px)
+    splats = load_ply(model / "scene.ply" if model.is_dir() else model)
+    _require_new(out)
+    with _stage(display, "render") as report:
+        for done, view in enumerate(render_views(splats, cameras), 1):
+            path = out / Path(view.name).with_suffix(".png")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, png_bytes(view.image_bytes))
+            report(done, len(cameras), view.name)
+    return {"pictures": len(cameras), "folder": str(out)}
+
+
+def evaluate(run: Path, ply: Path | None, display: ProgressDisplay) -> dict[str, Any]:
+    """Score the run's scene, or another PLY, on the run's held-out photographs."""
+    from radiant_core.render.rendered_view import render_views
+
+    folder = run / "evaluation"
+    cameras = load_cameras(folder / "cameras.safetensors")
+    photographs = [image.astype(np.float32) / 255 for image in load_images(folder / "photos", cameras)]
+    splats, initial = load_ply(ply or run / "scene.ply"), load_splats(folder / "initial.safetensors")
+    with _stage(display, "evaluate") as report:
+        views = []
+        for done, view in enumerate(render_views(splats, cameras), 1):
+            views.append(view)
+            report(done, len(cameras), view.name)
+        figures = held_out_figures(views, list(render_views(initial, cameras)), photographs)
+    return {**figures, "num_gaussians": len(splats)}
+
+
+def screenshot(run: Path, view: Any, path: Path) -> str:
+    """Write one view of a run as PNG."""
+    from radiant_viewer.images import save_png
+    from radiant_viewer.views import screenshot as make_screenshot
+
+    save_png(path, make_screenshot(run, view))
+    return f"written: {path}"
+
+
+def export(model: Path, out: Path) -> str:
+    """Write the scene of a run, or a model.safetensors, as PLY; an existing file is not overwritten."""
+    if out.exists():
+        raise BadInput(f"{out} exists: choose another name.")
+    splats = load_ply(model / "scene.ply") if model.is_dir() else load_splats(model)
+    save_ply(out, splats)
+    return f"written: {out} ({len(splats):,} Gaussians)"
+
+
+def training_part(scene: SfmScene) -> SfmScene:
+    """The scene without its held-out cameras."""
+    return scene.restricted_to(np.flatnonzero(~held_out_mask(scene.cameras.names)))
+
+
+def _load_scene(folder: Path) -> SfmScene:
+    inner = folder / "sfm" / "scene.safetensors"
+    return load_scene(inner if inner.is_file() else folder / "scene.safetensors")
+
+
+def _images_folder(folder: Path) -> Path:
+    owner = folder / "sfm" if (folder / "sfm" / "result.json").is_file() else folder
+    return owner / read_json(owner / "result.json")["images"]
+
+
+def _require_new(out: Path) -> None:
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise BadInput(f"{out} exists and is not empty: choose another folder.")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+@contextmanager
+def _stage(display: ProgressDisplay, stage: str) -> Iterator[Any]:
+    """A progress bar of its own for one step; yields `report(done, total, note)`."""
+    with display:
+        display(StageStarted(stage=stage))
+        yield lambda done, total, note: display(StageProgress(stage=stage, done=done, total=total, note=note))

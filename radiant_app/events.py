@@ -1,0 +1,95 @@
+"""The stream of typed events that long work emits. The command line, the window and the report read the same stream.
+
+A worker process writes one event per line of standard output as JSON; `decode` turns the line back into the event.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from radiant_core.decisions import Decision
+from radiant_core.errors import StageFailed
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageStarted:
+    """A stage or node of the tree begins."""
+
+    stage: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageProgress:
+    """How far a stage is; `done` of `total` in any unit, and what it is doing."""
+
+    stage: str
+    done: float
+    total: float
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageDone:
+    """A stage finished after so many seconds of its own."""
+
+    stage: str
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageSkipped:
+    """A stage was finished by an earlier run and its files are intact."""
+
+    stage: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Warned:
+    """Something a user should know; nothing stopped."""
+
+    stage: str
+    message: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decided:
+    """Something was skipped or chosen."""
+
+    decision: Decision
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failed:
+    """A worker ends without its result; `exit_code` is that of its error."""
+
+    stage: str
+    message: str
+    exit_code: int
+
+
+Event = StageStarted | StageProgress | StageDone | StageSkipped | Warned | Decided | Failed
+Listener = Callable[[Event], None]
+
+_TYPES: dict[str, Any] = {
+    kind.__name__: kind for kind in (StageStarted, StageProgress, StageDone, StageSkipped, Warned, Decided, Failed)
+}
+
+
+def encode(event: Event) -> str:
+    """One line of JSON."""
+    return json.dumps({"event": type(event).__name__, **asdict(event)})
+
+
+def decode(line: str) -> Event:
+    """The event of a line written by `encode`; StageFailed when the line is something else."""
+    try:
+        fields = json.loads(line)
+        kind = _TYPES[fields.pop("event")]
+        if kind is Decided:
+            return Decided(decision=Decision(**fields["decision"]))
+        return kind(**fields)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise StageFailed(f"a worker wrote a line that is no event: {line[:200]!r} ({error}).") from error

@@ -1,0 +1,47 @@
+"""What an executor must do: fold a tree, one process and one folder per node, children before parents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from radiant_core.aggregate.tree import Tree
+from radiant_app.events import Listener
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeTask:
+    """A node ready to run: its folder holds everything it may read. `key` says which inputs and settings it stands for."""
+
+    kind: str
+    """Which worker runs it: sfm, device, edge, cloud or evaluate."""
+    stage: str
+    """Name in events, the folder's path inside the run."""
+    folder: Path
+    key: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeTime:
+    """When a node ran, seconds of the executor's clock since the fold began; both equal where it was skipped."""
+
+    started_s: float
+    ended_s: float
+
+
+Prepare = Callable[[Tree], NodeTask]
+"""Called when all children of a node are done: lays the node's inputs into its folder."""
+
+
+class Executor(Protocol):
+    """Runs the nodes of a tree."""
+
+    def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
+        """Run every node once its children are done and return the times by node id.
+
+        A node whose folder is sealed with the task's key is skipped. Raises StageFailed (or BadInput, as the worker said) with the
+        node's reason after the other running nodes were stopped; what is sealed stays and is skipped the next time.
+        """
+        ...

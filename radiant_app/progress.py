@@ -1,0 +1,58 @@
+"""Shows the event stream on a terminal: a bar with time left per running stage, a line for what was decided or warned."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from radiant_app.events import Decided, Event, StageDone, StageProgress, StageSkipped, StageStarted, Warned
+
+
+class ProgressDisplay:
+    """A listener that draws; used as a context manager. Without a terminal it prints one line per finished stage."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description:<22}"),
+            BarColumn(bar_width=30),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._progress.stop()
+
+    def __call__(self, event: Event) -> None:
+        if isinstance(event, StageStarted):
+            self._tasks[event.stage] = self._progress.add_task(event.stage, total=None, note="")
+        elif isinstance(event, StageProgress) and event.stage in self._tasks:
+            self._progress.update(self._tasks[event.stage], completed=event.done, total=event.total, note=event.note)
+        elif isinstance(event, StageDone):
+            self._remove(event.stage)
+            self._console.print(f"[green]done[/] {event.stage} in {event.seconds:.1f} s")
+        elif isinstance(event, StageSkipped):
+            self._console.print(f"[dim]skipped {event.stage}: finished before[/]")
+        elif isinstance(event, Warned):
+            self._console.print(f"[yellow]warning[/] {event.stage}: {event.message}", highlight=False)
+        elif isinstance(event, Decided):
+            decision = event.decision
+            self._console.print(f"[dim]decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})[/]", highlight=False)
+
+    def _remove(self, stage: str) -> None:
+        if stage in self._tasks:
+            self._progress.remove_task(self._tasks.pop(stage))

@@ -1,0 +1,134 @@
+"""report.html: one self-contained page of a finished run, pictures embedded. Also writes the pictures into `pictures/`. Once per run."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import jinja2
+import numpy as np
+
+from radiant_app.run_folder import Manifest, software_versions
+from radiant_core.io.records import load_plan
+from radiant_core.io.run_store import read_json, write_atomic
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+
+MAX_COMPARISONS = 12
+"""Photographs shown beside their renders: the worst, the best and some between."""
+
+
+def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path:
+    """Make the pictures and the page; returns the page's path."""
+    cloud_plan, edge_plans = load_plan(run / "plan.json")
+    pictures = _save_pictures(run, manifest, has_borders=len(cloud_plan.edge_ids) > 1)
+    template = jinja2.Environment(
+        loader=jinja2.PackageLoader("radiant_app"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).get_template("report.html.j2")
+    page = template.render(
+        title=Path(manifest.config["source"]).parent.name or "run",
+        manifest=manifest,
+        metrics=metrics,
+        frame=_frame_facts(run),
+        pictures={name: _embedded(path) for name, path in pictures.items()},
+        comparisons=[_comparison(run, row) for row in shown_images(metrics["images"])],
+        nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
+        plan=cloud_plan,
+        versions=software_versions(),
+    )
+    write_atomic(run / "report.html", page.encode())
+    return run / "report.html"
+
+
+def shown_images(images: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """At most `MAX_COMPARISONS` rows, worst first, evenly over the range of PSNR."""
+    ordered = sorted(images, key=lambda row: row["psnr_db"])
+    if len(ordered) <= MAX_COMPARISONS:
+        return ordered
+    return [ordered[int(index)] for index in np.linspace(0, len(ordered) - 1, MAX_COMPARISONS).round()]
+
+
+def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[str, Path]:
+    from radiant_viewer.charts import timeline_picture
+    from radiant_viewer.images import save_png
+    from radiant_viewer.views import screenshot
+
+    folder = run / "pictures"
+    images = {"timeline": timeline_picture(_timeline_rows(manifest), title="Measured on this machine")}
+    for view in ("regions", "cameras", "splats", *(["seams"] if has_borders else [])):
+        images[view] = screenshot(run, view)
+    for name, image in images.items():
+        save_png(folder / f"{name}.png", image)
+    return {name: folder / f"{name}.png" for name in images}
+
+
+def _timeline_rows(manifest: Manifest) -> list[Any]:
+    """One row per process in the order they started."""
+    from radiant_viewer.charts import TimelineRow, TimelineSpan
+
+    kinds = {"devices": "train", "edges": "aggregate", "cloud": "merge", "evaluation": "evaluate", "sfm": "structure from motion"}
+    rows = []
+    for stage, times in sorted(manifest.stages.items(), key=lambda item: item[1]["started_s"]):
+        kind = kinds[stage.split("/")[0]]
+        span = TimelineSpan(stage=kind, start_s=times["started_s"], stop_s=times["ended_s"])
+        rows.append(TimelineRow(name=stage, spans=(span,), strong=not stage.startswith("devices/")))
+    return rows
+
+
+def _comparison(run: Path, row: dict[str, Any]) -> dict[str, Any]:
+    name = str(Path(row["name"]).with_suffix(".png"))
+    folder = run / "pictures"
+    strip = np.hstack([cv2.imread(str(folder / kind / name)) for kind in ("photographs", "renders", "differences")])
+    encoded, data = cv2.imencode(".jpg", strip, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    assert encoded
+    return {**row, "picture": _data_uri("image/jpeg", data.tobytes())}
+
+
+def _node_rows(run: Path, manifest: Manifest, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> list[dict[str, Any]]:
+    """One row per device and edge: photographs, Gaussians, planned and measured time."""
+    rows = []
+    for index, plan in enumerate(edge_plans):
+        for device, planned_s in zip(plan.device_ids, plan.device_time_s, strict=True):
+            rows.append(_node_row(run, manifest, f"devices/{device}", len(plan.cameras_of(device)), float(planned_s)))
+        edge = cloud_plan.edge_ids[index]
+        rows.append(_node_row(run, manifest, f"edges/{edge}", len(plan.camera_indices), float(cloud_plan.edge_time_s[index])))
+    return rows
+
+
+def _node_row(run: Path, manifest: Manifest, node: str, num_cameras: int, planned_s: float) -> dict[str, Any]:
+    idle = {"num_splats": 0, "num_steps": 0, "train_s": 0.0, "model_bytes": 0}
+    summary = read_json(run / node / "summary.json") if num_cameras else idle
+    times = manifest.stages.get(node, {"started_s": 0.0, "ended_s": 0.0})
+    return {
+        "node": node,
+        "num_cameras": num_cameras,
+        "planned_s": planned_s,
+        "measured_s": times["ended_s"] - times["started_s"],
+        "seconds_per_step": summary["train_s"] / max(1, summary["num_steps"]),
+        **{key: summary[key] for key in ("num_splats", "num_steps", "model_bytes")},
+    }
+
+
+def _frame_facts(run: Path) -> dict[str, Any]:
+    from radiant_core.io.records import load_scene
+
+    scene = load_scene(run / "sfm" / "scene.safetensors")
+    unregistered = read_json(run / "sfm" / "result.json")["unregistered"]
+    return {
+        "kind": scene.frame.kind,
+        "unit": scene.frame.unit,
+        "residual_m": scene.frame.residual_m,
+        "num_cameras": len(scene.cameras),
+        "num_points": len(scene.points),
+        "unregistered": unregistered,
+    }
+
+
+def _embedded(path: Path) -> str:
+    return _data_uri("image/png", path.read_bytes())
+
+
+def _data_uri(kind: str, data: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

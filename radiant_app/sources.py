@@ -1,0 +1,42 @@
+"""What a run can start from: a folder of photographs, a COLMAP project, or a Mill 19 folder. Decided once, by what lies there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+from radiant_core.errors import BadInput
+
+SourceKind = Literal["photographs", "colmap", "mill19"]
+
+
+def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
+    """Kind, folder of photographs, and the COLMAP model's folder if there is one.
+
+    A folder with `images/` beside `sparse/` is a COLMAP project, one with `train/metadata` is Mill 19, any other holds photographs.
+    Raises BadInput when it is no folder.
+    """
+    if not source.is_dir():
+        raise BadInput(f"{source} is no folder: give a folder of photographs, a COLMAP project or a Mill 19 folder.")
+    if (source / "train" / "metadata").is_dir():
+        return "mill19", source, None
+    if (source / "images").is_dir():
+        for model in (source / "sparse" / "0", source / "sparse"):
+            if any((model / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt")):
+                return "colmap", source / "images", model
+        return "photographs", source / "images", None
+    return "photographs", source, None
+
+
+def reconstruct_source(task: dict[str, Any], folder: Path, report: Callable[[Any], None]) -> Any:
+    """The `SfmResult` of the source that a task names, made in `folder`."""
+    from radiant_core.sfm.reconstruct import SfmConfig, reconstruct, scene_from_colmap, scene_from_mill19
+
+    kind, images, model = detect_source(Path(task["source"]))
+    if kind == "colmap":
+        assert model is not None
+        return scene_from_colmap(model, images, folder, report)
+    if kind == "mill19":
+        return scene_from_mill19(images, folder, report)
+    return reconstruct(images, folder, SfmConfig(**task["sfm"]), report)

@@ -1,0 +1,196 @@
+'''The system file: edges, their devices and their costs, written by a user in TOML and checked here.
+
+    [[edge]]
+    id = "north"
+    position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54], or neither: placed among the cameras
+    uplink_mbit_per_s = 100.0
+    aggregate_s = { constant = 5.0, linear = 0.5 }
+
+    [[edge.device]]
+    id = "north-1"
+    init_s = { linear = 0.1 }
+    train_s = { constant = 20.0, linear = 1.0 }
+    model_mb = { linear = 0.5 }
+    uplink_mbit_per_s = 50.0
+    max_cameras = 400                    # left out: no limit
+    relative_speed = 2.0                 # divides init_s and train_s
+
+A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
+left out has the value above, except position, memory limit (none) and relative_speed (1).
+'''
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.system import Device, Edge, System
+
+MAX_FILE_BYTES = 1 << 20
+"""A fleet of thousands fits; a file of another kind given by mistake does not."""
+_BYTES_PER_S_PER_MBIT = 1e6 / 8
+_BYTES_PER_MB = 1e6
+
+_NonNegative = Annotated[float, Field(ge=0)]
+_Positive = Annotated[float, Field(gt=0)]
+_Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Curve(_Strict):
+    constant: _NonNegative = 0.0
+    linear: _NonNegative = 0.0
+    power_coefficient: _NonNegative = 0.0
+    exponent: Annotated[float, Field(ge=0, le=4)] = 1.0
+
+    def scaled(self, factor: float) -> CostCurve:
+        return CostCurve(
+            constant=self.constant * factor,
+            linear=self.linear * factor,
+            power_coefficient=self.power_coefficient * factor,
+            exponent=self.exponent,
+        )
+
+
+class _Device(_Strict):
+    id: str
+    init_s: _Curve = _Curve(linear=0.1)
+    train_s: _Curve = _Curve(constant=20.0, linear=1.0)
+    model_mb: _Curve = _Curve(linear=0.5)
+    uplink_mbit_per_s: _Positive = 50.0
+    max_cameras: Annotated[int, Field(ge=0)] | None = None
+    relative_speed: _Positive = 1.0
+
+    def built(self) -> Device:
+        return Device(
+            id=self.id,
+            init_s=self.init_s.scaled(1 / self.relative_speed),
+            train_s=self.train_s.scaled(1 / self.relative_speed),
+            model_bytes=self.model_mb.scaled(_BYTES_PER_MB),
+            uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
+            max_cameras=self.max_cameras,
+        )
+
+
+class _Edge(_Strict):
+    id: str
+    position_m: _Pair | None = None
+    lat_lon_deg: _Pair | None = None
+    uplink_mbit_per_s: _Positive = 100.0
+    aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
+    device: Annotated[list[_Device], Field(min_length=1)]
+
+    def built(self) -> Edge:
+        if self.position_m is not None and self.lat_lon_deg is not None:
+            raise BadInput(f"edge {self.id!r} has both position_m and lat_lon_deg: give one of them or neither.")
+        return Edge(
+            id=self.id,
+            position=None if self.position_m is None else (self.position_m[0], self.position_m[1]),
+            lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
+            aggregate_s=self.aggregate_s.scaled(1.0),
+            uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
+            devices=tuple(device.built() for device in self.device),
+        )
+
+
+class _File(_Strict):
+    edge: Annotated[list[_Edge], Field(min_length=1)]
+
+
+def load_system(path: Path) -> System:
+    """The system in a TOML file; BadInput names the file, the key, what came and what is expected."""
+    try:
+        tables = tomllib.loads(_text(path))
+    except (ValueError, RecursionError) as error:  # ValueError: also integers of thousands of digits
+        raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
+    try:
+        return System(edges=tuple(edge.built() for edge in _File.model_validate(tables).edge))
+    except ValidationError as error:
+        raise BadInput(f"{path}: {_sentence(error)}") from error
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+
+
+def dump_system(system: System) -> str:
+    """The system as TOML text that `load_system` reads back, curves written out."""
+    return "\n".join(line for edge in system.edges for line in _edge_lines(edge)) + "\n"
+
+
+def even_system(num_edges: int, devices_per_edge: int) -> System:
+    """Equal edges with equal devices at the file's defaults, placed among the cameras later; BadInput below one of either."""
+    if num_edges < 1 or devices_per_edge < 1:
+        raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
+    names = [f"edge-{index + 1}" for index in range(num_edges)]
+    edges = [_Edge(id=name, device=[_Device(id=f"{name}-{n + 1}") for n in range(devices_per_edge)]) for name in names]
+    return System(edges=tuple(edge.built() for edge in edges))
+
+
+def _text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}): give a system file in TOML.") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise BadInput(f"{path}: larger than {MAX_FILE_BYTES} bytes, which no system file is: check the path.")
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is not UTF-8 text: give a system file in TOML.") from error
+
+
+def _sentence(error: ValidationError) -> str:
+    """The first problem: key path, what came, what is expected."""
+    problem = error.errors(include_url=False)[0]
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")
+    if problem["type"] == "missing":
+        return f"{key} is missing: add it."
+    if problem["type"] == "extra_forbidden":
+        return f"{key} is not a key of a system file: remove it or correct its spelling."
+    expected = problem["msg"].replace("Input should be", "expected")
+    return f"{key} is {_shortened(problem['input'])}; {expected[0].lower()}{expected[1:]}: correct it."
+
+
+def _shortened(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
+def _edge_lines(edge: Edge) -> list[str]:
+    lines = ["[[edge]]", f"id = {json.dumps(edge.id)}"]
+    if edge.position is not None:
+        lines.append(f"position_m = {list(map(float, edge.position))}")
+    elif edge.lat_lon_deg is not None:
+        lines.append(f"lat_lon_deg = {list(map(float, edge.lat_lon_deg))}")
+    lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}"]
+    return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
+
+
+def _device_lines(device: Device) -> list[str]:
+    return [
+        "[[edge.device]]",
+        f"id = {json.dumps(device.id)}",
+        f"init_s = {_inline(device.init_s, 1.0)}",
+        f"train_s = {_inline(device.train_s, 1.0)}",
+        f"model_mb = {_inline(device.model_bytes, _BYTES_PER_MB)}",
+        _bandwidth_line(device.uplink_bytes_per_s),
+        *([] if device.max_cameras is None else [f"max_cameras = {device.max_cameras}"]),
+    ]
+
+
+def _bandwidth_line(bytes_per_s: float) -> str:
+    return f"uplink_mbit_per_s = {float(bytes_per_s / _BYTES_PER_S_PER_MBIT)}"
+
+
+def _inline(curve: CostCurve, unit: float) -> str:
+    terms = {name: getattr(curve, name) / unit for name in ("constant", "linear", "power_coefficient")}
+    return "{ " + ", ".join(f"{name} = {float(value)}" for name, value in {**terms, "exponent": curve.exponent}.items()) + " }"

@@ -1,0 +1,45 @@
+"""A worker process: runs one node in its folder. Started by an executor as `python -m radiant_app.worker KIND FOLDER STAGE KEY`.
+
+Standard output carries events, one per line; everything else goes to the node's log.txt.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from radiant_app.events import Event, Failed, encode
+from radiant_core.errors import BadInput, RadiantError
+from radiant_core.io.run_store import seal
+
+
+def main(arguments: list[str]) -> int:
+    """Run one node and seal its folder; the exit code says whether it is done."""
+    kind, folder, stage, key = arguments
+    # Libraries print to file descriptor 1 too (C++ logs): events keep the real one, everybody else gets the log.
+    events = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+
+    def emit(event: Event) -> None:
+        events.write(encode(event) + "\n")
+
+    try:
+        from radiant_app.nodes import run_node
+
+        outputs = run_node(kind, Path(folder), stage, emit)
+        seal(Path(folder), key, outputs)
+    except RadiantError as error:
+        emit(Failed(stage=stage, message=str(error), exit_code=error.exit_code))
+        return error.exit_code
+    except OSError as error:
+        emit(Failed(stage=stage, message=f"{error.strerror or error} ({error.filename or folder})", exit_code=BadInput.exit_code))
+        return BadInput.exit_code
+    except MemoryError:
+        emit(Failed(stage=stage, message="not enough memory: lower --max-splats or --long-side-px, or free some.", exit_code=1))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,87 @@
+"""What one generated scene is made from: every switch of the generator, checked once per scene.
+
+A sentence stands with every field and is also its `--help` text.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from radiant_core.errors import BadInput
+
+MAX_CAMERAS = 5000
+MAX_WIDTH_PX = 8192
+MAX_EXTENT_M = 2000.0
+MAX_KNOWN_POINTS = 200_000
+
+
+def option(default: Any, help_text: str) -> Any:
+    """A dataclass field whose sentence is also the help text of its command-line switch."""
+    return field(default=default, metadata={"help": help_text})
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneConfig:
+    """The switches of one generated scene; lengths in metres of the scene's own east-north-up frame."""
+
+    num_cameras: int = option(60, "Photographs to take, nadir and oblique together.")
+    extent_m: tuple[float, float] = option((120.0, 80.0), "Width (east) and height (north) of the area flown over.")
+    width_px: int = option(640, "Width of a photograph.")
+    height_px: int = option(480, "Height of a photograph.")
+    altitude_m: float = option(45.0, "Height of the nadir flight above the local origin.")
+    oblique_fraction: float = option(0.15, "Share of the photographs that look at the horizon from a ring around the area.")
+    distortion_k1: float = option(0.0, "Radial distortion x_d = x (1 + k1 r²) of the lens; 0 is a pinhole.")
+    exposure_drift_ev: float = option(0.0, "Largest slow exposure change over the flight, in stops.")
+    noise_sigma: float = option(0.0, "Standard deviation of the sensor noise, in grey levels of 255.")
+    gps_error_m: float = option(1.0, "Largest distance between the true position and the one written to EXIF.")
+    gps: bool = option(True, "Write GPS positions to EXIF.")
+    depth: bool = option(False, "Also write one exact float32 depth map per photograph.")
+    samples_per_axis: int = option(2, "Rays per pixel along each axis; 2 means 4 rays per pixel.")
+    jpeg_quality: int = option(75, "Quality of the JPEG files, 1 to 95.")
+    num_known_points: int = option(2000, "Surface points, with who sees them, in the known model.")
+    seed: int = option(0, "Number from which town, flight and noise follow.")
+
+    def __post_init__(self) -> None:
+        _check_range("num_cameras", self.num_cameras, 2, MAX_CAMERAS)
+        if len(self.extent_m) != 2:
+            raise BadInput(f"extent_m has {len(self.extent_m)} numbers; give a width and a height in metres, like 120x80")
+        for extent in self.extent_m:
+            _check_range("extent_m", extent, 5.0, MAX_EXTENT_M)
+        _check_range("width_px", self.width_px, 16, MAX_WIDTH_PX)
+        _check_range("height_px", self.height_px, 16, MAX_WIDTH_PX)
+        _check_range("altitude_m", self.altitude_m, 25.0, 500.0)
+        _check_range("oblique_fraction", self.oblique_fraction, 0.0, 0.9)
+        _check_range("distortion_k1", self.distortion_k1, -0.5, 0.5)
+        _check_range("exposure_drift_ev", self.exposure_drift_ev, 0.0, 3.0)
+        _check_range("noise_sigma", self.noise_sigma, 0.0, 64.0)
+        _check_range("gps_error_m", self.gps_error_m, 0.0, 1000.0)
+        _check_range("samples_per_axis", self.samples_per_axis, 1, 8)
+        _check_range("jpeg_quality", self.jpeg_quality, 1, 95)
+        _check_range("num_known_points", self.num_known_points, 0, MAX_KNOWN_POINTS)
+        _check_range("seed", self.seed, 0, 2**31 - 1)
+        self._check_lens_unfolds()
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length of a lens that is 24 mm wide on 35 mm film, a usual drone camera."""
+        return self.width_px * 24.0 / 36.0
+
+    def _check_lens_unfolds(self) -> None:
+        """r (1 + k1 r²) turns back at r = √(-1/(3 k1)), where it is 2/3 of that r: the corner must stay inside."""
+        if self.distortion_k1 >= 0.0:
+            return
+        corner = math.hypot(self.width_px, self.height_px) / 2.0 / self.focal_px
+        largest = 2.0 / 3.0 * math.sqrt(-1.0 / (3.0 * self.distortion_k1))
+        if corner > 0.98 * largest:
+            raise BadInput(
+                f"distortion_k1 = {self.distortion_k1} folds the image over at its corners (radius {corner:.3f}, "
+                f"limit {largest:.3f}); choose a value nearer to 0"
+            )
+
+
+def _check_range(name: str, value: float, low: float, high: float) -> None:
+    """Raise BadInput unless value is a finite number in [low, high]."""
+    if not (math.isfinite(value) and low <= value <= high):
+        raise BadInput(f"{name} is {value}; give a number from {low} to {high}")

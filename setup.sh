@@ -1,0 +1,101 @@
+#!/usr/bin/env bash
+# Sets Radiant up in .venv beside this file and runs one of its two commands. A finished set-up is not done again.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")"
+
+usage="usage: ./setup.sh [demo|test|check|help]
+  (nothing)  set up and stop
+  demo       set up, reconstruct a sample scene and name the report
+  test       set up with everything the tests use, then run the checks and the tests
+  check      the checks alone: import rules, linter, types
+  help       this text"
+
+# Headers and a compiler for the native module; GL, EGL, Vulkan and a display for pictures; the libraries that Qt loads.
+system_packages=(
+  python3 python3-dev python3-venv g++ ca-certificates
+  libgl1 libegl1 libgomp1 libusb-1.0-0 libvulkan1 mesa-vulkan-drivers xvfb xauth
+  libdbus-1-3 libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxkbcommon-x11-0
+)
+
+fail() {
+  echo "setup.sh: $1" >&2
+  exit 2
+}
+
+install_system_packages() {
+  command -v dpkg-query >/dev/null || fail "this is not a Debian system: install the counterparts of ${system_packages[*]} and delete this check."
+  local missing=() package
+  for package in "${system_packages[@]}"; do
+    [[ "$(dpkg-query --show --showformat='${db:Status-Status}' "$package" 2>/dev/null)" == installed ]] || missing+=("$package")
+  done
+  [[ ${#missing[@]} -eq 0 ]] && return
+  local line="apt-get update && apt-get install --yes --no-install-recommends ${missing[*]}"
+  [[ $EUID -eq 0 ]] || fail "system packages are missing; run this line as root, then ./setup.sh again:
+$line"
+  echo "setup.sh: $line"
+  apt-get update
+  DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends "${missing[@]}"
+}
+
+# What the environment was made from: if this text is the same, there is nothing to install.
+fingerprint() {
+  echo "$PWD $(.venv/bin/python -VV 2>&1)"
+  sha256sum pyproject.toml CMakeLists.txt core/radiant_core/native/*
+}
+
+# pip leaves half a package behind when it is killed, so an environment whose installation did not end is made anew.
+make_environment() {
+  if [[ ! -e .venv/installing ]] && .venv/bin/python -m pip --version >/dev/null 2>&1; then return; fi
+  python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' || fail "$(python3 --version) is too old: Python 3.11 or newer is needed."
+  echo "setup.sh: making the virtual environment in $PWD/.venv"
+  rm -rf .venv
+  mkdir .venv
+  touch .venv/installing
+  python3 -m venv .venv
+}
+
+# $1: `base`, or an extra of pyproject.toml.
+install_project() {
+  exec 9<.
+  flock 9
+  if [[ "$(cat ".venv/installed-$1" 2>/dev/null)" != "$(fingerprint 2>/dev/null)" || -e .venv/installing ]]; then
+    install_system_packages
+    make_environment
+    touch .venv/installing
+    local target=.
+    [[ $1 == base ]] || target=".[$1]"
+    .venv/bin/python -m pip install --editable "$target"
+    fingerprint | tee ".venv/installed-$1" >.venv/installed-base
+    rm .venv/installing
+  fi
+  exec 9<&-
+}
+
+run_checks() {
+  .venv/bin/lint-imports
+  .venv/bin/ruff check
+  .venv/bin/pyright
+}
+
+[[ $# -le 1 ]] || fail "one argument at most, got $#: $*. Try ./setup.sh help."
+case "${1:-}" in
+  "")
+    install_project base
+    echo "setup.sh: done; try .venv/bin/radiant --help"
+    ;;
+  demo)
+    install_project base
+    exec .venv/bin/radiant demo
+    ;;
+  check)
+    install_project test
+    run_checks
+    ;;
+  test)
+    install_project test
+    run_checks
+    .venv/bin/python -m pytest
+    ;;
+  help | --help | -h) echo "$usage" ;;
+  *) fail "unknown argument '$1'. Try ./setup.sh help." ;;
+esac

@@ -1,0 +1,120 @@
+"""The local executor: order, limits, skipping, failure and time, with small processes in place of real work."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, Warned, decode, encode
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import NodeTask
+from radiant_core.aggregate.tree import Tree
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput, StageFailed
+
+TREE = Tree(
+    id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=tuple(Tree(id=f"devices/{d}", tier="device") for d in "123")),)
+)
+SEAL = "from pathlib import Path; from radiant_core.io.run_store import seal; Path('made').write_text('x'); seal(Path('.'), 'key', ['made'])"
+
+
+def executor(scripts: dict[str, str], num_workers: int = 2) -> LocalExecutor:
+    def command(task: NodeTask) -> list[str]:
+        return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
+
+    return LocalExecutor(num_workers=num_workers, command=command)
+
+
+def preparer(run: Path, order: list[str]):
+    def prepare(node: Tree) -> NodeTask:
+        order.append(node.id)
+        (run / node.id).mkdir(parents=True, exist_ok=True)
+        return NodeTask(kind=node.tier, stage=node.id, folder=run / node.id, key="key")
+
+    return prepare
+
+
+def test_children_run_before_parents_and_a_second_fold_skips_all(tmp_path: Path) -> None:
+    order: list[str] = []
+    events: list[Event] = []
+    times = executor({}).fold(TREE, preparer(tmp_path, order), events.append)
+    assert order[-2:] == ["edges/a", "cloud"] and len(order) == 5
+    assert times["edges/a"].started_s >= max(times[f"devices/{d}"].ended_s for d in "123")
+    again: list[Event] = []
+    executor({"cloud": "raise SystemExit(1)"}).fold(TREE, preparer(tmp_path, []), again.append)
+    assert [type(event) for event in again] == [StageSkipped] * 5
+
+
+def test_never_more_processes_than_workers(tmp_path: Path) -> None:
+    running, most = 0, 0
+
+    def listen(event: Event) -> None:
+        nonlocal running, most
+        running += isinstance(event, StageStarted) - isinstance(event, StageDone)
+        most = max(most, running)
+
+    executor({}, num_workers=2).fold(TREE, preparer(tmp_path, []), listen)
+    assert most == 2
+
+
+def test_events_of_a_worker_reach_the_listener(tmp_path: Path) -> None:
+    line = encode(StageProgress(stage="devices/1", done=1, total=2, note="half"))
+    seen: list[Event] = []
+    executor({"devices/1": f"print({line!r})\n{SEAL}"}).fold(TREE, preparer(tmp_path, []), seen.append)
+    assert StageProgress(stage="devices/1", done=1, total=2, note="half") in seen
+
+
+def test_a_failed_worker_is_named_with_its_reason_and_the_others_are_stopped(tmp_path: Path) -> None:
+    line = encode(Failed(stage="devices/2", message="no photographs: take some.", exit_code=2))
+    scripts = {"devices/1": "import time; time.sleep(60)", "devices/2": f"print({line!r}); raise SystemExit(2)"}
+    with pytest.raises(BadInput, match="devices/2: no photographs: take some."):
+        executor(scripts).fold(TREE, preparer(tmp_path, []), lambda event: None)
+    assert not (tmp_path / "devices" / "1" / "done.json").exists()
+
+
+def test_a_killed_worker_is_named_and_resuming_finishes(tmp_path: Path) -> None:
+    with pytest.raises(StageFailed, match=r"devices/3: its process was killed by signal 9 .* --resume"):
+        executor({"devices/3": "import os; os.kill(os.getpid(), 9)"}).fold(TREE, preparer(tmp_path, []), lambda event: None)
+    times = executor({}).fold(TREE, preparer(tmp_path, []), lambda event: None)
+    assert set(times) == {"cloud", "edges/a", "devices/1", "devices/2", "devices/3"}
+
+
+def test_a_worker_that_forgets_to_seal_is_not_believed(tmp_path: Path) -> None:
+    with pytest.raises(StageFailed, match="ended with code 0 before it was done"):
+        executor({"devices/1": "pass"}).fold(TREE, preparer(tmp_path, []), lambda event: None)
+
+
+def test_the_injected_clock_decides_the_times(tmp_path: Path) -> None:
+    ticks = iter(range(100, 200))
+    local = executor({}, num_workers=1)
+    local.clock = lambda: float(next(ticks))
+    times = local.fold(TREE, preparer(tmp_path, []), lambda event: None)
+    assert times["devices/1"].started_s == 1.0 and times["cloud"].ended_s == 10.0
+
+
+DECISION = Decision(stage="plan", topic="method", choice="paper", figure=None, unit="", reason="asked for", forced=True)
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        StageStarted(stage="sfm"),
+        StageProgress(stage="sfm", done=1.5, total=3, note="ü"),
+        StageDone(stage="sfm", seconds=1.25),
+        StageSkipped(stage="sfm"),
+        Warned(stage="sfm", message="line\nbreak"),
+        Decided(decision=DECISION),
+        Failed(stage="sfm", message="x", exit_code=2),
+    ],
+)
+def test_events_survive_the_wire(event: Event) -> None:
+    assert "\n" not in encode(event)
+    assert decode(encode(event)) == event
+
+
+@pytest.mark.parametrize("line", ["", "hello", "[]", "{}", '{"event": "Nope"}', '{"event": "StageDone"}', '{"event": "Decided", "decision": 3}'])
+def test_a_line_that_is_no_event_is_refused(line: str) -> None:
+    with pytest.raises(StageFailed, match="no event"):
+        decode(line)

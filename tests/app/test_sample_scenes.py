@@ -1,0 +1,262 @@
+"""The scene generator's laws: same command same pixels, depth and poses agree, EXIF within its error, poison refused.
+
+The scene is a 6-photograph corner of the town at 96 x 72 px; the shipped hamlet and town are checked as files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+
+import generate
+from radiant_core.errors import BadInput
+from scenegen.config import SceneConfig
+from scenegen.flight import plan_flight
+from scenegen.known_model import write_known_model
+from scenegen.layout import Layout
+from scenegen.noise import detail_noise, gaussian_noise, value_noise
+from scenegen.photo_file import ORIGIN_ALT_M, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, geodetic_from_enu, jpeg_bytes
+from scenegen.raycast import Photographer, project, undistort, world_rays
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_scenes"
+SMALL = SceneConfig(num_cameras=6, extent_m=(24.0, 16.0), width_px=96, height_px=72, altitude_m=35.0, num_known_points=200)
+
+
+@pytest.fixture(scope="module")
+def photographer() -> Photographer:
+    """The small scene's photographer."""
+    return Photographer(SMALL)
+
+
+def pixel_centers() -> np.ndarray:
+    """All pixel centres (H·W,2) of the small scene."""
+    x, y = np.meshgrid(np.arange(SMALL.width_px) + 0.5, np.arange(SMALL.height_px) + 0.5)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def test_same_config_gives_same_pixels_and_bytes_and_another_seed_others(photographer: Photographer) -> None:
+    noisy = replace(SMALL, noise_sigma=3.0, exposure_drift_ev=0.5)
+    first, second = Photographer(noisy), Photographer(noisy)
+    shot = plan_flight(noisy)[3]
+    assert np.array_equal(first.photograph(shot, 3), second.photograph(shot, 3))
+    assert jpeg_bytes(noisy, first.photograph(shot, 3), shot) == jpeg_bytes(noisy, second.photograph(shot, 3), shot)
+    other = replace(SMALL, seed=1)
+    other_pixels = Photographer(other).photograph(plan_flight(other)[3], 3)
+    assert not np.array_equal(other_pixels, photographer.photograph(plan_flight(SMALL)[3], 3))
+
+
+def test_noise_does_not_depend_on_how_the_samples_are_cut_into_strips() -> None:
+    x, y = np.random.default_rng(0).uniform(-1e4, 1e4, (2, 1000)).astype(np.float32)
+    whole = value_noise(x, y, 0.3, 5)
+    assert np.array_equal(whole, np.concatenate([value_noise(x[k : k + 37], y[k : k + 37], 0.3, 5) for k in range(0, 1000, 37)]))
+    assert whole.min() >= 0.0
+    assert whole.max() <= 1.0
+    # A uniform mean over 1,000 nearly independent values of deviation < 0.29: 5 standard errors are 0.046.
+    assert abs(whole.mean() - 0.5) < 0.046
+
+
+def test_noise_fades_out_under_coarse_pixels() -> None:
+    x = np.linspace(0.0, 50.0, 200, dtype=np.float32)
+    assert np.all(detail_noise(x, x, 0.3, 5, np.full(200, 1.0, np.float32)) == 0.0)
+    assert np.ptp(detail_noise(x, x, 0.3, 5, np.full(200, 0.05, np.float32))) > 0.3
+
+
+def test_gaussian_noise_has_unit_deviation() -> None:
+    values = gaussian_noise(100_000, 3)
+    # Standard errors at 1e5 samples: mean 0.0032, deviation 0.0022; five of each.
+    assert abs(values.mean()) < 0.016
+    assert abs(values.std() - 1.0) < 0.011
+
+
+def test_town_coordinates_invert() -> None:
+    layout = Layout(extent_m=(120.0, 80.0), seed=0)
+    towns = np.random.default_rng(1).uniform(-300.0, 300.0, (50, 2))
+    worlds = np.array([layout.world_from_town(u, v) for u, v in towns])
+    # Angles and sizes pass through float32 constants: 300 m · 1e-7 leaves 0.1 mm.
+    assert np.allclose(np.column_stack(layout.town_from_world(worlds[:, 0], worlds[:, 1])), towns, atol=1e-4)
+
+
+@pytest.mark.parametrize("k1", [-0.12, -0.03, 0.0, 0.05, 0.4])
+def test_undistort_inverts_the_lens(k1: float) -> None:
+    plane = np.random.default_rng(2).uniform(-0.75, 0.75, (500, 2))
+    bent = plane * (1.0 + k1 * np.sum(plane**2, axis=1, keepdims=True))
+    # Newton converges quadratically; the limit is rounding of numbers near 1.
+    assert np.allclose(undistort(bent, k1), plane, atol=1e-12)
+
+
+@pytest.mark.parametrize("k1", [0.0, -0.1, 0.2])
+def test_rays_and_projection_are_inverse(k1: float) -> None:
+    config = replace(SMALL, distortion_k1=k1)
+    shot, pixels = plan_flight(config)[0], pixel_centers()
+    origins, directions = world_rays(config, shot, pixels)
+    back, depth = project(config, shot, origins.astype(np.float64) + 30.0 * directions)
+    # Rays are float32 for Embree: 1e-7 · 64 px of focal length, twice over, and 1e-6 m of origin.
+    assert np.allclose(back, pixels, atol=2e-4)
+    assert np.allclose(depth, 30.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("k1", [0.0, -0.1])
+def test_depth_and_colour_of_one_photograph_agree_with_its_neighbour(k1: float) -> None:
+    config = replace(SMALL, distortion_k1=k1)
+    photographer, pixels = Photographer(config), pixel_centers()
+    shots = plan_flight(config)
+    origins, directions = world_rays(config, shots[0], pixels)
+    points = origins + directions * photographer.depth(shots[0]).ravel()[:, None]
+    there, depth = project(config, shots[1], points)
+    inside = np.all((there > 1.0) & (there < np.array([config.width_px, config.height_px]) - 1.0), axis=1)
+    assert inside.sum() > 1500
+    surface = photographer.depth_at(shots[1], there[inside])
+    # Each point lies on the neighbour's ray, so what the neighbour sees there is that point or nearer. 2 cm of 35 m allow
+    # for float32 rays, a few pixels for edges that such a ray just misses.
+    assert np.mean(surface > depth[inside] + 0.02) < 0.003
+    same = np.abs(depth[inside] - surface) < 0.02
+    assert same.mean() > 0.8
+    mine, theirs = photographer.color_at(shots[0], pixels[inside][same]), photographer.color_at(shots[1], there[inside][same])
+    # Matte surfaces: only the fading of detail with the pixel's footprint may differ between two views.
+    assert np.median(np.abs(mine.astype(float) - theirs)) <= 4.0
+
+
+def test_sky_is_infinitely_far_and_ground_is_not(photographer: Photographer) -> None:
+    config = replace(SMALL, num_cameras=10, oblique_fraction=0.4)
+    shots = plan_flight(config)
+    assert any(np.isinf(photographer.depth(shot)).any() for shot in shots[6:])
+    nadir = photographer.depth(shots[0])
+    assert np.all(np.isfinite(nadir))
+    assert 15.0 < nadir.min() < nadir.max() < 90.0
+
+
+def test_known_model_reprojects_and_every_track_has_two_views(photographer: Photographer, tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    shots = plan_flight(SMALL)
+    write_known_model(tmp_path, photographer, shots)
+    model = pycolmap.Reconstruction(str(tmp_path))
+    assert model.num_reg_images() == SMALL.num_cameras
+    assert model.num_points3D() > 100
+    model.update_point_3d_errors()
+    # Pixels are written to 0.01 px and points to 0.1 mm, which is 0.0002 px at 35 m.
+    assert model.compute_mean_reprojection_error() < 0.01
+    assert min(point.track.length() for point in model.points3D.values()) >= 2
+    centers = {image.name: image.projection_center() for image in model.images.values()}
+    for shot in shots:
+        assert np.allclose(centers[shot.name], shot.center_m, atol=1e-6)
+
+
+def test_positions_survive_the_round_trip_through_latitude_and_longitude() -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    positions = np.random.default_rng(3).uniform(-1000.0, 1000.0, (40, 3))
+    geodetic = np.array([geodetic_from_enu(position) for position in positions])
+    back = pycolmap.GPSTransform().ellipsoid_to_enu(geodetic, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)
+    # ECEF metres are 6e6: 1e-9 m of rounding there, amplified by degrees; a micrometre is ample.
+    assert np.allclose(back, positions, atol=1e-5)
+
+
+def exif_position(path: Path) -> tuple[float, float, float] | None:
+    """Latitude, longitude and height written in a JPEG, None without GPS."""
+    with Image.open(path) as image:
+        gps = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
+    if not gps:
+        return None
+    degrees = [
+        sum(float(part) / 60.0**k for k, part in enumerate(gps[tag]))
+        for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude)
+    ]
+    return degrees[0], degrees[1], float(gps[ExifTags.GPS.GPSAltitude])
+
+
+def known_centers(folder: Path) -> dict[str, np.ndarray]:
+    """Camera centres by name of a COLMAP text model, read without any of the generator's code."""
+    from scipy.spatial.transform import Rotation
+
+    centers = {}
+    for line in (folder / "images.txt").read_text().splitlines()[::2]:
+        words = line.split()
+        w, x, y, z, *translation = map(float, words[1:8])
+        centers[words[9]] = -Rotation.from_quat([x, y, z, w]).inv().apply(translation)
+    return centers
+
+
+@pytest.mark.parametrize(
+    ("scene", "photographs", "image_bytes", "known_bytes"), [("town", 60, 4_000_000, 1_000_000), ("hamlet", 12, 300_000, 300_000)]
+)
+def test_shipped_scene_is_small_and_its_gps_lies_within_the_stated_error(
+    scene: str, photographs: int, image_bytes: int, known_bytes: int
+) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    images = sorted((SAMPLES / scene / "images").glob("*.jpg"))
+    assert len(images) == photographs
+    assert sum(path.stat().st_size for path in images) <= image_bytes
+    assert sum(path.stat().st_size for path in (SAMPLES / scene / "known").iterdir()) <= known_bytes
+    centers = known_centers(SAMPLES / scene / "known")
+    assert set(centers) == {path.name for path in images}
+    geodetic = np.array([exif_position(path) for path in images])
+    enu = pycolmap.GPSTransform().ellipsoid_to_enu(geodetic, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)
+    error_m = np.linalg.norm(enu - np.array([centers[path.name] for path in images]), axis=1)
+    # The stated error plus the millimetre to which heights are written; and it is an error, not a copy of the truth.
+    assert error_m.max() <= SceneConfig().gps_error_m + 0.002
+    assert error_m.max() > 0.3 * SceneConfig().gps_error_m
+
+
+def test_generate_writes_all_or_nothing_and_never_overwrites(tmp_path: Path) -> None:
+    config = replace(SMALL, num_cameras=2, samples_per_axis=1, depth=True, gps=False)
+    out = tmp_path / "scene"
+    generate.generate(config, out)
+    assert sorted(path.name for path in out.iterdir()) == ["depth", "images", "known"]
+    first = sorted((out / "images").iterdir())[0]
+    assert exif_position(first) is None
+    assert np.load(out / "depth" / "drone_0000.npz")["depth_m"].shape == (SMALL.height_px, SMALL.width_px)
+    with pytest.raises(BadInput, match="exists already"):
+        generate.generate(config, out)
+
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate.generate(config, tmp_path / "stopped", stop)
+    assert list((tmp_path / "stopped").iterdir()) == []
+
+
+def test_command_line_switches_reach_the_config() -> None:
+    switches = ["--out", "X", "--extent-m", "500x250", "--num-cameras", "1600", "--no-gps", "--distortion-k1", "-0.02"]
+    config, out = generate.parse_config(switches)
+    assert config == SceneConfig(extent_m=(500.0, 250.0), num_cameras=1600, gps=False, distortion_k1=-0.02)
+    assert out == Path("X")
+
+
+@pytest.mark.parametrize(
+    "poison",
+    [
+        {"num_cameras": 1},
+        {"num_cameras": 10**9},
+        {"extent_m": (float("nan"), 80.0)},
+        {"extent_m": (120.0,)},
+        {"extent_m": (0.0, 80.0)},
+        {"width_px": 0},
+        {"altitude_m": float("inf")},
+        {"oblique_fraction": -0.1},
+        {"oblique_fraction": 1.0},
+        {"distortion_k1": float("nan")},
+        {"distortion_k1": -0.4},
+        {"noise_sigma": -1.0},
+        {"gps_error_m": float("nan")},
+        {"samples_per_axis": 0},
+        {"jpeg_quality": 100},
+        {"seed": -1},
+    ],
+)
+def test_poison_config_is_refused_by_name(poison: dict[str, float]) -> None:
+    with pytest.raises(BadInput, match=next(iter(poison))):
+        replace(SMALL, **poison)
+
+
+def test_flight_has_the_number_of_photographs_asked_for_and_covers_the_area() -> None:
+    for count in (2, 7, 60, 1600):
+        config = SceneConfig(num_cameras=count, extent_m=(500.0, 250.0))
+        centers = np.array([shot.center_m for shot in plan_flight(config)])
+        assert len(centers) == count
+    # Rows and columns end half a spacing (under 10 m) inside the border, and obliques stand up to 1.1 half extents out.
+    assert np.ptp(centers[:, 0]) > 480.0
+    assert np.ptp(centers[:, 1]) > 230.0

@@ -1,0 +1,70 @@
+"""What holds for every source file: it says what it is, its functions are short, and nothing catches everything."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("core/radiant_core", "viewer/radiant_viewer", "radiant_app", "sample_scenes")
+SOURCES = sorted(path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+MAX_FUNCTION_LINES = 70
+MAX_FILE_LINES = 500
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def parsed(source: Path) -> ast.Module:
+    return ast.parse((ROOT / source).read_text())
+
+
+def functions(tree: ast.AST) -> Iterator[Function]:
+    return (node for node in ast.walk(tree) if isinstance(node, Function))
+
+
+def num_lines(node: Function) -> int:
+    assert node.end_lineno is not None
+    return node.end_lineno - node.lineno + 1
+
+
+def test_the_three_packages_are_found() -> None:
+    assert {source.parts[0] for source in SOURCES} == {"core", "viewer", "radiant_app", "sample_scenes"}
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=str)
+def test_a_module_opens_with_what_it_is(source: Path) -> None:
+    assert ast.get_docstring(parsed(source)), f"{source} has no docstring"
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=str)
+def test_public_functions_and_classes_say_what_they_do(source: Path) -> None:
+    bare = [
+        f"{source}:{node.lineno} {node.name}"
+        for node in parsed(source).body
+        if isinstance(node, Function | ast.ClassDef) and not node.name.startswith("_") and not ast.get_docstring(node)
+    ]
+    assert bare == []
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=str)
+def test_functions_and_files_stay_short(source: Path) -> None:
+    long = [f"{source}:{node.lineno} {node.name}" for node in functions(parsed(source)) if num_lines(node) > MAX_FUNCTION_LINES]
+    assert long == []
+    assert len((ROOT / source).read_text().splitlines()) <= MAX_FILE_LINES
+
+
+def test_there_is_no_drawer_for_odds_and_ends() -> None:
+    drawers = {"utils", "util", "helpers", "helper", "common", "misc"}
+    assert [source for source in SOURCES if drawers & {*source.parts, source.stem}] == []
+
+
+def test_setup_refuses_what_it_does_not_know_in_one_sentence() -> None:
+    for arguments in (["tset"], ["demo", "test"]):
+        result = subprocess.run(["./setup.sh", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+        assert result.returncode == 2
+        assert len(result.stderr.strip().splitlines()) == 1
+        assert arguments[-1] in result.stderr

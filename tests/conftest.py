@@ -1,0 +1,70 @@
+"""What every test runs under: whatever is built of the types below is checked against its declared shapes and numbers.
+
+numpy products check themselves when they are built; their torch twins do not, for speed, so a wrong shape would only show far
+away. Here jaxtyping proves each instance that any test brings about, with one meaning per letter within an instance.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import fields
+from typing import Any
+
+import hypothesis
+import jaxtyping
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
+from torch import Tensor
+
+from radiant_core.cameras import Cameras
+from radiant_core.render.contract import RenderOutput, SplatTensors
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+
+# No deadline: the first example pays for imports. The same examples each time, so that a failure is a failure for everybody.
+hypothesis.settings.register_profile("radiant", deadline=None, derandomize=True, database=None)
+hypothesis.settings.load_profile("radiant")
+
+_SPLATS = {"means": "N 3", "quats": "N 4", "log_scales": "N 3", "logit_opacities": "N", "sh0": "N 1 3", "shN": "N K 3"}
+_RENDER = {"images": "C H W 3", "alphas": "C H W", "depths": "C H W", "radii_px": "C N", "means2d": "C N 2"}
+
+SHAPES: dict[type, dict[str, Any]] = {
+    Cameras: {
+        "Ks": Float64[np.ndarray, "C 3 3"],
+        "cam_from_world": Float64[np.ndarray, "C 4 4"],
+        "sizes_wh": Int64[np.ndarray, "C 2"],
+    },
+    SfmScene: {
+        "points": Float64[np.ndarray, "P 3"],
+        "colors": UInt8[np.ndarray, "P 3"],
+        "observations": Int64[np.ndarray, "T 2"],
+    },
+    Splats: {name: Float32[np.ndarray, shape] for name, shape in _SPLATS.items()},
+    SplatTensors: {name: Float[Tensor, shape] for name, shape in _SPLATS.items()},
+    RenderOutput: {name: Float[Tensor, shape] for name, shape in _RENDER.items()},
+}
+
+
+def check_shapes(product: object, shapes: dict[str, Any]) -> None:
+    """Raise TypeError naming the first field whose shape or number type is not the declared one."""
+    with jaxtyping.jaxtyped("context"):
+        for name, declared in shapes.items():
+            value = getattr(product, name)
+            if not isinstance(value, declared):
+                raise TypeError(f"{type(product).__name__}.{name} is {value.dtype} {tuple(value.shape)}, declared {declared}")
+
+
+def _check_every_instance(kind: type, shapes: dict[str, Any]) -> None:
+    assert set(shapes) <= {field.name for field in fields(kind)}
+    build = kind.__init__
+
+    @functools.wraps(build)
+    def checked_build(self: object, *args: Any, **kwargs: Any) -> None:
+        build(self, *args, **kwargs)
+        check_shapes(self, shapes)
+
+    kind.__init__ = checked_build
+
+
+for _kind, _shapes in SHAPES.items():
+    _check_every_instance(_kind, _shapes)

@@ -1,0 +1,46 @@
+"""Splits: fixed by names alone, never overlapping."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask, validation_mask
+
+NAMES = [f"{index:03d}.jpg" for index in range(60)]
+
+
+def chosen(names: list[str], mask: np.ndarray) -> set[str]:
+    return {name for name, held in zip(names, mask, strict=True) if held}
+
+
+def test_the_first_and_every_eighth_after_it_are_held_out() -> None:
+    assert chosen(NAMES, held_out_mask(NAMES)) == set(NAMES[::8])
+
+
+def test_held_out_and_validation_are_disjoint_and_leave_the_rest() -> None:
+    held, validation = held_out_mask(NAMES), validation_mask(NAMES)
+    assert not (held & validation).any()
+    assert validation.sum() == 7  # 52 training photographs: ⌈52/8⌉
+    assert (~held & ~validation).sum() == 45
+
+
+@pytest.mark.parametrize("mask_of", [held_out_mask, validation_mask])
+@pytest.mark.parametrize("every", [2, 3, 8])
+def test_the_order_of_the_list_does_not_matter(mask_of, every: int) -> None:
+    shuffled = list(np.random.default_rng(0).permutation(NAMES))
+    assert chosen(shuffled, mask_of(shuffled, every)) == chosen(NAMES, mask_of(NAMES, every))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_small_sets_work(count: int) -> None:
+    assert held_out_mask(NAMES[:count]).tolist() == [True, False][:count]
+    assert validation_mask(NAMES[:count]).tolist() == [False, True][:count]
+
+
+def test_nothing_to_train_on_and_names_that_come_twice_are_refused() -> None:
+    with pytest.raises(BadInput, match="nothing would be left"):
+        held_out_mask(NAMES, every=1)
+    with pytest.raises(BadInput, match="comes twice"):
+        held_out_mask(["a", "a"])

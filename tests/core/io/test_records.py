@@ -1,0 +1,246 @@
+"""Records: every type comes back equal, and a file that is broken or something else is refused by name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.frames import Frame
+from radiant_core.io.records import (
+    load_cameras,
+    load_plan,
+    load_scene,
+    load_splats,
+    save_cameras,
+    save_plan,
+    save_scene,
+    save_splats,
+)
+from radiant_core.numerics import rotmats_from_quats
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+
+
+def some_splats(count: int = 9, bases: int = 8) -> Splats:
+    rng = np.random.default_rng(1)
+    return Splats(
+        means=rng.standard_normal((count, 3), dtype=np.float32),
+        quats=rng.standard_normal((count, 4), dtype=np.float32),
+        log_scales=rng.standard_normal((count, 3), dtype=np.float32),
+        logit_opacities=rng.standard_normal(count, dtype=np.float32),
+        sh0=rng.standard_normal((count, 1, 3), dtype=np.float32),
+        shN=rng.standard_normal((count, bases, 3), dtype=np.float32),
+    )
+
+
+def some_cameras(count: int = 5) -> Cameras:
+    rng = np.random.default_rng(2)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, :3] = rotmats_from_quats(rng.normal(size=(count, 4)))
+    poses[:, :3, 3] = rng.normal(size=(count, 3))
+    Ks = np.tile(np.array([[500.1, 0, 320.3], [0, 499.9, 240.7], [0, 0, 1]]), (count, 1, 1))
+    names = tuple(f"ö/{index} \"x\".jpg" for index in range(count))
+    return Cameras(names=names, Ks=Ks, cam_from_world=poses, sizes_wh=np.tile([640, 480], (count, 1)))
+
+
+def some_scene(kind: Any = "metric", residual_m: float | None = 0.1) -> SfmScene:
+    rng = np.random.default_rng(3)
+    return SfmScene(
+        cameras=some_cameras(),
+        points=rng.normal(size=(7, 3)) * 1e3,
+        colors=rng.integers(0, 256, (7, 3), dtype=np.uint8),
+        observations=np.array([[0, 0], [6, 4], [3, 2]]),
+        frame=Frame(kind=kind, origin_lat_lon_alt=np.array([50.8, -0.13, 1 / 3]), residual_m=residual_m),
+    )
+
+
+def some_plan() -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    square = np.array([[0.1, 0.0], [1.0, 0.0], [1.0, 1 / 3]])
+    cloud = CloudPlan(
+        method="paper",
+        edge_ids=("north", "south"),
+        sites=np.array([[0.0, 1 / 7], [1.0, 2.0]]),
+        weights=np.array([0.5, -0.5]),
+        borders=(square, np.zeros((0, 2))),
+        edge_of_camera=np.array([0, 0, 0]),
+        edge_time_s=np.array([1.5, 0.0]),
+        lower_bound_s=1.25,
+        status="converged",
+        certified=True,
+        history=(2.0, 1.5),
+    )
+    north = EdgePlan(
+        edge_id="north",
+        device_ids=("n1", "n2"),
+        camera_indices=np.array([2, 0, 1]),
+        device_of_camera=np.array([0, 0, 0]),
+        strips=(square, np.zeros((0, 2))),
+        device_time_s=np.array([1.5, 0.0]),
+    )
+    empty = np.zeros(0, np.int64)
+    south = EdgePlan(
+        edge_id="south",
+        device_ids=("s1",),
+        camera_indices=empty,
+        device_of_camera=empty,
+        strips=(np.zeros((0, 2)),),
+        device_time_s=np.zeros(1),
+    )
+    return cloud, (north, south)
+
+
+def assert_same(a: Any, b: Any) -> None:
+    """Equal down to type and bits, dataclasses and tuples field by field."""
+    assert type(a) is type(b)
+    if isinstance(a, np.ndarray):
+        assert (a.dtype, a.shape) == (b.dtype, b.shape)
+        assert a.tobytes() == b.tobytes()
+    elif isinstance(a, tuple):
+        assert len(a) == len(b)
+        for left, right in zip(a, b, strict=True):
+            assert_same(left, right)
+    elif hasattr(a, "__dataclass_fields__"):
+        for field in fields(a):
+            assert_same(getattr(a, field.name), getattr(b, field.name))
+    else:
+        assert a == b
+
+
+@pytest.mark.parametrize("splats", [some_splats(), some_splats(0, 0), some_splats(3, 15)])
+def test_splats_come_back(tmp_path: Path, splats: Splats) -> None:
+    save_splats(tmp_path / "a.safetensors", splats)
+    assert_same(load_splats(tmp_path / "a.safetensors"), splats)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_cameras_come_back(tmp_path: Path, count: int) -> None:
+    save_cameras(tmp_path / "a.safetensors", some_cameras(count))
+    assert_same(load_cameras(tmp_path / "a.safetensors"), some_cameras(count))
+
+
+@pytest.mark.parametrize("scene", [some_scene(), some_scene("unscaled", None)])
+def test_scenes_come_back(tmp_path: Path, scene: SfmScene) -> None:
+    save_scene(tmp_path / "a.safetensors", scene)
+    assert_same(load_scene(tmp_path / "a.safetensors"), scene)
+
+
+def test_plans_come_back_with_empty_regions(tmp_path: Path) -> None:
+    cloud, edges = some_plan()
+    save_plan(tmp_path / "plan.json", cloud, edges)
+    assert_same(load_plan(tmp_path / "plan.json"), (cloud, edges))
+
+
+def test_one_type_is_not_read_as_another(tmp_path: Path) -> None:
+    save_cameras(tmp_path / "a.safetensors", some_cameras())
+    with pytest.raises(BadInput, match=r"a\.safetensors.*radiant\.cameras.*radiant\.splats"):
+        load_splats(tmp_path / "a.safetensors")
+
+
+def test_a_strangers_safetensors_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    save_file({"means": np.zeros((1, 3), np.float32)}, path)
+    with pytest.raises(BadInput, match="expected"):
+        load_splats(path)
+    arrays = {name: array.astype(np.float64) for name, array in some_splats().arrays().items()}
+    save_file(arrays, path, {"schema": "radiant.splats", "version": "1", "about": "{}"})
+    with pytest.raises(BadInput, match="it holds the arrays"):
+        load_splats(path)
+
+
+def test_a_model_with_a_nan_is_refused_by_file_and_tensor(tmp_path: Path) -> None:
+    arrays = {name: array.copy() for name, array in some_splats().arrays().items()}
+    arrays["means"][2, 1] = np.nan
+    save_file(arrays, tmp_path / "a.safetensors", {"schema": "radiant.splats", "version": "1", "about": "{}"})
+    with pytest.raises(BadInput, match=r"a\.safetensors: means has 1 values that are not finite, the first at index \(2, 1\)"):
+        load_splats(tmp_path / "a.safetensors")
+
+
+@pytest.mark.parametrize("load", [load_splats, load_cameras, load_scene, load_plan])
+def test_what_is_not_there_or_no_file_is_store_damaged(tmp_path: Path, load: Callable[[Path], Any]) -> None:
+    for path in (tmp_path / "absent", tmp_path):
+        with pytest.raises(StoreDamaged):
+            load(path)
+
+
+@pytest.mark.parametrize(
+    ("save", "load"),
+    [
+        (lambda path: save_splats(path, some_splats(2, 0)), load_splats),
+        (lambda path: save_cameras(path, some_cameras(2)), load_cameras),
+        (lambda path: save_scene(path, some_scene()), load_scene),
+        (lambda path: save_plan(path, *some_plan()), load_plan),
+    ],
+    ids=["splats", "cameras", "scene", "plan"],
+)
+def test_two_thousand_mutations_raise_our_errors_only(
+    tmp_path: Path, save: Callable[[Path], None], load: Callable[[Path], Any]
+) -> None:
+    path = tmp_path / "a.file"
+    save(path)
+    good = path.read_bytes()
+    rng = np.random.default_rng(5)
+    for _ in range(2000):
+        data = bytearray(good)
+        for _ in range(rng.integers(1, 4)):
+            # Half of the damage goes into the first 400 bytes, where the headers are.
+            at = int(rng.integers(0, min(len(data), 400) if rng.random() < 0.5 else len(data)))
+            data[at : at + int(rng.integers(0, 3))] = rng.bytes(int(rng.integers(0, 3)))
+        path.unlink()
+        path.write_bytes(bytes(data))
+        said = refusal(load, path)
+        assert said is None or "a.file" in said
+
+
+def refusal(load: Callable[[Path], Any], path: Path) -> str | None:
+    """What the loader says against the file, None when it takes it; any other exception goes on."""
+    try:
+        load(path)
+    except (BadInput, StoreDamaged) as error:
+        return str(error)
+    return None
+
+
+PLAN_POISON: list[tuple[str, Any]] = [
+    ("edge_ids", ["north", "north"]),
+    ("edge_ids", "ns"),
+    ("sites", [[0, 1]]),
+    ("weights", [None, 1]),
+    ("borders", [[[0, 1, 2]], []]),
+    ("borders", 5),
+    ("edge_of_camera", [0, 0, 2]),
+    ("edge_of_camera", [0.5, 0, 0]),
+    ("status", "fine"),
+    ("certified", 1),
+    ("history", ["x"]),
+    ("lower_bound_s", "soon"),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), PLAN_POISON)
+def test_a_wrong_field_of_a_plan_is_bad_input(tmp_path: Path, name: str, value: Any) -> None:
+    path = tmp_path / "plan.json"
+    save_plan(path, *some_plan())
+    record = json.loads(path.read_text())
+    record["cloud"][name] = value
+    path.write_text(json.dumps(record))
+    with pytest.raises(BadInput, match=r"plan\.json"):
+        load_plan(path)
+
+
+@pytest.mark.parametrize(
+    "text", ["[]", "{}", '{"schema": "radiant.plan", "version": "2"}', '{"schema": "radiant.plan", "version": "1"}']
+)
+def test_json_that_is_no_plan_is_bad_input(tmp_path: Path, text: str) -> None:
+    (tmp_path / "plan.json").write_text(text)
+    with pytest.raises(BadInput, match=r"plan\.json"):
+        load_plan(tmp_path / "plan.json")

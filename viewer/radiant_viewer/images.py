@@ -1,0 +1,47 @@
+"""Pictures as arrays (H,W,3) uint8 and as PNG files, written whole or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import write_atomic
+from radiant_core.numerics import FloatArray
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawing:
+    """A picture (H,W,3) of layers without any text, and where the places of the labels fall on it.
+
+    label_px: per label of all layers in order its pixel (2,), or NaN behind the viewer; extent: x_min, x_max, y_min, y_max
+    of a map in world coordinates, None for a view in perspective.
+    """
+
+    image: Image
+    label_px: FloatArray
+    extent: tuple[float, float, float, float] | None
+
+
+def save_png(path: Path, image: Image) -> None:
+    """Write an image (H,W,3) uint8 as PNG; BadInput for another shape or type, or a folder that cannot be written."""
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
+        raise BadInput(f"a picture of shape {image.shape} and type {image.dtype} came, expected (H, W, 3) uint8.")
+    if path.suffix.lower() != ".png":
+        raise BadInput(f"cannot write {path}: pictures are written as PNG, let the name end in .png.")
+    _, encoded = cv2.imencode(".png", np.ascontiguousarray(image[:, :, ::-1]))
+    write_atomic(path, encoded.tobytes())
+
+
+def load_image(path: Path) -> Image:
+    """An image file of the run as (H,W,3) uint8; BadInput when it is missing or no image."""
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise BadInput(f"cannot read the picture {path}: it is missing or broken, run the evaluation again.")
+    return np.ascontiguousarray(pixels[:, :, ::-1])

@@ -1,0 +1,125 @@
+"""`Layer`: one thing to draw, in plain numbers. Window, headless pictures, report and tests all draw the same layers.
+
+A layer knows no toolkit: points, segments and polygons in world coordinates (float64, metres or the frame's unit, z up),
+colours (…,3) uint8, labels and legend. Built once per picture or edit; N points, S segments, R polygons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_viewer.palette import ColorArray
+
+Marker = Literal["area", "line", "dot", "ring"]
+"""How a legend shows an entry: a filled box, a stroke, a filled dot, a dot with a dark rim."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegendEntry:
+    """One line of the legend; the text says the unit of every figure in it."""
+
+    text: str
+    color: tuple[int, int, int]
+    marker: Marker
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeatScale:
+    """A colour bar from `low` to `high`; the label names quantity and unit."""
+
+    label: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Label:
+    """A text at a place (3,) of the world; strong ones are bold and find room first."""
+
+    text: str
+    position: FloatArray
+    strong: bool = False
+
+
+def _no_positions() -> FloatArray:
+    return np.zeros((0, 3))
+
+
+def _no_colors() -> ColorArray:
+    return np.zeros((0, 3), np.uint8)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layer:
+    """points (N,3), segments (S,2,3) and polygons R × (V,3), each with one colour; later layers lie over earlier ones on a map.
+
+    Raises BadInput when a shape is wrong, colours do not match in number, or a coordinate is not finite.
+    """
+
+    name: str
+    points: FloatArray = field(default_factory=_no_positions)
+    point_colors: ColorArray = field(default_factory=_no_colors)
+    point_size_px: float = 3.0
+    point_rim: bool = False
+    """Whether each point stands on a dark disc, so that light colours show on light ground."""
+    segments: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    segment_colors: ColorArray = field(default_factory=_no_colors)
+    line_width_px: float = 1.5
+    polygons: tuple[FloatArray, ...] = ()
+    polygon_colors: ColorArray = field(default_factory=_no_colors)
+    labels: tuple[Label, ...] = ()
+    legend: tuple[LegendEntry, ...] = ()
+    heat: HeatScale | None = None
+
+    def __post_init__(self) -> None:
+        points = checked_array(f"points of layer {self.name!r}", self.points, (None, 3))
+        segments = checked_array(f"segments of layer {self.name!r}", self.segments, (None, 2, 3))
+        polygons = tuple(checked_array(f"a polygon of layer {self.name!r}", polygon, (None, 3)) for polygon in self.polygons)
+        for name, positions in (("points", points), ("segments", segments), ("polygons", polygons)):
+            object.__setattr__(self, name, positions)
+            self._set_colors(f"{name[:-1]}_colors", len(positions))
+        for label in self.labels:
+            checked_array(f"the place of label {label.text!r}", label.position, (3,))
+
+    def _set_colors(self, name: str, count: int) -> None:
+        object.__setattr__(self, name, checked_array(f"{name} of layer {self.name!r}", getattr(self, name), (count, 3), np.uint8))
+
+
+def layers_bounds(layers: Sequence[Layer]) -> FloatArray:
+    """Lowest and highest corner (2,3) of what is drawn; one stray point in 200 on each side of each axis is left out.
+
+    BadInput when the layers hold no geometry at all.
+    """
+    corners = [_layer_bounds(layer) for layer in layers]
+    found = [bounds for bounds in corners if len(bounds)]
+    if not found:
+        raise BadInput("there is nothing to draw: the layers hold no points, segments or polygons.")
+    stacked = np.concatenate(found)
+    return np.stack([stacked.min(axis=0), stacked.max(axis=0)])
+
+
+def _layer_bounds(layer: Layer) -> FloatArray:
+    parts = [layer.segments.reshape(-1, 3), *layer.polygons]
+    if len(layer.points):
+        # Sparse points hold strays kilometres away; a handful of markers (cameras, sites) has none to leave out.
+        strays = 0.005 if len(layer.points) >= 2000 else 0.0
+        parts.append(np.quantile(layer.points, [strays, 1 - strays], axis=0))
+    return np.concatenate(parts)
+
+
+def outline_segments(polygons: Sequence[NDArray[np.float64]]) -> FloatArray:
+    """The sides (S,2,3) of closed polygons (V,3), in order."""
+    sides = [np.stack([polygon, np.roll(polygon, -1, axis=0)], axis=1) for polygon in polygons if len(polygon)]
+    return np.concatenate(sides) if sides else np.zeros((0, 2, 3))
+
+
+def at_height(polygon: NDArray[np.float64], height: float) -> FloatArray:
+    """A polygon (V,2) on the map as (V,3) at one height."""
+    return np.column_stack([polygon, np.full(len(polygon), height)])

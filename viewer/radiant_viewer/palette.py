@@ -1,0 +1,53 @@
+"""Colours that stay apart for colour-blind readers: the eight of Okabe and Ito, their shades, and one perceptual heat scale.
+
+Runs once per layer. Colours are (3,) uint8, sRGB. Source: Okabe & Ito, Color Universal Design (2008).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+ColorArray = NDArray[np.uint8]
+
+BLUE, ORANGE, GREEN = (0, 114, 178), (230, 159, 0), (0, 158, 115)
+VERMILLION, PURPLE, SKY, YELLOW = (213, 94, 0), (204, 121, 167), (86, 180, 233), (240, 228, 66)
+BLACK, GREY, WHITE, INK = (0, 0, 0), (150, 150, 150), (255, 255, 255), (40, 44, 52)
+
+CATEGORIES = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, YELLOW)
+"""Order in which edges take their colours."""
+
+
+def tinted(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
+    """Colours (…,3) uint8 mixed with `share` (0 to 1) of `toward` (3,)."""
+    mixed = (1 - share) * np.asarray(color, np.float64) + share * np.asarray(toward, np.float64)
+    return np.rint(mixed).astype(np.uint8)
+
+
+def category_colors(count: int) -> ColorArray:
+    """Colours (count,3) for regions: seven hues, then lighter, then darker ones; they repeat from the 22nd on."""
+    hues = np.array(CATEGORIES, np.uint8)
+    shades = np.concatenate([hues, tinted(hues, WHITE, 0.45), tinted(hues, BLACK, 0.4)])
+    return shades[np.arange(count) % len(shades)]
+
+
+def shade_colors(color: ArrayLike, count: int) -> ColorArray:
+    """Shades (count,3) of one hue from dark to light: the devices of one edge."""
+    if count == 1:
+        return np.asarray(color, np.uint8)[None]
+    steps = np.linspace(-0.3, 0.5, count)
+    return np.stack([tinted(color, WHITE if step > 0 else BLACK, abs(step)) for step in steps])
+
+
+def heat_table() -> ColorArray:
+    """The 256 colours (256,3) of cividis, dark blue to yellow, readable in grey and for every kind of colour vision."""
+    from matplotlib import colormaps
+
+    return np.rint(255 * colormaps["cividis"](np.arange(256))[:, :3]).astype(np.uint8)
+
+
+def heat_colors(values: ArrayLike, low: float, high: float) -> ColorArray:
+    """Colours (N,3) of finite values (N,), clipped to low … high."""
+    span = high - low if high > low else 1.0
+    shares = np.clip((np.asarray(values, np.float64) - low) / span, 0, 1)
+    return heat_table()[np.rint(255 * shares).astype(np.int64)]

@@ -1,0 +1,114 @@
+"""`RunView`: what a run folder holds for the eye, read through `radiant_core.io` and checked to belong together.
+
+Read once per window or screenshot. A run that is broken or not finished gives one sentence: what is missing, what finishes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.ply import load_ply
+from radiant_core.io.records import load_plan, load_scene
+from radiant_core.io.run_store import read_json
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_viewer.camera_roles import CameraRoles, camera_roles
+
+SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
+COMPARISON_KINDS = ("photographs", "renders", "differences")
+"""Folders below pictures/ with one PNG per held-out photograph, in the order they are shown."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunView:
+    """A run as far as it has come: scene and plan always, model and figures once they exist.
+
+    held_out: names of the photographs that nothing was trained on; psnr_db: their figures by name, None before evaluation.
+    """
+
+    folder: Path
+    scene: SfmScene
+    cloud_plan: CloudPlan
+    edge_plans: tuple[EdgePlan, ...]
+    splats: Splats | None
+    held_out: frozenset[str]
+    psnr_db: Mapping[str, float] | None
+    roles: CameraRoles
+
+    @property
+    def unit(self) -> str:
+        """Unit of the world coordinates, "m" or "units"."""
+        return self.scene.frame.unit
+
+
+def load_run_view(folder: Path) -> RunView:
+    """The run in `folder`; BadInput when it is no run or not planned yet, StoreDamaged when a file is broken."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
+    _require_file(folder, SCENE_NAME, "structure from motion is not finished")
+    _require_file(folder, PLAN_NAME, "the plan is not finished")
+    scene = load_scene(folder / SCENE_NAME)
+    cloud_plan, edge_plans = load_plan(folder / PLAN_NAME)
+    psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
+    names = scene.cameras.names
+    held_out = frozenset(psnr_db or (name for name, held in zip(names, held_out_mask(names), strict=True) if held))
+    return RunView(
+        folder=folder,
+        scene=scene,
+        cloud_plan=cloud_plan,
+        edge_plans=edge_plans,
+        splats=load_ply(folder / PLY_NAME) if (folder / PLY_NAME).is_file() else None,
+        held_out=held_out,
+        psnr_db=psnr_db,
+        roles=camera_roles(scene.cameras, cloud_plan, edge_plans, held_out),
+    )
+
+
+def required_splats(run: RunView) -> Splats:
+    """The run's model; BadInput with the command that makes it when there is none yet."""
+    if run.splats is None:
+        raise BadInput(f"{run.folder} has no {PLY_NAME}: the run is not finished, finish it with 'radiant run … --out {run.folder} --resume'.")
+    return run.splats
+
+
+def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
+    """Photograph, render and difference of one held-out photograph; BadInput when the run keeps no pictures of it."""
+    paths = tuple(run.folder / "pictures" / kind / Path(name).with_suffix(".png") for kind in COMPARISON_KINDS)
+    missing = [path for path in paths if not path.is_file()]
+    if missing:
+        raise BadInput(
+            f"{missing[0]} is missing: the pictures of {name!r} stayed with the device that owns the photograph or the run is not evaluated; "
+            f"finish it with 'radiant run … --out {run.folder} --resume'."
+        )
+    return paths[0], paths[1], paths[2]
+
+
+def _require_file(folder: Path, name: str, reason: str) -> None:
+    if not (folder / "manifest.json").is_file():
+        raise BadInput(f"{folder} is no run: it has no manifest.json; name the folder that 'radiant run --out' made.")
+    if not (folder / name).is_file():
+        raise BadInput(f"{folder} has no {name}: {reason}, finish it with 'radiant run … --out {folder} --resume'.")
+
+
+def _image_psnr_db(path: Path) -> dict[str, float]:
+    """PSNR by photograph of metrics.json: {"images": [{"name", "psnr_db", …}, …], …}."""
+    record: Any = read_json(path)
+    rows = record.get("images") if isinstance(record, dict) else None
+    if not isinstance(rows, list) or not all(_is_figure(row) for row in rows):
+        raise StoreDamaged(f"{path} has no list 'images' of names and psnr_db: run the evaluation again.")
+    return {row["name"]: float(row["psnr_db"]) for row in rows}
+
+
+def _is_figure(row: Any) -> bool:
+    if not (isinstance(row, dict) and isinstance(row.get("name"), str)):
+        return False
+    value = row.get("psnr_db")
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,127 @@
+"""Seams: the borders between regions cut into short pieces, how strongly the colours step there, and the layer that shows it.
+
+    step(x) = max(0, ‖c₊(x) − c₋(x)‖ − median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖)
+
+c± is the opacity-weighted mean colour of the Gaussians in the band of one width to either side of the border, n its
+normal; the parallels lie inside the regions, so the scene's own texture is subtracted. Once per picture; S pieces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.splats import Splats
+from radiant_viewer.layers import HeatScale, Layer, LegendEntry
+from radiant_viewer.palette import GREY, heat_colors
+from radiant_viewer.splat_layer import splat_colors
+
+PARALLELS = (-3.0, -2.0, 2.0, 3.0)
+"""Where the scene's own texture is measured, in widths of the band from the border."""
+MIN_GAUSSIANS = 3
+"""A band with fewer opaque Gaussians has no colour: its piece gets no value."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeamPieces:
+    """S pieces of borders: ends (S,2,2) on the map, edge_pairs (S,2) indices of the regions on either side."""
+
+    ends: FloatArray
+    edge_pairs: NDArray[np.int64]
+
+
+def seam_pieces(cloud_plan: CloudPlan, length: float) -> SeamPieces:
+    """The borders that two regions share, cut into pieces of about `length`; the scene's outer edge is no seam.
+
+    A point belongs to a seam when the two nearest regions, by power distance ‖x − P‖² − w, are equally near.
+    """
+    ends, pairs = [np.zeros((0, 2, 2))], [np.zeros((0, 2), np.int64)]
+    for edge, border in enumerate(cloud_plan.borders):
+        for start, stop in zip(border, np.roll(border, -1, axis=0), strict=True):
+            count = max(1, int(np.ceil(np.linalg.norm(stop - start) / length)))
+            cuts = start + np.linspace(0, 1, count + 1)[:, None] * (stop - start)
+            pieces = np.stack([cuts[:-1], cuts[1:]], axis=1)
+            neighbours = _neighbours(cloud_plan, edge, pieces.mean(axis=1))
+            # Both regions have this side: the lower index keeps it.
+            kept = neighbours > edge
+            ends.append(pieces[kept])
+            pairs.append(np.column_stack([np.full(int(kept.sum()), edge), neighbours[kept]]))
+    return SeamPieces(ends=np.concatenate(ends), edge_pairs=np.concatenate(pairs))
+
+
+def color_steps(splats: Splats, pieces: SeamPieces, width: float) -> FloatArray:
+    """Colour step (S,) across each piece in 8-bit levels; NaN where too few Gaussians lie beside it. `width` of a band > 0."""
+    if not (np.isfinite(width) and width > 0):
+        raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
+    opacities = 1 / (1 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -50, 50)))
+    colors = splat_colors(splats).astype(np.float64)
+    tree = cKDTree(splats.means[:, :2].astype(np.float64))
+    middles = pieces.ends.mean(axis=1)
+    along = pieces.ends[:, 1] - pieces.ends[:, 0]
+    normals = np.column_stack([-along[:, 1], along[:, 0]]) / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+
+    def band_colors(offset_widths: float) -> FloatArray:
+        centers = middles + offset_widths * width * normals
+        return np.array([_mean_color(chosen, opacities, colors) for chosen in tree.query_ball_point(centers, 0.5 * width)]).reshape(-1, 3)
+
+    def steps_at(offset_widths: float) -> FloatArray:
+        return np.linalg.norm(band_colors(offset_widths + 0.5) - band_colors(offset_widths - 0.5), axis=1) / np.sqrt(3)
+
+    texture = np.stack([steps_at(offset) for offset in PARALLELS])
+    known = np.isfinite(texture).any(axis=0)
+    usual = np.nanmedian(np.where(known, texture, 0.0), axis=0)
+    return np.where(known, np.maximum(0.0, steps_at(0.0) - usual), np.nan)
+
+
+def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0) -> Layer:
+    """The pieces of the borders coloured by one value (S,) each; `label` names quantity and unit, NaN is drawn grey.
+
+    Raises BadInput when the number of values differs from the number of pieces.
+    """
+    # A poisoned value must not end the picture: it is one grey piece, counted in the legend.
+    raw = np.asarray(values, np.float64)
+    known = np.isfinite(raw)
+    levels = checked_array("values of the seam", np.where(known, raw, 0.0), (len(pieces.ends),))
+    high = float(levels[known].max()) if known.any() else 1.0
+    low = min(0.0, float(levels[known].min())) if known.any() else 0.0
+    high = high if high > low else low + 1.0
+    colors = np.where(known[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
+    ends = np.concatenate([pieces.ends, np.full((len(pieces.ends), 2, 1), height)], axis=2)
+    unknown = int((~known).sum())
+    missing = (LegendEntry(text=f"Border without a figure ({unknown} of {len(known)} pieces)", color=GREY, marker="line"),)
+    return Layer(
+        name="Seams",
+        segments=ends,
+        segment_colors=colors,
+        line_width_px=7,
+        legend=missing if unknown else (),
+        heat=HeatScale(label=label, low=low, high=high),
+    )
+
+
+def _neighbours(cloud_plan: CloudPlan, edge: int, points: FloatArray) -> NDArray[np.int64]:
+    """For points (K,2) on the border of `edge` the region behind it, or -1 where the scene ends."""
+    distances = ((points[:, None] - cloud_plan.sites) ** 2).sum(axis=2) - cloud_plan.weights
+    own = distances[:, edge].copy()
+    distances[:, edge] = np.inf
+    if distances.shape[1] < 2:
+        return np.full(len(points), -1)
+    nearest = distances.argmin(axis=1)
+    corners = np.concatenate(cloud_plan.borders)
+    # Squared metres: rounding of the polygons' corners to 1e-6 of the scene moves the difference by about 1e-6 · diameter².
+    tolerance = 1e-6 * float((np.ptp(corners, axis=0) ** 2).sum())
+    shared = np.abs(distances[np.arange(len(points)), nearest] - own) <= tolerance
+    return np.where(shared, nearest, -1)
+
+
+def _mean_color(chosen: list[int], opacities: FloatArray, colors: FloatArray) -> FloatArray:
+    if len(chosen) < MIN_GAUSSIANS:
+        return np.full(3, np.nan)
+    weights = opacities[chosen]
+    return weights @ colors[chosen] / max(float(weights.sum()), 1e-12)

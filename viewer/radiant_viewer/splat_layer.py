@@ -1,0 +1,60 @@
+"""Layers of points: the sparse points of structure from motion, and Gaussians as coloured points.
+
+Colour of a Gaussian = 0.5 + C0 · sh0, clipped (its view-independent part). Built once per picture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.scene import SfmScene
+from radiant_core.splats import SH_C0, Splats
+from radiant_viewer.layers import Layer, LegendEntry
+from radiant_viewer.palette import GREY
+
+MAX_POINTS = 200_000
+"""Points drawn at most; the legend says when some were left out."""
+
+
+def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
+    """The P points of the scene in the colours of the photographs."""
+    kept = _evenly(len(scene.points), max_points)
+    return Layer(
+        name="Sparse points",
+        points=scene.points[kept],
+        point_colors=scene.colors[kept],
+        point_size_px=2.2,
+        legend=(LegendEntry(text=_count_text("sparse points", len(kept), len(scene.points)), color=GREY, marker="dot"),),
+    )
+
+
+def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_POINTS) -> Layer:
+    """The centres of the Gaussians that are at least `min_opacity` (0 to 1) opaque, in their own colours."""
+    logit = float(np.log(min_opacity / (1 - min_opacity))) if 0 < min_opacity < 1 else -np.inf
+    opaque = np.flatnonzero(splats.logit_opacities >= logit)
+    kept = opaque[_evenly(len(opaque), max_points)]
+    return Layer(
+        name="Gaussians",
+        points=splats.means[kept],
+        point_colors=splat_colors(splats)[kept],
+        point_size_px=2.6,
+        legend=(
+            LegendEntry(text=_count_text("Gaussians", len(kept), len(splats)), color=GREY, marker="dot"),
+            LegendEntry(text=f"shown where opacity ≥ {min_opacity:g}", color=GREY, marker="dot"),
+        ),
+    )
+
+
+def splat_colors(splats: Splats) -> NDArray[np.uint8]:
+    """View-independent colours (N,3) uint8."""
+    return np.rint(255 * np.clip(0.5 + SH_C0 * splats.sh0[:, 0], 0, 1)).astype(np.uint8)
+
+
+def _evenly(count: int, limit: int) -> NDArray[np.int64]:
+    """At most `limit` of `count` indices, evenly spread and the same every time."""
+    return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).astype(np.int64)
+
+
+def _count_text(what: str, shown: int, total: int) -> str:
+    return f"{total:,} {what}" if shown == total else f"{shown:,} of {total:,} {what}"
