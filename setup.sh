@@ -14,7 +14,8 @@ usage="usage: ./setup.sh [demo|test|check|help]
 system_packages=(
   python3 python3-dev python3-venv g++ ca-certificates
   libgl1 libegl1 libgomp1 libusb-1.0-0 libvulkan1 mesa-vulkan-drivers xvfb xauth
-  libdbus-1-3 libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0 libxkbcommon-x11-0
+  libdbus-1-3 libfontconfig1 libglib2.0-0 libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0
+  libxcb-shape0 libxkbcommon-x11-0
 )
 
 fail() {

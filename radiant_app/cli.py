@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
@@ -29,14 +30,14 @@ Matching = Literal["auto", "spatial", "exhaustive"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
-TrainPresetOption = Annotated[TrainPreset, typer.Option(help="draft: a quick look; standard: plain 3DGS; paper: its 20,000 steps.")]
+TrainPresetOption = Annotated[TrainPreset, typer.Option(help="draft: quick; standard: plain 3DGS; paper: its 20,000 steps.")]
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
 Seed = Annotated[int, typer.Option(help="Seed of every random choice.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
 Out = Annotated[Path, typer.Option("--out", help="Where the result is written; must not exist or be empty.", show_default=False)]
-SystemFile = Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; without it two edges with two equal devices.")]
+SystemFile = Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; else two edges with two each.")]
 
 
 @app.command()
@@ -102,7 +103,7 @@ def sfm(
 @app.command()
 def plan(
     scene: Annotated[Path, typer.Argument(help="Folder made by `radiant sfm`, or a run.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="File of the plan; a picture with the same name is put beside it.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="File of the plan; a picture of it goes beside.", show_default=False)],
     system: SystemFile = None,
     plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
     seed: Seed = 0,
@@ -226,6 +227,8 @@ def doctor(as_json: AsJson = False) -> None:
 
 def main() -> NoReturn:
     """Entry point: one sentence for what a user can mend, exit code 2 for bad input, 130 for Ctrl-C."""
+    # A polite kill ends like Ctrl-C, through the same clean-up, so that no worker outlives the run.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         code = app(standalone_mode=False)
     except RadiantError as error:

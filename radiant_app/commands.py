@@ -80,7 +80,7 @@ def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], dis
     """One model of all training photographs of a scene as PLY; `choice` is preset, overrides and seed."""
     from radiant_core.render.contract import resolve_backend
     from radiant_core.train.config import train_preset
-    from radiant_core.train.initialize import initial_splats
+    from radiant_core.train.initialize import first_splats
     from radiant_core.train.needs import fit_to_backend
     from radiant_core.train.trainer import FitOptions, fit_splats
     from radiant_core.train.views import TrainingViews
@@ -89,11 +89,11 @@ def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], dis
     config, decisions = fit_to_backend(replace(train_preset(preset), seed=seed), resolve_backend("auto"), overrides)
     scene = training_part(_load_scene(scene_folder))
     cameras = scene.cameras.scaled(config.long_side_px)
-    images = load_images(_images_folder(scene_folder), cameras)
-    initial = initial_splats(scene.points, scene.colors, cameras, max_num_splats=config.max_num_splats, sh_degree=config.sh_degree)
+    views = TrainingViews(cameras=cameras, images=load_images(_images_folder(scene_folder), cameras))
+    initial, _ = first_splats(scene, views, config)
     with _stage(display, "train") as report:
         options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
-        result = fit_splats(initial, TrainingViews(cameras=cameras, images=images), config, options)
+        result = fit_splats(initial, views, config, options)
     save_ply(out, result.splats)
     return {
         "gaussians": len(result.splats),
@@ -158,7 +158,7 @@ def evaluate(run: Path, ply: Path | None, display: ProgressDisplay) -> dict[str,
 
     folder = run / "evaluation"
     cameras = load_cameras(folder / "cameras.safetensors")
-    photographs = [image.astype(np.float32) / 255 for image in load_images(folder / "photos", cameras)]
+    photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(folder / "photos", cameras)]
     splats, initial = load_ply(ply or run / "scene.ply"), load_splats(folder / "initial.safetensors")
     with _stage(display, "evaluate") as report:
         views = []

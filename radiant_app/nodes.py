@@ -79,7 +79,7 @@ def run_sfm(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Train one model from the folder's own photographs and points."""
     from radiant_core.train.config import TrainConfig
-    from radiant_core.train.initialize import initial_splats, sky_share
+    from radiant_core.train.initialize import first_splats, sky_share
     from radiant_core.train.trainer import fit_splats
     from radiant_core.train.views import TrainingViews
 
@@ -88,8 +88,9 @@ def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     scene = load_scene(folder / "scene.safetensors")
     cameras = scene.cameras.scaled(config.long_side_px)
     emit(Decided(decision=_sky_decision(stage, sky_share(cameras))))
-    initial = initial_splats(scene.points, scene.colors, cameras, max_num_splats=config.max_num_splats, sh_degree=config.sh_degree)
     views = TrainingViews(cameras=cameras, images=load_images(folder / "photos", cameras))
+    initial, num_filled = first_splats(scene, views, config)
+    emit(Decided(decision=_fill_decision(stage, num_filled, len(scene.points))))
     result = fit_splats(initial, views, config, _fit_options(stage, task["backend"], emit))
     save_splats(folder / "model.safetensors", result.splats)
     summary = {**_training_summary(result), "num_photographs": len(cameras), "num_points": len(scene.points)}
@@ -137,7 +138,8 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         )
     )
     save_ply(folder / "scene.ply", merged.splats)
-    write_json(folder / "summary.json", {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped})
+    counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
+    write_json(folder / "summary.json", counts)
     return ["scene.ply", "summary.json"]
 
 
@@ -188,6 +190,17 @@ def _sky_decision(stage: str, share: float) -> Decision:
         figure=100 * share,
         unit="% of the image area above the horizon",
         reason="a sky is modelled from 0.5 % on",
+    )
+
+
+def _fill_decision(stage: str, num_filled: int, num_points: int) -> Decision:
+    return Decision(
+        stage=stage,
+        topic="fill-in points",
+        choice=f"{num_filled:,} points were added to {num_points:,} sparse ones",
+        figure=float(num_filled),
+        unit="image cells without a sparse point",
+        reason="places without sparse points would start empty",
     )
 
 

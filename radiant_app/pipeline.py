@@ -44,7 +44,7 @@ from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.initialize import initial_splats
 from radiant_core.train.needs import fit_to_backend
 
-REFERENCE_RETRAIN_STEPS = 150
+REFERENCE_RETRAIN_STEPS = 100
 """Limit of an edge's retraining on the plain PyTorch backend."""
 
 

@@ -48,10 +48,11 @@ class ProgressDisplay:
         elif isinstance(event, StageSkipped):
             self._console.print(f"[dim]skipped {event.stage}: finished before[/]")
         elif isinstance(event, Warned):
-            self._console.print(f"[yellow]warning[/] {event.stage}: {event.message}", highlight=False)
+            self._console.print(f"warning {event.stage}: {event.message}", style="yellow", highlight=False, markup=False)
         elif isinstance(event, Decided):
             decision = event.decision
-            self._console.print(f"[dim]decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})[/]", highlight=False)
+            line = f"decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})"
+            self._console.print(line, style="dim", highlight=False, markup=False)
 
     def _remove(self, stage: str) -> None:
         if stage in self._tasks:

@@ -78,10 +78,12 @@ def _timeline_rows(manifest: Manifest) -> list[Any]:
 
 
 def _comparison(run: Path, row: dict[str, Any]) -> dict[str, Any]:
+    from radiant_viewer.images import load_image
+
     name = str(Path(row["name"]).with_suffix(".png"))
     folder = run / "pictures"
-    strip = np.hstack([cv2.imread(str(folder / kind / name)) for kind in ("photographs", "renders", "differences")])
-    encoded, data = cv2.imencode(".jpg", strip, [cv2.IMWRITE_JPEG_QUALITY, 88])
+    strip = np.hstack([load_image(folder / kind / name) for kind in ("photographs", "renders", "differences")])
+    encoded, data = cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
     assert encoded
     return {**row, "picture": _data_uri("image/jpeg", data.tobytes())}
 

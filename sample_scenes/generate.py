@@ -28,7 +28,7 @@ from scenegen.raycast import Photographer
 def generate(config: SceneConfig, out: Path, on_photo: Callable[[], None] = lambda: None) -> None:
     """Write images/, known/ and, if asked for, depth/ into out; calls on_photo after each photograph.
 
-    Raises BadInput when out already holds one of these folders.
+    Raises BadInput when out already holds one of these folders or cannot be written.
     """
     names = ["images", "known"] + ["depth"] * config.depth
     for name in names:
@@ -36,11 +36,16 @@ def generate(config: SceneConfig, out: Path, on_photo: Callable[[], None] = lamb
             raise BadInput(f"{out / name} exists already; remove it or choose another folder with --out")
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file; --out needs a folder")
-    out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".partial-", dir=out) as temporary:
-        _write_scene(config, Path(temporary), on_photo)
-        for name in names:
-            shutil.move(str(Path(temporary) / name), str(out / name))
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".partial-", dir=out) as temporary:
+            _write_scene(config, Path(temporary), on_photo)
+            for name in names:
+                shutil.move(str(Path(temporary) / name), str(out / name))
+    except OSError as error:
+        raise BadInput(
+            f"cannot write the scene to {out}: {error.strerror}; free space or choose another folder with --out"
+        ) from error
 
 
 def _write_scene(config: SceneConfig, folder: Path, on_photo: Callable[[], None]) -> None:

@@ -1,5 +1,6 @@
 """Computes: reads, reconstructs, plans, trains, merges and measures scenes; draws, distributes and prints nothing."""
 
-import zlib  # noqa: F401, I001  # first of all: pycolmap exports a zlib of its own, and whoever loads it before the system's aborts
+# First of all: pycolmap exports a zlib of its own, and where that is loaded before the system's, zlib.compress aborts.
+import zlib  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
 __version__ = "0.1.0"

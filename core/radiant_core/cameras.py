@@ -72,6 +72,17 @@ class Cameras:
             raise BadInput(f"there is no camera named {unknown[0]!r} among {len(self)}: check the list of names.")
         return self.select([index_of[name] for name in names])
 
+    def any_sees(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each of the points (P,3) projects into at least one image; occlusion does not count."""
+        points = np.asarray(points, dtype=np.float64)
+        seen = np.zeros(len(points), bool)
+        for K, pose, size_wh in zip(self.Ks, self.cam_from_world, self.sizes_wh, strict=True):
+            in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+            in_front = in_camera[:, 2] > 0
+            pixels = (in_camera @ K.T)[:, :2] / np.where(in_front, in_camera[:, 2], 1.0)[:, None]
+            seen |= in_front & ((pixels > 0) & (pixels < size_wh)).all(axis=1)
+        return seen
+
     def scaled(self, long_side_px: int) -> Cameras:
         """The same cameras with images whose long side is at most `long_side_px`; never enlarged."""
         factors = np.minimum(1.0, long_side_px / self.sizes_wh.max(axis=1, initial=1))

@@ -34,7 +34,7 @@ class Splats:
     shN: NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        count = len(np.asarray(self.means))
+        count = (*np.shape(self.means), 0)[0]  # a single number has no length; its shape is refused below
         shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh0": (1, 3), "shN": (None, 3)}
         for name, rest in shapes.items():
             object.__setattr__(self, name, checked_array(name, getattr(self, name), (count, *rest), np.float32))

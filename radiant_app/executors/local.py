@@ -25,13 +25,18 @@ from radiant_core.io.run_store import is_sealed
 STOP_GRACE_S = 3.0
 
 
+def worker_command(task: NodeTask) -> list[str]:
+    """How a node's process is started."""
+    return [sys.executable, "-m", "radiant_app.worker", task.kind, str(task.folder), task.stage, task.key]
+
+
 @dataclass
 class LocalExecutor:
     """Processes on this machine. `clock` gives seconds; injected so that tests decide the time."""
 
     num_workers: int
     clock: Callable[[], float] = time.monotonic
-    command: Callable[[NodeTask], list[str]] = lambda task: worker_command(task)
+    command: Callable[[NodeTask], list[str]] = worker_command
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
@@ -150,11 +155,6 @@ class _Fold:
 def _width(tree: Tree) -> int:
     """How many nodes of the tree can run at once at most: its leaves."""
     return max(1, sum(1 for node in tree if not node.children))
-
-
-def worker_command(task: NodeTask) -> list[str]:
-    """How a node's process is started."""
-    return [sys.executable, "-m", "radiant_app.worker", task.kind, str(task.folder), task.stage, task.key]
 
 
 def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Popen[str]:

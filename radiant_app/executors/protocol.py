@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from radiant_core.aggregate.tree import Tree
 from radiant_app.events import Listener
+from radiant_core.aggregate.tree import Tree
 
 
 @dataclass(frozen=True, kw_only=True)

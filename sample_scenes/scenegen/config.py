@@ -39,7 +39,7 @@ class SceneConfig:
     gps: bool = option(True, "Write GPS positions to EXIF.")
     depth: bool = option(False, "Also write one exact float32 depth map per photograph.")
     samples_per_axis: int = option(2, "Rays per pixel along each axis; 2 means 4 rays per pixel.")
-    jpeg_quality: int = option(75, "Quality of the JPEG files, 1 to 95.")
+    jpeg_quality: int = option(72, "Quality of the JPEG files, 1 to 95.")
     num_known_points: int = option(2000, "Surface points, with who sees them, in the known model.")
     seed: int = option(0, "Number from which town, flight and noise follow.")
 

@@ -7,17 +7,32 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, Warned, decode, encode
+from radiant_app.events import (
+    Decided,
+    Event,
+    Failed,
+    StageDone,
+    StageProgress,
+    StageSkipped,
+    StageStarted,
+    Warned,
+    decode,
+    encode,
+)
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 
-TREE = Tree(
-    id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=tuple(Tree(id=f"devices/{d}", tier="device") for d in "123")),)
-)
-SEAL = "from pathlib import Path; from radiant_core.io.run_store import seal; Path('made').write_text('x'); seal(Path('.'), 'key', ['made'])"
+DEVICES = tuple(Tree(id=f"devices/{number}", tier="device") for number in "123")
+TREE = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=DEVICES),))
+SEAL = """
+from pathlib import Path
+from radiant_core.io.run_store import seal
+Path('made').write_text('x')
+seal(Path('.'), 'key', ['made'])
+"""
 
 
 def executor(scripts: dict[str, str], num_workers: int = 2) -> LocalExecutor:
@@ -69,7 +84,7 @@ def test_events_of_a_worker_reach_the_listener(tmp_path: Path) -> None:
 def test_a_failed_worker_is_named_with_its_reason_and_the_others_are_stopped(tmp_path: Path) -> None:
     line = encode(Failed(stage="devices/2", message="no photographs: take some.", exit_code=2))
     scripts = {"devices/1": "import time; time.sleep(60)", "devices/2": f"print({line!r}); raise SystemExit(2)"}
-    with pytest.raises(BadInput, match="devices/2: no photographs: take some."):
+    with pytest.raises(BadInput, match=r"devices/2: no photographs: take some\."):
         executor(scripts).fold(TREE, preparer(tmp_path, []), lambda event: None)
     assert not (tmp_path / "devices" / "1" / "done.json").exists()
 
@@ -114,7 +129,10 @@ def test_events_survive_the_wire(event: Event) -> None:
     assert decode(encode(event)) == event
 
 
-@pytest.mark.parametrize("line", ["", "hello", "[]", "{}", '{"event": "Nope"}', '{"event": "StageDone"}', '{"event": "Decided", "decision": 3}'])
+NO_EVENTS = ["", "hello", "[]", "{}", '{"event": "Nope"}', '{"event": "StageDone"}', '{"event": "Decided", "decision": 3}']
+
+
+@pytest.mark.parametrize("line", NO_EVENTS)
 def test_a_line_that_is_no_event_is_refused(line: str) -> None:
     with pytest.raises(StageFailed, match="no event"):
         decode(line)

@@ -5,6 +5,7 @@ The scene is a 6-photograph corner of the town at 96 x 72 px; the shipped hamlet
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -200,6 +201,16 @@ def test_shipped_scene_is_small_and_its_gps_lies_within_the_stated_error(
     assert error_m.max() > 0.3 * SceneConfig().gps_error_m
 
 
+def test_hamlet_is_what_the_generator_renders_today() -> None:
+    stored = json.loads((SAMPLES / "hamlet" / "known" / "frame.json").read_text())["config"]
+    config = SceneConfig(**{**stored, "extent_m": tuple(stored["extent_m"])})
+    rendered = Photographer(config).photograph(plan_flight(config)[4], 4).astype(float)
+    with Image.open(SAMPLES / "hamlet" / "images" / "drone_0004.jpg") as image:
+        error = np.asarray(image).astype(float) - rendered
+    # JPEG of quality 72 with halved colour loses some 6 grey levels RMS on this texture; a moved camera or a new tint loses 20.
+    assert np.sqrt(np.mean(error**2)) < 10.0
+
+
 def test_generate_writes_all_or_nothing_and_never_overwrites(tmp_path: Path) -> None:
     config = replace(SMALL, num_cameras=2, samples_per_axis=1, depth=True, gps=False)
     out = tmp_path / "scene"
@@ -210,6 +221,10 @@ def test_generate_writes_all_or_nothing_and_never_overwrites(tmp_path: Path) -> 
     assert np.load(out / "depth" / "drone_0000.npz")["depth_m"].shape == (SMALL.height_px, SMALL.width_px)
     with pytest.raises(BadInput, match="exists already"):
         generate.generate(config, out)
+
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="cannot write"):
+        generate.generate(config, tmp_path / "file" / "scene")
 
     def stop() -> None:
         raise KeyboardInterrupt

@@ -56,7 +56,9 @@ def pyramid_segments(cameras: Cameras, depth: float) -> FloatArray:
     """Eight lines per camera (8C,2,3): four from the centre to the image corners at `depth`, four around them."""
     widths, heights = cameras.sizes_wh.astype(np.float64).T
     zero = np.zeros_like(widths)
-    corners_px = np.stack([np.stack([zero, widths, widths, zero]), np.stack([zero, zero, heights, heights]), np.ones((4, len(cameras)))])
+    corners_px = np.stack(
+        [np.stack([zero, widths, widths, zero]), np.stack([zero, zero, heights, heights]), np.ones((4, len(cameras)))]
+    )
     rays = np.einsum("cij,jkc->cki", np.linalg.inv(cameras.Ks), corners_px)
     rotations = cameras.cam_from_world[:, :3, :3]
     centers = np.repeat(cameras.centers[:, None], 4, axis=1)
@@ -74,7 +76,8 @@ def _layer(
         name=name,
         points=cameras.centers,
         point_colors=colors,
-        point_size_px=7,
+        # Dots shrink with their number: 2,000 cameras would hide the map under 7 px each.
+        point_size_px=float(np.clip(100 / np.sqrt(max(len(cameras), 1)), 3.0, 7.0)),
         point_rim=True,
         segments=pyramid_segments(cameras, _pyramid_depth(cameras)),
         segment_colors=np.repeat(strokes, 8, axis=0),
@@ -132,8 +135,8 @@ def _pyramid_depth(cameras: Cameras) -> float:
     """Half the median distance to the nearest other camera, so that pyramids do not hide each other."""
     if len(cameras) < 2:
         return 1.0
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    nearest = np.median(cKDTree(cameras.centers).query(cameras.centers, k=2)[0][:, 1])
+    nearest = np.median(KDTree(cameras.centers).query(cameras.centers, k=2)[0][:, 1])
     spread = float(np.ptp(cameras.centers, axis=0).max())
     return 0.5 * float(nearest) if nearest > 1e-4 * spread else max(0.02 * spread, 1e-3)

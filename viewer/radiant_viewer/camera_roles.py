@@ -41,7 +41,9 @@ def camera_roles(
     """
     unknown = sorted(set(held_out) - set(cameras.names))
     if unknown:
-        raise BadInput(f"the held-out photograph {unknown[0]!r} is none of the scene's {len(cameras)} cameras: plan this scene again.")
+        raise BadInput(
+            f"the held-out photograph {unknown[0]!r} is none of the scene's {len(cameras)} cameras: plan this scene again."
+        )
     is_held_out = np.array([name in held_out for name in cameras.names], dtype=bool)
     planned = _planned_indices(is_held_out, len(cloud_plan.edge_of_camera))
     edge_of_camera = np.full(len(cameras), NOBODY, np.int64)
@@ -78,6 +80,10 @@ def _planned_indices(is_held_out: NDArray[np.bool_], num_planned: int) -> NDArra
 
 def _require_fits(plan: EdgePlan, cloud_plan: CloudPlan, num_planned: int) -> None:
     if plan.edge_id not in cloud_plan.edge_ids:
-        raise BadInput(f"the plan of edge {plan.edge_id!r} belongs to none of the edges {list(cloud_plan.edge_ids)}: plan this scene again.")
-    if len(plan.camera_indices) and not (0 <= plan.camera_indices.min() and plan.camera_indices.max() < num_planned):
-        raise BadInput(f"the plan of edge {plan.edge_id!r} names a camera beyond the {num_planned} planned ones: plan this scene again.")
+        raise BadInput(
+            f"the plan of edge {plan.edge_id!r} belongs to none of the edges {list(cloud_plan.edge_ids)}: plan this scene again."
+        )
+    if len(plan.camera_indices) and (plan.camera_indices.min() < 0 or plan.camera_indices.max() >= num_planned):
+        raise BadInput(
+            f"the plan of edge {plan.edge_id!r} names a camera beyond the {num_planned} planned ones: plan this scene again."
+        )

@@ -58,12 +58,14 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
     axes = axes_at(figure, (label_px, FOOT_PX, width_px - label_px - RIGHT_PX, ROW_PX * len(rows)))
     figure.text(16 / width_px, 1 - 14 / height_px, title, size=14, weight="bold", color=INK_COLOR, va="top")
     end_s = max(span.stop_s for row in rows for span in row.spans)
-    unit_s, unit = (1.0, "s") if end_s < 300 else (60.0, "min") if end_s < 18000 else (3600.0, "h")
+    unit_s, unit = (1.0, "s") if end_s < 100 else (60.0, "min") if end_s < 6000 else (3600.0, "h")
     colors = _stage_colors(rows)
     for index, row in enumerate(rows):
         _draw_row(axes, index, row, unit_s, colors)
     _style_axes(axes, rows, max(end_s / unit_s, 1e-9), f"Time ({unit})")
-    _draw_keys(figure_axes=axes_at(figure, (16, height_px - TOP_PX + 8, width_px - 32, 34)), width_px=width_px - 32, colors=colors)
+    _draw_keys(
+        figure_axes=axes_at(figure, (16, height_px - TOP_PX + 8, width_px - 32, 34)), width_px=width_px - 32, colors=colors
+    )
     return figure_image(figure)
 
 
@@ -103,7 +105,13 @@ def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: d
     if row.spans:
         stop_s = max(span.stop_s for span in row.spans)
         axes.annotate(
-            duration_text(stop_s), (stop_s / unit_s, index), xytext=(6, 0), textcoords="offset points", size=9, va="center", color=INK_COLOR
+            duration_text(stop_s),
+            (stop_s / unit_s, index),
+            xytext=(6, 0),
+            textcoords="offset points",
+            size=9,
+            va="center",
+            color=INK_COLOR,
         )
 
 
@@ -133,7 +141,8 @@ def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[floa
 
 
 def _stage_colors(rows: Sequence[TimelineRow]) -> dict[str, tuple[float, ...]]:
-    stages = list(dict.fromkeys(span.stage for row in rows for span in row.spans))
+    found = dict.fromkeys(span.stage for row in rows for span in row.spans)
+    stages = [stage for stage in STAGE_COLORS if stage in found] + [stage for stage in found if stage not in STAGE_COLORS]
     others = [stage for stage in stages if stage not in STAGE_COLORS]
     chosen = {stage: OTHER_COLORS[index % len(OTHER_COLORS)] for index, stage in enumerate(others)}
     return {stage: tuple(channel / 255 for channel in {**STAGE_COLORS, **chosen}[stage]) for stage in stages}

@@ -18,6 +18,10 @@ from radiant_viewer.palette import INK, ColorArray
 
 SLOTS_PER_LAYER = 4
 """Heights that a flattened layer takes on a map: polygons, segments, rims, points."""
+ROUND_SHADER = "//VTK::Color::Impl\n  vec2 off = gl_PointCoord - vec2(0.5); if (dot(off, off) > 0.25) { discard; }\n"
+"""Flat discs: VTK draws square points, and its spheres reach towards the viewer and cover what lies above them on a map."""
+FRONT_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = 0.001 * gl_FragCoord.z;\n"
+"""Depths a thousand times nearer: in front of all else, in their own order."""
 
 
 def add_layer(
@@ -27,42 +31,46 @@ def add_layer(
 
     `line_scale` multiplies widths in pixels; `flat_height` lays everything on a map from that height on, in painter's order.
     """
-    slots: list[float | None] = [None] * SLOTS_PER_LAYER if flat_height is None else [flat_height + slot for slot in range(SLOTS_PER_LAYER)]
+    slots = [None if flat_height is None else flat_height + slot for slot in range(SLOTS_PER_LAYER)]
     actors = []
     if layer.polygons:
-        mesh = _polygon_mesh(layer, origin, slots[0])
-        actors.append(_add(plotter, mesh, opacity=1.0 if flat_height is not None else 0.4))
+        actors.append(_add(plotter, _polygon_mesh(layer, origin, slots[0])))
+        actors[-1].prop.opacity = 0.4 if flat_height is None else 1.0
     if len(layer.segments):
         ends = _placed(layer.segments.reshape(-1, 3), origin, slots[1])
         mesh = pv.PolyData(ends, lines=_cells(np.arange(len(ends)).reshape(-1, 2)))
         mesh.cell_data["colors"] = layer.segment_colors
-        actors.append(_add(plotter, mesh, line_width=layer.line_width_px * line_scale))
+        actors.append(_add(plotter, mesh))
+        actors[-1].prop.line_width = layer.line_width_px * line_scale
     if len(layer.points):
         actors += _add_points(plotter, layer, origin, line_scale, slots[2:])
+    for actor in actors if layer.in_front and flat_height is None else []:
+        actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Depth::Impl", True, FRONT_SHADER, False)
     return actors
 
 
 def _add_points(
-    plotter: pv.Plotter, layer: Layer, origin: FloatArray, line_scale: float, slots: Sequence[float | None]
+    plotter: pv.Plotter, layer: Layer, origin: FloatArray, line_scale: float, heights: Sequence[float | None]
 ) -> list[pv.Actor]:
-    actors = []
+    parts = [(layer.point_colors, layer.point_size_px, heights[1])]
     if layer.point_rim:
         dark = np.tile(np.array(INK, np.uint8), (len(layer.points), 1))
-        mesh = _point_mesh(_placed(layer.points, origin, slots[0]), dark)
-        actors.append(_add(plotter, mesh, point_size=(layer.point_size_px + 3.5) * line_scale, render_points_as_spheres=True))
-    mesh = _point_mesh(_placed(layer.points, origin, slots[1]), layer.point_colors)
-    actor = _add(plotter, mesh, point_size=layer.point_size_px * line_scale, render_points_as_spheres=True)
-    if layer.point_rim:
-        # Rim and dot share one place in a 3D view: the dot is drawn as if slightly nearer.
-        actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
-        actor.mapper.SetRelativeCoincidentTopologyPointOffsetParameter(-40)
-    return [*actors, actor]
+        # Drawn first: the dot has the same depth and covers the middle of its rim.
+        parts.insert(0, (dark, layer.point_size_px + 3.5, heights[0]))
+    actors = []
+    for colors, size_px, height in parts:
+        actor = _add(plotter, _point_mesh(_placed(layer.points, origin, height), colors))
+        actor.prop.point_size = size_px * line_scale
+        if not layer.square_points:
+            actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Color::Impl", True, ROUND_SHADER, False)
+        actors.append(actor)
+    return actors
 
 
-def _add(plotter: pv.Plotter, mesh: pv.PolyData, **style: float | bool) -> pv.Actor:
+def _add(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
     # Unlit: a region's colour on the picture is its colour in the legend.
     return plotter.add_mesh(
-        mesh, scalars="colors", rgb=True, lighting=False, show_scalar_bar=False, reset_camera=False, render=False, **style
+        mesh, scalars="colors", rgb=True, lighting=False, show_scalar_bar=False, reset_camera=False, render=False
     )
 
 
@@ -74,7 +82,9 @@ def _polygon_mesh(layer: Layer, origin: FloatArray, height: float | None) -> pv.
     mesh = pv.PolyData(corners, faces=faces.astype(np.int64))
     mesh.cell_data["colors"] = layer.polygon_colors
     # Triangulated by cutting ears: a strip cut by a concave border is no convex polygon.
-    return mesh.triangulate()
+    triangles = mesh.triangulate()
+    assert isinstance(triangles, pv.PolyData)
+    return triangles
 
 
 def _point_mesh(positions: NDArray[np.float32], colors: ColorArray) -> pv.PolyData:

@@ -20,12 +20,13 @@ Image = NDArray[np.uint8]
 class Drawing:
     """A picture (H,W,3) of layers without any text, and where the places of the labels fall on it.
 
-    label_px: per label of all layers in order its pixel (2,), or NaN behind the viewer; extent: x_min, x_max, y_min, y_max
-    of a map in world coordinates, None for a view in perspective.
+    label_px: per label of all layers in order its pixel (2,), or NaN behind the viewer; mark_px (M,2): markers to keep free;
+    extent: x_min, x_max, y_min, y_max of a map in world coordinates, None for a view in perspective.
     """
 
     image: Image
     label_px: FloatArray
+    mark_px: FloatArray
     extent: tuple[float, float, float, float] | None
 
 
@@ -44,4 +45,4 @@ def load_image(path: Path) -> Image:
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if pixels is None:
         raise BadInput(f"cannot read the picture {path}: it is missing or broken, run the evaluation again.")
-    return np.ascontiguousarray(pixels[:, :, ::-1])
+    return np.ascontiguousarray(pixels[:, :, ::-1], dtype=np.uint8)

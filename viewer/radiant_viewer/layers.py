@@ -17,8 +17,8 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_viewer.palette import ColorArray
 
-Marker = Literal["area", "line", "dot", "ring"]
-"""How a legend shows an entry: a filled box, a stroke, a filled dot, a dot with a dark rim."""
+Marker = Literal["area", "line", "dot", "ring", "square"]
+"""How a legend shows an entry: a filled box, a stroke, a filled dot, a dot or a small square with a dark rim."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,11 @@ class Layer:
     point_colors: ColorArray = field(default_factory=_no_colors)
     point_size_px: float = 3.0
     point_rim: bool = False
-    """Whether each point stands on a dark disc, so that light colours show on light ground."""
+    """Whether each point stands on a dark disc, so that light colours show on light ground; labels keep off such points."""
+    square_points: bool = False
+    """Whether points and rims are square instead of round."""
+    in_front: bool = False
+    """Whether a 3D view shows it through whatever stands before it, as borders under a model need."""
     segments: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
     segment_colors: ColorArray = field(default_factory=_no_colors)
     line_width_px: float = 1.5
@@ -92,26 +96,24 @@ class Layer:
         object.__setattr__(self, name, checked_array(f"{name} of layer {self.name!r}", getattr(self, name), (count, 3), np.uint8))
 
 
-def layers_bounds(layers: Sequence[Layer]) -> FloatArray:
-    """Lowest and highest corner (2,3) of what is drawn; one stray point in 200 on each side of each axis is left out.
+def drawn_positions(layers: Sequence[Layer]) -> FloatArray:
+    """All that decides how far a picture reaches (K,3): points, ends and corners; one stray point in 200 per side is left out.
 
     BadInput when the layers hold no geometry at all.
     """
-    corners = [_layer_bounds(layer) for layer in layers]
-    found = [bounds for bounds in corners if len(bounds)]
-    if not found:
+    positions = np.concatenate([np.zeros((0, 3)), *(part for layer in layers for part in _layer_positions(layer))])
+    if not len(positions):
         raise BadInput("there is nothing to draw: the layers hold no points, segments or polygons.")
-    stacked = np.concatenate(found)
-    return np.stack([stacked.min(axis=0), stacked.max(axis=0)])
+    return positions
 
 
-def _layer_bounds(layer: Layer) -> FloatArray:
-    parts = [layer.segments.reshape(-1, 3), *layer.polygons]
-    if len(layer.points):
-        # Sparse points hold strays kilometres away; a handful of markers (cameras, sites) has none to leave out.
-        strays = 0.005 if len(layer.points) >= 2000 else 0.0
-        parts.append(np.quantile(layer.points, [strays, 1 - strays], axis=0))
-    return np.concatenate(parts)
+def _layer_positions(layer: Layer) -> list[FloatArray]:
+    points = layer.points
+    # Sparse points hold strays kilometres away; a handful of markers (cameras, sites) has none to leave out.
+    if len(points) >= 2000:
+        low, high = np.quantile(points, [0.005, 0.995], axis=0)
+        points = points[((points >= low) & (points <= high)).all(axis=1)]
+    return [points, layer.segments.reshape(-1, 3), *layer.polygons]
 
 
 def outline_segments(polygons: Sequence[NDArray[np.float64]]) -> FloatArray:

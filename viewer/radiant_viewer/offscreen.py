@@ -17,7 +17,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
 from radiant_viewer.images import Drawing, Image
-from radiant_viewer.layers import Layer, layers_bounds
+from radiant_viewer.layers import Layer, drawn_positions
 from radiant_viewer.page import PageText, compose_page, drawing_size_wh
 
 OVERSAMPLING = 2
@@ -33,17 +33,21 @@ def render_map(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), 
 
 
 def render_view(
-    layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), text: PageText | None = None, direction_deg: tuple[float, float] = (215, 38)
+    layers: Sequence[Layer],
+    size_wh: tuple[int, int] = (1280, 900),
+    text: PageText | None = None,
+    direction_deg: tuple[float, float] = (205, 42),
 ) -> Image:
-    """A finished view (H,W,3) in perspective, seen from (azimuth from north, elevation); BadInput when there is nothing to draw."""
+    """A finished view (H,W,3) in perspective from (azimuth from north, elevation); BadInput when there is nothing to draw."""
     page = text or PageText()
     return compose_page(draw_view(layers, drawing_size_wh(size_wh, is_map=False), direction_deg), layers, size_wh, page)
 
 
 def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
     """Layers seen from straight above, each over the one before it whatever its height."""
-    low, high = layers_bounds(layers)
-    extent = _fitted_extent(low[:2], high[:2], size_wh)
+    _require_size(size_wh)
+    drawn = drawn_positions(layers)[:, :2]
+    extent = _fitted_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
     origin = np.array([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2, 0.0])
     top = float(SLOTS_PER_LAYER * (len(layers) + 1))
     with _plotter(size_wh) as plotter:
@@ -55,47 +59,59 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
         camera.parallel_scale = (extent[3] - extent[2]) / 2
         camera.clipping_range = (0.5, top + 1)
         image = _shot(plotter)
-    places = _label_places(layers)
-    shares = np.column_stack([(places[:, 0] - extent[0]) / (extent[1] - extent[0]), (extent[3] - places[:, 1]) / (extent[3] - extent[2])])
-    return Drawing(image=image, label_px=shares * np.array(size_wh), extent=extent)
+    label_px, mark_px = (_map_px(places, extent, size_wh) for places in (_label_places(layers), _marks(layers)))
+    return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=extent)
 
 
-def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: tuple[float, float] = (215, 38)) -> Drawing:
+def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: tuple[float, float] = (205, 42)) -> Drawing:
     """Layers in perspective, all of what is drawn inside the picture."""
-    low, high = layers_bounds(layers)
-    origin = (low + high) / 2
+    _require_size(size_wh)
+    drawn = drawn_positions(layers)
+    origin = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
     with _plotter(size_wh) as plotter:
         for layer in layers:
             add_layer(plotter, layer, origin, line_scale=OVERSAMPLING)
-        aim_camera(plotter, high - low, direction_deg)
+        aim_camera(plotter, drawn - origin, direction_deg)
         image = _shot(plotter)
-        label_px = _projected(plotter, _label_places(layers) - origin) * np.array(size_wh)
-    return Drawing(image=image, label_px=label_px, extent=None)
+        label_px, mark_px = (_projected(plotter, places - origin) * size_wh for places in (_label_places(layers), _marks(layers)))
+    return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=None)
 
 
-def aim_camera(plotter: pv.Plotter, spans: FloatArray, direction_deg: tuple[float, float] = (215, 38)) -> None:
-    """Look at the origin from (azimuth from north, elevation) so that a box with sides `spans` (3,) about it fills the picture."""
+def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[float, float] = (205, 42)) -> None:
+    """Look from (azimuth from north, elevation) so that all positions (K,3) just fit into the picture.
+
+    With x across, y up and t towards the viewer, a position is inside when |x − c| ≤ (D − t) k for the half-angle's tangent k,
+    so D = (max(x + t k) − min(x − t k)) / 2k and c = (max(x + t k) + min(x − t k)) / 2, likewise for y; the larger D decides.
+    """
     azimuth, elevation = np.radians(direction_deg)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
+    across = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
+    up = np.cross(toward, across)
     camera = plotter.camera
-    camera.focal_point, camera.up, camera.position = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), tuple(toward)
-    half = np.maximum(spans, 1e-3 * max(float(spans.max()), 1e-6)) / 2
-    box = (-half[0], half[0], -half[1], half[1], -half[2], half[2])
-    plotter.reset_camera(bounds=box, render=False)
-    # reset_camera fits the sphere around the box; a flat scene seen from the side fills more of the picture.
-    camera.zoom(1.25)
+    width, height = plotter.window_size
+    tangent = np.tan(np.radians(camera.view_angle / 2)) * (1 - MARGIN)
+    depths = positions @ toward
+    distance, target = 1e-3, np.zeros(3)
+    for axis, slope in ((across, tangent * width / height), (up, tangent)):
+        outer, inner = (positions @ axis + depths * slope).max(), (positions @ axis - depths * slope).min()
+        distance = max(distance, float(outer - inner) / (2 * slope))
+        target += axis * float(outer + inner) / 2
+    camera.focal_point, camera.position, camera.up = tuple(target), tuple(target + distance * toward), (0.0, 0.0, 1.0)
     plotter.renderer.reset_camera_clipping_range()
+
+
+def _require_size(size_wh: tuple[int, int]) -> None:
+    if not all(16 <= side <= MAX_SIDE_PX for side in size_wh):
+        raise BadInput(f"a picture of {size_wh[0]} × {size_wh[1]} px was asked for, expected 16 to {MAX_SIDE_PX} px a side.")
 
 
 @contextmanager
 def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
     width, height = size_wh
-    if not (16 <= width <= MAX_SIDE_PX and 16 <= height <= MAX_SIDE_PX):
-        raise BadInput(f"a picture of {width} × {height} px was asked for, expected 16 to {MAX_SIDE_PX} px a side.")
     with _egl_window():
         plotter = pv.Plotter(off_screen=True, window_size=[OVERSAMPLING * width, OVERSAMPLING * height])
     try:
-        plotter.background_color = "white"
+        plotter.background_color = pv.Color("white")
         yield plotter
     finally:
         plotter.close()
@@ -129,6 +145,16 @@ def _fitted_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) 
     # A single point has no extent: show a square metre around it.
     half = np.array(size_wh) * (per_px if spans.max() > 1e-6 else 1 / min(size_wh)) / 2
     return (float(center[0] - half[0]), float(center[0] + half[0]), float(center[1] - half[1]), float(center[1] + half[1]))
+
+
+def _marks(layers: Sequence[Layer]) -> FloatArray:
+    """Points (M,3) that a label should not cover."""
+    return np.concatenate([np.zeros((0, 3)), *(layer.points for layer in layers if layer.point_rim)])
+
+
+def _map_px(places: FloatArray, extent: tuple[float, float, float, float], size_wh: tuple[int, int]) -> FloatArray:
+    x_min, x_max, y_min, y_max = extent
+    return np.column_stack([(places[:, 0] - x_min) / (x_max - x_min), (y_max - places[:, 1]) / (y_max - y_min)]) * size_wh
 
 
 def _label_places(layers: Sequence[Layer]) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Lays out a finished picture: title, the drawing with its labels, axes and scale bar in the frame's unit, and a legend with units.
+"""Lays out a finished picture: title, drawing with labels, axes and scale bar in the frame's unit, legend with units.
 
 Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels that would cover each
 other or leave the drawing are moved, and the less important ones dropped.
@@ -6,7 +6,7 @@ other or leave the drawing are moved, and the less important ones dropped.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_viewer.images import Drawing, Image
@@ -27,6 +28,9 @@ PANEL_PX, TITLE_PX, LEFT_PX, BOTTOM_PX, GAP_PX = 310, 62, 76, 58, 16
 MIN_SIZE_WH = (640, 420)
 LINE_PX = 21
 """Height of one line of the legend."""
+LABEL_STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0.6, 1), (-0.6, 1), (0.6, -1), (-0.6, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
+"""Where a label may stand about its point, in half widths and half heights, best first."""
+MARK_RADIUS_PX = 8
 INK_COLOR = "#282c34"
 SOFT_COLOR = "#6b7280"
 
@@ -44,7 +48,9 @@ class PageText:
 def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
     """The room in px that a page of `size_wh` leaves for the drawing; BadInput for a page too small to be read."""
     if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
-        raise BadInput(f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}.")
+        raise BadInput(
+            f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}."
+        )
     left, bottom = (LEFT_PX, BOTTOM_PX) if is_map else (GAP_PX, GAP_PX)
     return size_wh[0] - PANEL_PX - left - GAP_PX, size_wh[1] - TITLE_PX - bottom
 
@@ -106,9 +112,12 @@ def _label_axes(axes: Axes, extent: tuple[float, float, float, float], unit: str
     x_min, x_max, y_min, y_max = extent
     width, height = axes.get_xlim()[1], axes.get_ylim()[0]
     names = ("East", "North") if unit == "m" else ("x", "y")
-    for axis, name, low, high, length in ((axes.xaxis, names[0], x_min, x_max, width), (axes.yaxis, names[1], y_min, y_max, height)):
+    for axis, name, low, high, length in (
+        (axes.xaxis, names[0], x_min, x_max, width),
+        (axes.yaxis, names[1], y_min, y_max, height),
+    ):
         base = _axis_base(low, high)
-        ticks = MaxNLocator(nbins=7, steps=[1, 2, 5, 10]).tick_values(low - base, high - base)
+        ticks = np.asarray(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]).tick_values(low - base, high - base))
         ticks = ticks[(ticks >= low - base) & (ticks <= high - base)]
         shares = (ticks + base - low) / (high - low)
         axis.set_ticks(shares * length if axis is axes.xaxis else (1 - shares) * length)
@@ -127,7 +136,7 @@ def _axis_base(low: float, high: float) -> float:
     return float(np.floor(low / step) * step)
 
 
-def _tick_text(ticks: np.ndarray) -> object:
+def _tick_text(ticks: np.ndarray) -> Callable[[float, int | None], str]:
     texts = [f"{tick:,.10g}".replace("-", "−") for tick in ticks]
     return lambda _value, position: texts[position] if position is not None and position < len(texts) else ""
 
@@ -146,7 +155,7 @@ def _add_scale_bar(axes: Axes, extent: tuple[float, float, float, float], unit: 
 
 
 def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: list[Bbox]) -> None:
-    """Place labels, strong ones first, each at the first of nine places around its point that is free."""
+    """Place labels, strong ones first, each where it covers neither another label nor, if possible, a marker."""
     labels = [label for layer in layers for label in layer.labels]
     order = sorted(range(len(labels)), key=lambda index: not labels[index].strong)
     height, width = drawing.image.shape[:2]
@@ -157,10 +166,12 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
         if not (0 <= x <= width and 0 <= y <= height):
             continue
         style = {"size": 9.5, "weight": "bold"} if labels[index].strong else {"size": 8.5, "weight": "normal"}
-        artist = axes.text(x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style)
+        artist = axes.text(
+            x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style
+        )
         artist.set_bbox({"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
         size = artist.get_window_extent(canvas.get_renderer())
-        place = _free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, strong=labels[index].strong)
+        place = _free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, drawing.mark_px)
         if place is None:
             artist.remove()
             continue
@@ -169,18 +180,21 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
 
 
 def _free_place(
-    at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], taken: Sequence[Bbox], *, strong: bool
+    at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], taken: Sequence[Bbox], marks: NDArray[np.float64]
 ) -> Bbox | None:
-    """The first free box around a point; a strong label stays clear of the marker it names."""
-    reach_x, reach_y = size[0] / 2 + 12, size[1] / 2 + 12
-    steps = [(0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)]
-    for step_x, step_y in steps if strong else [(0, 0), *steps]:
-        x, y = at[0] + step_x * reach_x, at[1] + step_y * reach_y
-        box = Bbox.from_extents(x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2)
-        inside = box.x0 >= 2 and box.y0 >= 2 and box.x1 <= room[0] - 2 and box.y1 <= room[1] - 2
-        if inside and not any(box.overlaps(other) for other in taken):
-            return box
-    return None
+    """The box near a point that covers the fewest markers among those that are free of labels; the nearest of equals."""
+    best, fewest = None, np.inf
+    for distance in (8, 20, 34):
+        for step_x, step_y in LABEL_STEPS:
+            x, y = at[0] + step_x * (size[0] / 2 + distance), at[1] + step_y * (size[1] / 2 + distance)
+            box = Bbox.from_extents(x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2)
+            inside = box.x0 >= 2 and box.y0 >= 2 and box.x1 <= room[0] - 2 and box.y1 <= room[1] - 2
+            if not inside or any(box.overlaps(other) for other in taken):
+                continue
+            covered = int(((np.abs(marks - (x, y)) <= np.array(size) / 2 + MARK_RADIUS_PX).all(axis=1)).sum())
+            if covered < fewest:
+                best, fewest = box, covered
+    return best
 
 
 def _add_legend(figure: Figure, layers: Sequence[Layer], top_px: float) -> None:
@@ -216,8 +230,9 @@ def _add_entry(axes: Axes, entry: LegendEntry, y: float) -> None:
     elif entry.marker == "line":
         axes.plot([10, 30], [y, y], color=color, linewidth=3)
     else:
-        rim = 1.4 if entry.marker == "ring" else 0.0
-        axes.plot([20], [y], marker="o", markersize=7, markerfacecolor=color, markeredgecolor=edge, markeredgewidth=rim)
+        rim = 0.0 if entry.marker == "dot" else 1.4
+        shape = "s" if entry.marker == "square" else "o"
+        axes.plot([20], [y], marker=shape, markersize=7, markerfacecolor=color, markeredgecolor=edge, markeredgewidth=rim)
     axes.text(38, y, entry.text, size=9, color=INK_COLOR, va="center")
 
 

@@ -40,14 +40,14 @@ def shade_colors(color: ArrayLike, count: int) -> ColorArray:
 
 
 def heat_table() -> ColorArray:
-    """The 256 colours (256,3) of cividis, dark blue to yellow, readable in grey and for every kind of colour vision."""
+    """The 256 colours (256,3) of viridis, dark violet to yellow, readable in grey and for every kind of colour vision."""
     from matplotlib import colormaps
 
-    return np.rint(255 * colormaps["cividis"](np.arange(256))[:, :3]).astype(np.uint8)
+    return np.rint(255 * colormaps["viridis"](np.arange(256))[:, :3]).astype(np.uint8)
 
 
 def heat_colors(values: ArrayLike, low: float, high: float) -> ColorArray:
     """Colours (N,3) of finite values (N,), clipped to low … high."""
     span = high - low if high > low else 1.0
-    shares = np.clip((np.asarray(values, np.float64) - low) / span, 0, 1)
+    shares = (np.clip(np.asarray(values, np.float64), low, low + span) - low) / span
     return heat_table()[np.rint(255 * shares).astype(np.int64)]

@@ -16,6 +16,8 @@ from radiant_viewer.palette import INK, WHITE, category_colors, shade_colors, ti
 
 FILL_TINT = 0.62
 """Share of white in a region's fill, so that points and cameras over it stay readable."""
+MAX_FULL_LABELS = 8
+"""With more edges their labels are names only, so that they do not bury the map; the legend has the figures."""
 
 
 def duration_text(seconds: float) -> str:
@@ -38,7 +40,9 @@ def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
         segments=sides,
         segment_colors=np.tile(np.array(INK, np.uint8), (len(sides), 1)),
         line_width_px=2.2,
-        legend=tuple(LegendEntry(text=_edge_text(cloud_plan, index), color=_rgb(colors[index]), marker="area") for index in shown),
+        legend=tuple(
+            LegendEntry(text=_edge_text(cloud_plan, index), color=_rgb(colors[index]), marker="area") for index in shown
+        ),
     )
 
 
@@ -75,6 +79,7 @@ def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
         segments=sides,
         segment_colors=np.tile(np.array(INK, np.uint8), (len(sides), 1)),
         line_width_px=2.6,
+        in_front=True,
         legend=(LegendEntry(text="Border between regions", color=INK, marker="line"),),
     )
 
@@ -83,7 +88,9 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     """Where each edge stands, with its id, number of cameras and predicted time; sites far outside the map are only counted."""
     near = _near_map(cloud_plan)
     sites = at_height(cloud_plan.sites, height)
-    labels = [Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near)]
+    labels = [
+        Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near).tolist()
+    ]
     text = "Edge" if near.all() else f"Edge ({int((~near).sum())} outside the map)"
     return Layer(
         name="Edges",
@@ -91,8 +98,10 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
         point_colors=np.tile(np.array(WHITE, np.uint8), (int(near.sum()), 1)),
         point_size_px=11,
         point_rim=True,
+        square_points=True,
+        in_front=True,
         labels=tuple(labels),
-        legend=(LegendEntry(text=text, color=WHITE, marker="ring"),),
+        legend=(LegendEntry(text=text, color=WHITE, marker="square"),),
     )
 
 
@@ -107,20 +116,22 @@ def _near_map(cloud_plan: CloudPlan) -> np.ndarray:
 
 
 def _edge_label(cloud_plan: CloudPlan, index: int) -> str:
-    return f"{cloud_plan.edge_ids[index]}\n{_count_text(int(cloud_plan.counts[index]))}, {duration_text(cloud_plan.edge_time_s[index])}"
+    if len(cloud_plan.edge_ids) > MAX_FULL_LABELS:
+        return cloud_plan.edge_ids[index]
+    return f"{cloud_plan.edge_ids[index]}\n{_load_text(int(cloud_plan.counts[index]), cloud_plan.edge_time_s[index])}"
 
 
 def _edge_text(cloud_plan: CloudPlan, index: int) -> str:
-    return f"{cloud_plan.edge_ids[index]}: {_count_text(int(cloud_plan.counts[index]))}, {duration_text(cloud_plan.edge_time_s[index])}"
+    return f"{cloud_plan.edge_ids[index]}: {_load_text(int(cloud_plan.counts[index]), cloud_plan.edge_time_s[index])}"
 
 
 def _device_text(plan: EdgePlan, index: int) -> str:
     count = int((plan.device_of_camera == index).sum())
-    return f"{plan.device_ids[index]}: {_count_text(count)}, {duration_text(plan.device_time_s[index])}"
+    return f"{plan.device_ids[index]}: {_load_text(count, plan.device_time_s[index])}"
 
 
-def _count_text(count: int) -> str:
-    return "1 camera" if count == 1 else f"{count} cameras"
+def _load_text(count: int, seconds: float) -> str:
+    return f"{count} camera{'' if count == 1 else 's'}, {duration_text(seconds)}"
 
 
 def _rgb(color: np.ndarray) -> tuple[int, int, int]:

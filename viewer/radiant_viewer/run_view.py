@@ -75,7 +75,7 @@ def load_run_view(folder: Path) -> RunView:
 def required_splats(run: RunView) -> Splats:
     """The run's model; BadInput with the command that makes it when there is none yet."""
     if run.splats is None:
-        raise BadInput(f"{run.folder} has no {PLY_NAME}: the run is not finished, finish it with 'radiant run … --out {run.folder} --resume'.")
+        raise BadInput(f"{run.folder} has no {PLY_NAME}: the run is not finished, {finish_command(run.folder)}.")
     return run.splats
 
 
@@ -85,17 +85,22 @@ def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
     missing = [path for path in paths if not path.is_file()]
     if missing:
         raise BadInput(
-            f"{missing[0]} is missing: the pictures of {name!r} stayed with the device that owns the photograph or the run is not evaluated; "
-            f"finish it with 'radiant run … --out {run.folder} --resume'."
+            f"{missing[0]} is missing: the pictures of {name!r} stayed with the owner of the photograph, "
+            f"or the run is not evaluated; {finish_command(run.folder)}."
         )
     return paths[0], paths[1], paths[2]
+
+
+def finish_command(folder: Path) -> str:
+    """How a run that is not finished is finished, for the end of a sentence."""
+    return f"finish it with 'radiant run … --out {folder} --resume'"
 
 
 def _require_file(folder: Path, name: str, reason: str) -> None:
     if not (folder / "manifest.json").is_file():
         raise BadInput(f"{folder} is no run: it has no manifest.json; name the folder that 'radiant run --out' made.")
     if not (folder / name).is_file():
-        raise BadInput(f"{folder} has no {name}: {reason}, finish it with 'radiant run … --out {folder} --resume'.")
+        raise BadInput(f"{folder} has no {name}: {reason}, {finish_command(folder)}.")
 
 
 def _image_psnr_db(path: Path) -> dict[str, float]:

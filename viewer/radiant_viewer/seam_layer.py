@@ -1,9 +1,10 @@
 """Seams: the borders between regions cut into short pieces, how strongly the colours step there, and the layer that shows it.
 
-    step(x) = max(0, ‖c₊(x) − c₋(x)‖ − median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖)
+    step(x)² = max(0, ‖c₊(x) − c₋(x)‖² − median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖²)
 
-c± is the opacity-weighted mean colour of the Gaussians in the band of one width to either side of the border, n its
-normal; the parallels lie inside the regions, so the scene's own texture is subtracted. Once per picture; S pieces.
+c± is the opacity-weighted mean colour of the Gaussians in the band of one width to either side of the border, n its normal; the
+parallels lie inside the regions, so the scene's own texture is subtracted (in squares, as independent parts add). Once per
+picture; S pieces.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
@@ -61,22 +62,24 @@ def color_steps(splats: Splats, pieces: SeamPieces, width: float) -> FloatArray:
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
     opacities = 1 / (1 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -50, 50)))
     colors = splat_colors(splats).astype(np.float64)
-    tree = cKDTree(splats.means[:, :2].astype(np.float64))
+    tree = KDTree(splats.means[:, :2].astype(np.float64))
     middles = pieces.ends.mean(axis=1)
     along = pieces.ends[:, 1] - pieces.ends[:, 0]
     normals = np.column_stack([-along[:, 1], along[:, 0]]) / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
 
     def band_colors(offset_widths: float) -> FloatArray:
         centers = middles + offset_widths * width * normals
-        return np.array([_mean_color(chosen, opacities, colors) for chosen in tree.query_ball_point(centers, 0.5 * width)]).reshape(-1, 3)
+        return np.array(
+            [_mean_color(chosen, opacities, colors) for chosen in tree.query_ball_point(centers, 0.5 * width)]
+        ).reshape(-1, 3)
 
     def steps_at(offset_widths: float) -> FloatArray:
         return np.linalg.norm(band_colors(offset_widths + 0.5) - band_colors(offset_widths - 0.5), axis=1) / np.sqrt(3)
 
-    texture = np.stack([steps_at(offset) for offset in PARALLELS])
+    texture = np.stack([steps_at(offset) ** 2 for offset in PARALLELS])
     known = np.isfinite(texture).any(axis=0)
     usual = np.nanmedian(np.where(known, texture, 0.0), axis=0)
-    return np.where(known, np.maximum(0.0, steps_at(0.0) - usual), np.nan)
+    return np.where(known, np.sqrt(np.maximum(0.0, steps_at(0.0) ** 2 - usual)), np.nan)
 
 
 def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0) -> Layer:
@@ -88,9 +91,8 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
     raw = np.asarray(values, np.float64)
     known = np.isfinite(raw)
     levels = checked_array("values of the seam", np.where(known, raw, 0.0), (len(pieces.ends),))
-    high = float(levels[known].max()) if known.any() else 1.0
-    low = min(0.0, float(levels[known].min())) if known.any() else 0.0
-    high = high if high > low else low + 1.0
+    low = min(0.0, float(levels.min(initial=0.0)))
+    high = _rounded_up(float(levels.max(initial=0.0)))
     colors = np.where(known[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
     ends = np.concatenate([pieces.ends, np.full((len(pieces.ends), 2, 1), height)], axis=2)
     unknown = int((~known).sum())
@@ -100,6 +102,7 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
         segments=ends,
         segment_colors=colors,
         line_width_px=7,
+        in_front=True,
         legend=missing if unknown else (),
         heat=HeatScale(label=label, low=low, high=high),
     )
@@ -125,3 +128,11 @@ def _mean_color(chosen: list[int], opacities: FloatArray, colors: FloatArray) ->
         return np.full(3, np.nan)
     weights = opacities[chosen]
     return weights @ colors[chosen] / max(float(weights.sum()), 1e-12)
+
+
+def _rounded_up(value: float) -> float:
+    """A value to one digit, upwards, for the end of a colour bar: 36.8 gives 40; 1 where nothing is above zero."""
+    if value <= 0:
+        return 1.0
+    step = 10.0 ** np.floor(np.log10(value))
+    return float(np.ceil(value / step) * step)

@@ -24,7 +24,7 @@ def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
         name="Sparse points",
         points=scene.points[kept],
         point_colors=scene.colors[kept],
-        point_size_px=2.2,
+        point_size_px=_point_size_px(len(kept)),
         legend=(LegendEntry(text=_count_text("sparse points", len(kept), len(scene.points)), color=GREY, marker="dot"),),
     )
 
@@ -36,9 +36,9 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
     kept = opaque[_evenly(len(opaque), max_points)]
     return Layer(
         name="Gaussians",
-        points=splats.means[kept],
+        points=splats.means[kept].astype(np.float64),
         point_colors=splat_colors(splats)[kept],
-        point_size_px=2.6,
+        point_size_px=_point_size_px(len(kept)),
         legend=(
             LegendEntry(text=_count_text("Gaussians", len(kept), len(splats)), color=GREY, marker="dot"),
             LegendEntry(text=f"shown where opacity ≥ {min_opacity:g}", color=GREY, marker="dot"),
@@ -58,3 +58,8 @@ def _evenly(count: int, limit: int) -> NDArray[np.int64]:
 
 def _count_text(what: str, shown: int, total: int) -> str:
     return f"{total:,} {what}" if shown == total else f"{shown:,} of {total:,} {what}"
+
+
+def _point_size_px(count: int) -> float:
+    """Few points are drawn larger, so that a picture is filled alike."""
+    return float(np.clip(700 / np.sqrt(max(count, 1)), 2.0, 4.5))

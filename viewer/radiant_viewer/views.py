@@ -24,7 +24,7 @@ from radiant_viewer.layers import Layer
 from radiant_viewer.offscreen import render_map, render_view
 from radiant_viewer.page import PageText
 from radiant_viewer.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
-from radiant_viewer.run_view import RunView, comparison_paths, load_run_view, required_splats
+from radiant_viewer.run_view import RunView, comparison_paths, finish_command, load_run_view, required_splats
 from radiant_viewer.seam_layer import color_steps, seam_layer, seam_pieces
 from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
 
@@ -35,7 +35,7 @@ SIZE_WH = (1280, 900)
 
 
 def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH) -> Image:
-    """One view of a run (H,W,3); BadInput for an unknown view or a run that has not come that far, StoreDamaged for broken files."""
+    """One view of a run (H,W,3); BadInput for an unknown view or one the run is not ready for, StoreDamaged for broken files."""
     if view not in get_args(View):
         raise BadInput(f"view {view!r} is unknown: use one of {', '.join(get_args(View))}.")
     run = load_run_view(run_folder)
@@ -64,7 +64,11 @@ def plan_picture(
         f"predicted makespan {duration_text(cloud_plan.makespan_s)}, lower bound {duration_text(cloud_plan.lower_bound_s)}   ·   "
         f"{cloud_plan.method}, {cloud_plan.status}"
     )
-    return render_map(plan_layers(scene, cloud_plan, edge_plans, roles), size_wh, PageText(title="Plan", subtitle=subtitle, unit=scene.frame.unit))
+    return render_map(
+        plan_layers(scene, cloud_plan, edge_plans, roles),
+        size_wh,
+        PageText(title="Plan", subtitle=subtitle, unit=scene.frame.unit),
+    )
 
 
 def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], roles: CameraRoles) -> list[Layer]:
@@ -89,7 +93,9 @@ def cameras_picture(
         worst = min(psnr_db, key=lambda name: psnr_db[name])
         mean = float(np.mean(list(psnr_db.values())))
         subtitle += f"   ·   held-out PSNR {mean:.2f} dB on average, lowest {psnr_db[worst]:.2f} dB ({worst})"
-    return render_view([sparse_point_layer(scene), cameras], size_wh, PageText(title="Cameras", subtitle=subtitle, unit=scene.frame.unit))
+    return render_view(
+        [sparse_point_layer(scene), cameras], size_wh, PageText(title="Cameras", subtitle=subtitle, unit=scene.frame.unit)
+    )
 
 
 def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
@@ -138,11 +144,14 @@ def splats_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_
 def worst_comparison(run: RunView) -> Image:
     """Photograph, render and difference of the held-out photograph with the lowest PSNR; BadInput before evaluation."""
     if not run.psnr_db:
-        raise BadInput(f"{run.folder} has no figures of held-out photographs: finish it with 'radiant run … --out {run.folder} --resume'.")
+        raise BadInput(f"{run.folder} has no figures of held-out photographs: {finish_command(run.folder)}.")
     worst = min(run.psnr_db, key=lambda name: run.psnr_db[name] if run.psnr_db else 0.0)
     photo, render, difference = (load_image(path) for path in comparison_paths(run, worst))
     return comparison_picture(
-        photo, render, difference, title=f"{worst}: PSNR {run.psnr_db[worst]:.2f} dB, the lowest of {len(run.psnr_db)} held-out photographs"
+        photo,
+        render,
+        difference,
+        title=f"{worst}: PSNR {run.psnr_db[worst]:.2f} dB, the lowest of {len(run.psnr_db)} held-out photographs",
     )
 
 

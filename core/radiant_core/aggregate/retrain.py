@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.cameras import Cameras
@@ -23,21 +26,27 @@ _STEPS = {
 def retrain_on_synthetic_views(
     models: Sequence[Splats], cameras: Sequence[Cameras], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions
 ) -> TrainResult:
-    """Concatenate `models` and retrain them on what each shows at its own `cameras` (one set per model).
+    """Concatenate what `models` know and retrain it on what each shows at its own `cameras` (one set per model).
 
     A single model is its own teacher and comes back unchanged. Raises BadInput when the counts differ.
     """
     if len(models) != len(cameras) or not models:
         raise BadInput(f"{len(models)} models with {len(cameras)} sets of cameras: give one set per model, at least one.")
-    merged = concatenate_splats(models)
     if len(models) == 1:
-        return TrainResult(splats=merged, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)
+        return TrainResult(splats=models[0], num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)
+    merged = concatenate_splats([model.select(known) for model, known in zip(models, known_parts(models, cameras), strict=True)])
     views = teacher_views(models, cameras, train.long_side_px)
     num_steps = aggregate.num_epochs * len(views)
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
     config = replace(train, num_steps=num_steps, sh_degree=merged.sh_degree)
     return fit_splats(merged, views, config, replace(options, steps=_STEPS[aggregate.preset]))
+
+
+def known_parts(models: Sequence[Splats], cameras: Sequence[Cameras]) -> list[NDArray[np.bool_]]:
+    """Masks (N,) per model of what it may speak of: all that its own cameras see, and elsewhere what no other model's cameras see."""
+    seen = [[views.any_sees(model.means) for views in cameras] for model in models]
+    return [rows[own] | ~np.any(np.delete(rows, own, axis=0), axis=0) for own, rows in enumerate(seen)]
 
 
 def teacher_views(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int) -> TrainingViews:

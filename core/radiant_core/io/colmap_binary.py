@@ -44,7 +44,7 @@ class _Cursor:
         left = len(self.data) - self.offset
         if num_bytes > left:
             raise BadInput(
-                f"{self.path} at byte {self.offset}: {what} would need {num_bytes} bytes, {left} are left; the file is cut or damaged."
+                f"{self.path} at byte {self.offset}: {what} need {num_bytes} bytes, {left} are left: the file is cut or damaged."
             )
 
     def require_end(self) -> None:
@@ -73,7 +73,7 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
         camera_id, model_number, width, height = cursor.take("<IiQQ")
         if not 0 <= model_number < len(_MODELS):
             raise BadInput(
-                f"{path} at byte {cursor.offset - 20}: camera model number {model_number} is unknown, expected 0 to {len(_MODELS) - 1}."
+                f"{path} at byte {cursor.offset - 20}: camera model {model_number} is unknown, expected 0 to {len(_MODELS) - 1}."
             )
         model, num_params = _MODELS[model_number]
         params = cursor.take(f"<{num_params}d")

@@ -12,6 +12,8 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, rotmats_from_quats
 
 MAX_SIDE_PX = 1 << 17
+MAX_COORDINATE = 1e9
+"""Beyond the Earth in metres; squares of it still fit everywhere."""
 
 PARAM_COUNTS = {
     "SIMPLE_PINHOLE": 3,
@@ -125,8 +127,10 @@ def _check_camera(camera: ColmapCamera, source: str) -> None:
     if not all(0 < side <= MAX_SIDE_PX for side in camera.size_wh):
         raise BadInput(f"{label} has the size {camera.size_wh[0]} × {camera.size_wh[1]}, expected 1 to {MAX_SIDE_PX} px a side.")
     num_focals = 1 if camera.model.startswith("SIMPLE") or camera.model in ("RADIAL", "RADIAL_FISHEYE") else 2
-    if not np.isfinite(camera.params).all() or min(camera.params[:num_focals]) <= 0:
-        raise BadInput(f"{label} has the parameters {camera.params}, expected finite numbers and a positive focal length.")
+    if not _within(MAX_COORDINATE, np.array(camera.params)) or min(camera.params[:num_focals]) <= 0:
+        raise BadInput(
+            f"{label} has the parameters {camera.params}, expected finite numbers under 1e9 and a positive focal length."
+        )
 
 
 def _check_image(image: ColmapImage, cameras: dict[int, ColmapCamera], source: str) -> None:
@@ -137,8 +141,8 @@ def _check_image(image: ColmapImage, cameras: dict[int, ColmapCamera], source: s
     if image.camera_id not in cameras:
         raise BadInput(f"{label} names camera {image.camera_id}, which is not in the cameras file: export the model again.")
     pose = np.concatenate([image.quat_wxyz, image.translation])
-    if not np.isfinite(pose).all() or not np.isfinite(image.points2d).all():
-        raise BadInput(f"{label} has a pose or 2D point that is not finite: export the model again.")
+    if not _within(MAX_COORDINATE, pose, image.points2d):
+        raise BadInput(f"{label} has a pose or 2D point that is not finite or beyond {MAX_COORDINATE:g}: export it again.")
     # COLMAP writes unit quaternions with 17 digits; 1 % admits hand-written ones and no garbage.
     if abs(np.linalg.norm(image.quat_wxyz) - 1) > 0.01:
         raise BadInput(f"{label} has a quaternion of length {np.linalg.norm(image.quat_wxyz):.3g}, expected 1.")
@@ -147,8 +151,8 @@ def _check_image(image: ColmapImage, cameras: dict[int, ColmapCamera], source: s
 def _check_points(points: ColmapPoints, images: list[ColmapImage], source: str) -> None:
     if len(np.unique(points.ids)) != len(points.ids):
         raise BadInput(f"{source}: a point id comes twice in points3D: export the model again.")
-    if not (np.isfinite(points.xyz).all() and np.isfinite(points.errors_px).all()):
-        raise BadInput(f"{source}: a 3D point has a coordinate or error that is not finite: export the model again.")
+    if not _within(MAX_COORDINATE, points.xyz, points.errors_px):
+        raise BadInput(f"{source}: a 3D point is not finite or beyond {MAX_COORDINATE:g}: export the model again.")
     num_points2d = {image.image_id: len(image.points2d) for image in images}
     seen_ids = np.unique(points.tracks[:, 1])
     unknown = [int(image_id) for image_id in seen_ids if int(image_id) not in num_points2d]
@@ -162,3 +166,8 @@ def _check_points(points: ColmapPoints, images: list[ColmapImage], source: str) 
         named = image.point3d_ids[image.point3d_ids != -1]
         if not np.isin(named, points.ids).all():
             raise BadInput(f"{source}: image {image.name!r} names a 3D point that is not in points3D: export the model again.")
+
+
+def _within(limit: float, *arrays: FloatArray) -> bool:
+    # Written so that NaN is not within.
+    return all(bool((np.abs(array) <= limit).all()) for array in arrays)

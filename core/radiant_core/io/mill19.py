@@ -10,9 +10,9 @@ Source: Turki et al., Mega-NeRF, CVPR 2022, and the layout of its published data
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import dataclass
 from pathlib import Path
+from pickle import UnpicklingError  # noqa: TID251 only the error that torch.load raises is wanted
 from typing import Any
 
 import numpy as np
@@ -94,8 +94,8 @@ def _load(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MAX_METADATA_BYTES:
         raise BadInput(f"{path} has {path.stat().st_size} bytes, expected metadata of at most {MAX_METADATA_BYTES}.")
     try:
-        loaded = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, pickle.UnpicklingError, EOFError, ValueError, KeyError, OSError) as error:
+        loaded = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251 a stranger's file, tensors only
+    except (RuntimeError, UnpicklingError, EOFError, ValueError, KeyError, OSError) as error:
         raise BadInput(f"{path} is no readable .pt file of tensors ({type(error).__name__}): fetch it again.") from None
     if not isinstance(loaded, dict):
         raise BadInput(f"{path} holds a {type(loaded).__name__}, expected a dictionary of tensors.")

@@ -24,9 +24,9 @@ def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[
     positions = checked_array("positions", positions, (len(plan.edge_of_camera), 2))
     if plan.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the plan is for edges {', '.join(plan.edge_ids)}, the system has others: plan this system anew.")
-    members = (np.flatnonzero(plan.edge_of_camera == index) for index in range(len(system.edges)))
     return tuple(
-        split_edge(edge, positions, indices, border) for edge, indices, border in zip(system.edges, members, plan.borders, strict=True)
+        split_edge(edge, positions, np.flatnonzero(plan.edge_of_camera == index), border)
+        for index, (edge, border) in enumerate(zip(system.edges, plan.borders, strict=True))
     )
 
 
@@ -55,24 +55,23 @@ def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int
     )
 
 
-def long_axis(points: ArrayLike) -> FloatArray:
+def long_axis(points: FloatArray) -> FloatArray:
     """Unit vector (2,) along the longer side of the smallest rectangle around points (K,2), pointing to angles in [0°, 180°).
 
     One side of that rectangle lies on an edge of the convex hull (Freeman, Shapira 1975). Among equal rectangles the longest,
     then the smallest angle; east for one spot.
     """
-    points = np.asarray(points, dtype=np.float64)
     spread = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if spread == 0:
         return np.array([1.0, 0.0])
-    hull = get_coordinates(MultiPoint((points - points.mean(axis=0)) / spread).convex_hull)
+    hull: FloatArray = get_coordinates(MultiPoint((points - points.mean(axis=0)) / spread).convex_hull)
     sides = np.diff(hull, axis=0)
     sides = sides[np.hypot(*sides.T) > 1e-12]
     angles = np.arctan2(sides[:, 1], sides[:, 0])
-    angles = np.unique(np.round(np.concatenate([angles, angles + np.pi / 2]) % np.pi, 12)) % np.pi
+    angles: FloatArray = np.unique(np.round(np.concatenate([angles, angles + np.pi / 2]) % np.pi, 12)) % np.pi
     axes = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    lengths = np.ptp(hull @ axes.T, axis=0)
-    widths = np.ptp(hull @ np.stack([-axes[:, 1], axes[:, 0]]), axis=0)
+    lengths: FloatArray = np.ptp(hull @ axes.T, axis=0)
+    widths: FloatArray = np.ptp(hull @ np.stack([-axes[:, 1], axes[:, 0]]), axis=0)
     # Rounded, so that rectangles which are equal by symmetry do not change places with the last digit.
     best = np.lexsort((angles, -np.round(lengths, 9), np.round(lengths * widths, 9)))[0]
     return axes[best]
@@ -80,7 +79,8 @@ def long_axis(points: ArrayLike) -> FloatArray:
 
 def _strips(border: FloatArray, axis: FloatArray, along: FloatArray, quotas: NDArray[np.int64]) -> list[FloatArray]:
     """The border (V,2) cut across `axis` where the sorted coordinates `along` (K,) pass from one device to the next."""
-    strips, rest = [], border
+    strips: list[FloatArray] = []
+    rest = border
     ends = np.cumsum(quotas)
     for quota, end in zip(quotas, ends, strict=True):
         if quota == 0:

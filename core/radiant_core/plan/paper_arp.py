@@ -56,7 +56,9 @@ def paper_regions(
     """Run Alg. 1 for cameras (C,2) m and edges (E,2) m; best = fewest cameras over the memory limits, then smallest makespan."""
     weight_of_step = 2 * boundary_step_m * _nearest_site_m(sites)
     steps = np.zeros(len(sites), dtype=np.int64)
-    best, best_key, history, seen = steps, (np.inf, np.inf), [], set()
+    best, best_key = steps, (np.inf, np.inf)
+    history: list[float] = []
+    seen: set[bytes] = set()
     converged = False
     while True:
         counts = np.bincount(assign(positions, sites, steps * weight_of_step), minlength=len(sites))
@@ -80,7 +82,7 @@ def paper_regions(
 
 
 def estimated_times_s(tables: Sequence[EdgeTable], counts: NDArray[np.int64]) -> FloatArray:
-    """T^m (E,) in seconds; beyond an edge's capacity K in proportion, T^m(K) · c / K, so that Alg. 1 can compare and shrink it."""
+    """T^m (E,) in seconds; beyond an edge's capacity K in proportion, T^m(K) · c / K, so that Alg. 1 can shrink it."""
     return np.array([_estimated_time_s(table, int(count)) for table, count in zip(tables, counts, strict=True)])
 
 

@@ -26,17 +26,18 @@ def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> t
 
     Of sites at one spot the heaviest has the whole cell, the first among equals.
     """
-    outline = checked_array("outline", outline, (None, 2))
-    centre = outline.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
-    sites = checked_array("sites", sites, (None, 2)) - centre
-    weights = checked_array("weights", weights, (len(sites),))
-    return tuple(_cell_polygon(index, sites, weights, outline - centre) + centre for index in range(len(sites)))
+    corners = checked_array("outline", outline, (None, 2))
+    centre = corners.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
+    local_sites = checked_array("sites", sites, (None, 2)) - centre
+    checked_weights = checked_array("weights", weights, (len(local_sites),))
+    polygons = (_cell_polygon(index, local_sites, checked_weights, corners - centre) for index in range(len(local_sites)))
+    return tuple(polygon + centre for polygon in polygons)
 
 
 def clip_polygon(polygon: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
-    """The part of a convex polygon (V,2) with normal · x ≤ offset, same turning sense; (0,2) where nothing of any area is left."""
+    """The part of a convex polygon (V,2) with normal · x ≤ offset, turning as before; (0,2) where no area is left."""
     heights = polygon @ normal - offset
-    corners = []
+    corners: list[FloatArray] = []
     for here, there, low, high in zip(polygon, np.roll(polygon, -1, axis=0), heights, np.roll(heights, -1), strict=True):
         if low <= 0:
             corners.append(here)

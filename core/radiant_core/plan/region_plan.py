@@ -35,8 +35,8 @@ from radiant_core.plan.transport import assign_with_counts, largest_violation, s
 
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
-MAX_EXACT_PAIRS = 2_000_000
-"""Cameras × edges up to which least squared distances are sought exactly; above, `paper` is used."""
+MAX_EXACT_PAIRS = 500_000
+"""Cameras × edges up to which least squared distances are sought exactly, some seconds at most; above, `paper` is used."""
 MAX_COORDINATE_M = 1e8
 """Coordinates may be UTM-sized, not of another planet."""
 MARGIN = 0.1
@@ -60,7 +60,10 @@ class PlanInfeasible:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plane:
-    """Cameras (C,2), sites (E,2) and a rectangle (4,2) around the cameras, metres about `centre` (2,); its longer side without margin."""
+    """Cameras (C,2), sites (E,2) and a rectangle (4,2) with a margin around the cameras, all in metres about `centre` (2,).
+
+    side_m: longer side of the cameras' bounding box, 1 where they share one spot.
+    """
 
     cameras: FloatArray
     sites: FloatArray
@@ -120,7 +123,7 @@ def plan_regions(
     counts = np.bincount(partition.edge_of_camera, minlength=len(tables))
     for edge, count, table in zip(system.edges, counts, tables, strict=True):
         if count > table.capacity:
-            reason = f"method {method} gives edge {edge.id!r} {count} cameras, its devices hold {table.capacity}: use method exact."
+            reason = f"method {method} gives edge {edge.id!r} {count} cameras, it can hold {table.capacity}: use method exact."
             return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     return _cloud_plan(method, system, plane, tables, partition, paper.threshold)
 
@@ -135,7 +138,7 @@ def _plane(positions: ArrayLike, system: System) -> _Plane:
     sites = np.array([edge.position for edge in system.edges], dtype=np.float64)
     farthest_m = max(float(np.abs(positions).max()), float(np.abs(sites).max()))
     if farthest_m > MAX_COORDINATE_M:
-        raise BadInput(f"a camera or edge stands at {farthest_m:.3g} m, expected at most {MAX_COORDINATE_M:.0e}: check the units.")
+        raise BadInput(f"a camera or edge is {farthest_m:.3g} m from the origin, expected at most {MAX_COORDINATE_M:g} m.")
     low, high = positions.min(axis=0), positions.max(axis=0)
     centre, side_m = (low + high) / 2, float((high - low).max()) or 1.0
     margin_m = MARGIN * side_m
@@ -204,7 +207,8 @@ def _cloud_plan(
 def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: _Plane) -> FloatArray:
     """Weights (E,) under which edges without cameras own no land: nobody would have trained a model of it.
 
-    ‖x − P_e‖² − ‖x − P_j‖² is linear in x, so an edge that loses to one used edge j at all corners loses everywhere.
+    ‖x − P_e‖² − ‖x − P_j‖² is linear in x, so an edge that loses to one used edge j at all corners loses everywhere;
+    it loses by a squared side length more, which no rounding undoes.
     """
     weights = weights.copy()
     rival = int(counts.argmax())

@@ -6,12 +6,21 @@ groups of tiles with lists of similar length as one dense block (tiles × pixels
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from radiant_core.render.contract import ALPHA_MAX, ALPHA_MIN, DILATION_PX2, TRANSMITTANCE_CUT, RenderOutput, SplatTensors, ViewOptions
+from radiant_core.render.contract import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    DILATION_PX2,
+    TRANSMITTANCE_CUT,
+    RenderOutput,
+    SplatTensors,
+    ViewOptions,
+)
 from radiant_core.render.harmonics import colors_from_sh
 
 TILE_PX = 8
@@ -23,11 +32,12 @@ PAIRS_PER_BLOCK = 2_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Projection:
-    """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), opacities (N,), extents (N,2) px, depths (N,) m, visible (N,)."""
+    """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), log_opacities (N,), extents (N,2) px,
+    depths (N,) m, visible (N,)."""
 
     means2d: Tensor
     conics: Tensor
-    opacities: Tensor
+    log_opacities: Tensor
     extents: Tensor
     depths: Tensor
     visible: Tensor
@@ -73,14 +83,14 @@ def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions
     means2d = torch.stack([fx * x_over_z + cx, fy * y_over_z + cy], dim=-1)
     cov2d, bounded = _covariances_2d(splats, viewmat, _jacobians(K, x_over_z, y_over_z, z, view))
     conics, compensation, visible = _invert_dilated(cov2d)
-    opacities = torch.sigmoid(splats.logit_opacities)
+    log_opacities = torch.nn.functional.logsigmoid(splats.logit_opacities)
     if view.antialiased:
-        opacities = opacities * compensation
-    extents = _extents(cov2d, opacities)
+        log_opacities = log_opacities + torch.log(compensation)
+    extents = _extents(cov2d, log_opacities)
     low, high = means2d - extents, means2d + extents
     size = means2d.new_tensor([view.width, view.height])
     visible = visible & bounded & in_range & (extents > 0).all(-1) & (high > 0).all(-1) & (low < size).all(-1)
-    return _Projection(means2d=means2d, conics=conics, opacities=opacities, extents=extents, depths=depths, visible=visible)
+    return _Projection(means2d=means2d, conics=conics, log_opacities=log_opacities, extents=extents, depths=depths, visible=visible)
 
 
 def _jacobians(K: Tensor, x_over_z: Tensor, y_over_z: Tensor, z: Tensor, view: ViewOptions) -> Tensor:
@@ -132,9 +142,9 @@ def _invert_dilated(cov2d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return conics, ratio.clamp_min(1e-12).sqrt(), usable
 
 
-def _extents(cov2d: Tensor, opacities: Tensor) -> Tensor:
-    """Half sides (N,2) px of the box in which α ≥ α_min: √(2 ln(o / α_min) · Σ'_ii); 0 where it never is."""
-    reach = 2 * torch.log((opacities.detach() / ALPHA_MIN).clamp_min(1.0))
+def _extents(cov2d: Tensor, log_opacities: Tensor) -> Tensor:
+    """Half sides (N,2) px of the box in which α ≥ α_min: √(2 (ln o − ln α_min) Σ'_ii); 0 where it never is."""
+    reach = 2 * (log_opacities.detach() - math.log(ALPHA_MIN)).clamp_min(0.0)
     variances = cov2d.detach()[:, [0, 2]] + DILATION_PX2
     return torch.sqrt(reach[:, None] * variances)
 
@@ -146,7 +156,7 @@ def _blend(projection: _Projection, features: Tensor, view: ViewOptions) -> Tens
     tile_order = torch.argsort(counts, descending=True)
     tile_order = tile_order[: int((counts > 0).sum())]
     blocks = [
-        _blend_block(projection, features, lists, starts[tiles], counts[tiles], _pixel_centres(tiles, tiles_x, features))
+        _blend_block(projection, features, lists, starts[tiles], counts[tiles], _tile_centres(tiles, tiles_x, features))
         for tiles in _blocks_of_tiles(tile_order, counts)
     ]
     canvas = features.new_zeros(tiles_x * tiles_y, TILE_PX * TILE_PX, features.shape[1])
@@ -189,26 +199,41 @@ def _blocks_of_tiles(tile_order: Tensor, counts: Tensor) -> list[Tensor]:
     return blocks
 
 
-def _pixel_centres(tiles: Tensor, tiles_x: int, like: Tensor) -> Tensor:
-    """Pixel centres (tiles, P, 2) px."""
-    inside = torch.arange(TILE_PX * TILE_PX)
-    x = (tiles % tiles_x)[:, None] * TILE_PX + inside % TILE_PX
-    y = (tiles // tiles_x)[:, None] * TILE_PX + inside // TILE_PX
-    return torch.stack([x, y], dim=-1).to(like) + 0.5
+def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, starts: Tensor, counts: Tensor, centres: Tensor) -> Tensor:
+    """Blend lists of Gaussians into tiles around `centres` (tiles, 2) px: (tiles, P, F).
 
-
-def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, starts: Tensor, counts: Tensor, pixels: Tensor) -> Tensor:
-    """Blend lists of Gaussians into pixels (tiles, P, 2): (tiles, P, F)."""
+    ln α is a quadratic polynomial of the pixel, so all pairs of a block come from one matrix product of coefficients and monomials.
+    """
     slots = torch.arange(int(counts.max()))
     present = slots < counts[:, None]
     chosen = lists[torch.where(present, starts[:, None] + slots, starts[:, None])]
-    delta = pixels[:, :, None, :] - projection.means2d[chosen][:, None]
-    xx, xy, yy = projection.conics[chosen][:, None].unbind(-1)
-    dx, dy = delta.unbind(-1)
-    exponent = -0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy
-    alphas = (projection.opacities[chosen][:, None] * torch.exp(exponent.clamp_max(0.0))).clamp_max(ALPHA_MAX)
-    alphas = torch.where((alphas >= ALPHA_MIN) & present[:, None], alphas, 0.0)
-    transmittance_after = torch.cumprod(1 - alphas, dim=-1)
-    transmittance = torch.cat([torch.ones_like(alphas[..., :1]), transmittance_after[..., :-1]], dim=-1)
+    coefficients = _log_alpha_coefficients(projection, chosen, centres, present)
+    alphas = torch.exp(coefficients @ _monomials(coefficients).T).clamp_max(ALPHA_MAX)
+    alphas = torch.where(alphas >= ALPHA_MIN, alphas, 0.0)
+    transmittance_after = torch.cumprod(1 - alphas, dim=1)
+    transmittance = torch.cat([torch.ones_like(alphas[:, :1]), transmittance_after[:, :-1]], dim=1)
     weights = torch.where(transmittance_after.detach() > TRANSMITTANCE_CUT, alphas * transmittance, 0.0)
-    return weights @ features[chosen]
+    return weights.mT @ features[chosen]
+
+
+def _log_alpha_coefficients(projection: _Projection, chosen: Tensor, centres: Tensor, present: Tensor) -> Tensor:
+    """Coefficients (tiles, K, 6) of 1, u, v, u², uv, v² in ln α, with (u, v) the pixel relative to its tile's centre."""
+    x, y = (projection.means2d[chosen] - centres[:, None]).unbind(-1)
+    xx, xy, yy = projection.conics[chosen].unbind(-1)
+    constant = projection.log_opacities[chosen] - 0.5 * (xx * x * x + yy * y * y) - xy * x * y
+    # Slots that only fill up a short list get an α of 0; the value survives every floating type.
+    constant = torch.where(present, constant, -1e4)
+    return torch.stack([constant, xx * x + xy * y, yy * y + xy * x, -0.5 * xx, -xy, -0.5 * yy], dim=-1)
+
+
+def _monomials(like: Tensor) -> Tensor:
+    """(P, 6): 1, u, v, u², uv, v² of the pixel centres of a tile relative to its centre."""
+    inside = torch.arange(TILE_PX * TILE_PX)
+    u = (inside % TILE_PX).to(like) + 0.5 - TILE_PX / 2
+    v = (inside // TILE_PX).to(like) + 0.5 - TILE_PX / 2
+    return torch.stack([torch.ones_like(u), u, v, u * u, u * v, v * v], dim=-1)
+
+
+def _tile_centres(tiles: Tensor, tiles_x: int, like: Tensor) -> Tensor:
+    """Centres (tiles, 2) px."""
+    return (torch.stack([tiles % tiles_x, tiles // tiles_x], dim=-1).to(like) + 0.5) * TILE_PX

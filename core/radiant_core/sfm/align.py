@@ -1,9 +1,10 @@
 """Similarities between point sets: least squares, robust against outliers, and as a yardstick against a reference model.
 
-Least squares (once per fit): with centred X, Y and the SVD  Yᵀ X / N = U D Vᵀ,
-    R = U S Vᵀ,  s = tr(D S) / var(X),  t = ȳ − s R x̄,   S = diag(1, 1, det(U Vᵀ)).
-Robust (once per scene): 500 fits to three random pairs, the one with the smallest median residual, then refits to all
-pairs within 2.5 robust standard deviations. Source: Umeyama, PAMI 13 (1991); least median of squares: Rousseeuw (1984).
+Least squares (once per fit), weights w that sum to 1: with centred X, Y and the SVD  Yᵀ diag(w) X = U D Vᵀ,
+    R = U S Vᵀ,  s = tr(D S) / Σ wᵢ ‖xᵢ‖²,  t = ȳ − s R x̄,   S = diag(1, 1, det(U Vᵀ)).
+Robust (once per scene): of 500 fits to three random pairs the one with the smallest median residual, then the least sum of
+distances Σ ‖s R xᵢ + t − yᵢ‖ over the pairs within 2.5 robust standard deviations, by reweighting with 1 / distance.
+Sources: Umeyama, PAMI 13 (1991); Rousseeuw, least median of squares (1984); Weiszfeld (1937) for the reweighting.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from radiant_core.frames import Sim3
 from radiant_core.numerics import FloatArray, checked_array
 
 NUM_TRIALS = 500
+NUM_REFITS = 30
 INLIER_SIGMAS = 2.5
 SIGMA_FROM_MEDIAN = 1 / 1.538
 """Standard deviation per axis from the median length of a 3D Gaussian error (the median of a chi distribution, 3 axes)."""
@@ -68,15 +70,20 @@ class CenterErrors:
         return 100 * float(np.median(self.errors)) / self.extent
 
 
-def fit_sim3(source: ArrayLike, target: ArrayLike) -> Sim3:
-    """Least-squares similarity of the pairs source (N,3) → target (N,3), N ≥ 2; BadInput when all of one side coincide."""
+def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> Sim3:
+    """Least-squares similarity of the pairs source (N,3) → target (N,3), N ≥ 2, with weights (N,) of any positive sum.
+
+    Raises BadInput when all of one side coincide.
+    """
     source, target = _checked_pairs(source, target)
     if len(source) < 2:
         raise BadInput(f"{len(source)} pair of positions cannot fix a similarity: at least 2 are needed, 3 for the rotation.")
-    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    shares = np.ones(len(source)) if weights is None else checked_array("weights", weights, (len(source),))
+    shares = shares / shares.sum()
+    source_mean, target_mean = shares @ source, shares @ target
     from_source, from_target = source - source_mean, target - target_mean
-    variance = np.square(from_source).sum() / len(source)
-    U, D, Vt = np.linalg.svd(from_target.T @ from_source / len(source))
+    variance = float(shares @ np.square(from_source).sum(axis=1))
+    U, D, Vt = np.linalg.svd((from_target * shares[:, None]).T @ from_source)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
     scale = float(D @ signs / variance) if variance > 0 else 0.0
     if not scale > 0:
@@ -164,17 +171,14 @@ def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3
 
 
 def _refit(source: FloatArray, target: FloatArray, fit: Sim3) -> tuple[Sim3, FloatArray, NDArray[np.bool_]]:
-    """Least squares over the inliers, repeated until they stay the same (at most ten times)."""
-    inliers = np.zeros(len(source), bool)
+    """Least sum of distances over the inliers, which are chosen anew in each round."""
+    # The floor keeps pairs that agree to rounding error from being called outliers or from taking all the weight.
+    floor = 1e-9 * float(np.ptp(target, axis=0).max())
     residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
-    extent = float(np.ptp(target, axis=0).max())
-    for _ in range(10):
-        # The floor keeps pairs that agree to rounding error from being called outliers.
-        limit = max(INLIER_SIGMAS * np.sqrt(3) * SIGMA_FROM_MEDIAN * float(np.median(residuals)), 1e-9 * extent)
-        within = residuals <= limit
-        if within.sum() < 3 or (within == inliers).all():
-            break
-        inliers = within
-        fit = fit_sim3(source[inliers], target[inliers])
+    inliers = np.ones(len(source), bool)
+    for _ in range(NUM_REFITS):
+        median = float(np.median(residuals))
+        inliers = residuals <= max(INLIER_SIGMAS * np.sqrt(3) * SIGMA_FROM_MEDIAN * median, floor)
+        fit = fit_sim3(source, target, inliers / np.maximum(residuals, max(0.01 * median, floor)))
         residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
-    return fit, residuals, inliers if inliers.any() else np.ones(len(source), bool)
+    return fit, residuals, inliers

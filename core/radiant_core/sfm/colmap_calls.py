@@ -1,13 +1,11 @@
-"""Calls into pycolmap: import order, logging, Ctrl-C, progress and errors in one place.
+"""Calls into pycolmap: logging, Ctrl-C, progress and errors in one place.
 
-`zlib` comes before pycolmap: pycolmap exports a static copy that breaks PNG writing and zipfile when it is loaded first.
 The database is never opened by Python's own sqlite3 while pycolmap has it open: two SQLite libraries in one process drop
 each other's file locks, and pycolmap was seen to die of a bus error.
 """
 
 from __future__ import annotations
 
-import zlib  # noqa: F401
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, TypeVar

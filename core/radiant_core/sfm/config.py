@@ -16,7 +16,7 @@ Matching = Literal["auto", "spatial", "exhaustive"]
 """auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each with its GPS neighbours;
 exhaustive: every pair."""
 Mapper = Literal["auto", "incremental", "global"]
-"""auto: incremental, then the global mapper where more than a twentieth stays unregistered; the others: that one alone."""
+"""auto: incremental, then the global mapper where more than a tenth stays unregistered; the others: that one alone."""
 
 
 @dataclass(frozen=True, kw_only=True)

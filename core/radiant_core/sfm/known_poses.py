@@ -27,6 +27,7 @@ from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.pairs import neighbor_pairs
 from radiant_core.sfm.workspace import listed, start_clean
 
+DEFAULT_CONFIG = SfmConfig()
 NO_POINTS = ColmapPoints(
     ids=np.zeros(0, np.int64),
     xyz=np.zeros((0, 3)),
@@ -36,7 +37,7 @@ NO_POINTS = ColmapPoints(
 )
 
 
-def scene_from_mill19(folder: Path, work_folder: Path, config: SfmConfig, report: Report) -> SfmResult:
+def scene_from_mill19(folder: Path, work_folder: Path, report: Report, config: SfmConfig = DEFAULT_CONFIG) -> SfmResult:
     """The scene of a Mill 19 / Mega-NeRF folder: its poses, and points triangulated from its photographs.
 
     Raises BadInput when the folder is not in that layout or an image cannot be used.
@@ -64,7 +65,8 @@ def scene_from_poses(cameras: Cameras, photo_folder: Path, work_folder: Path, co
     start_clean(work_folder)
     database = work_folder / "database.db"
     extract_features(database, photo_folder, photographs, config, report)
-    model_folder = _write_poses(cameras, database, work_folder / "sparse")
+    model_folder = work_folder / "sparse"
+    posed = _posed_model(cameras, database, model_folder)
     match_pairs(database, neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors), config, report)
     report(SfmProgress(phase="triangulating", done=0, total=len(cameras)))
     options = pycolmap.IncrementalPipelineOptions()
@@ -73,7 +75,7 @@ def scene_from_poses(cameras: Cameras, photo_folder: Path, work_folder: Path, co
     call_colmap(
         "triangulating",
         pycolmap.triangulate_points,
-        pycolmap.Reconstruction(model_folder),
+        posed,
         database,
         photo_folder,
         model_folder,
@@ -83,7 +85,7 @@ def scene_from_poses(cameras: Cameras, photo_folder: Path, work_folder: Path, co
     report(SfmProgress(phase="triangulating", done=len(cameras), total=len(cameras)))
     model = read_model(model_folder)
     if not len(model.points.ids):
-        raise BadInput(f"no point can be triangulated from the photographs in {photo_folder} with their poses: check that they belong together.")
+        raise BadInput(f"no point can be triangulated in {photo_folder}: check that the poses belong to these photographs.")
     return SfmScene(
         cameras=cameras.named([image.name for image in model.images]),
         points=model.points.xyz,
@@ -103,13 +105,15 @@ def _photographs_of(cameras: Cameras, photographs: tuple[Photograph, ...]) -> tu
     for name, K, size_wh in zip(cameras.names, cameras.Ks, cameras.sizes_wh, strict=True):
         photo = by_name[name]
         if photo.size_wh != tuple(size_wh):
-            raise BadInput(f"photograph {name!r} has {photo.size_wh} px and its camera {tuple(size_wh)}: scale the one or the other.")
+            raise BadInput(
+                f"photograph {name!r} has {photo.size_wh} px and its camera {tuple(size_wh)}: scale the one or the other."
+            )
         grouped.append(replace(photo, camera=CameraKey(make="", model=repr(K.tolist()), focal_mm=None, size_wh=photo.size_wh)))
     return tuple(grouped)
 
 
-def _write_poses(cameras: Cameras, database: Path, folder: Path) -> Path:
-    """Write the known poses as a model without points, with the numbers of the database; the calibrations go into both."""
+def _posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Reconstruction:
+    """The known poses as a model without points, with the numbers of the database; the calibrations go into the database too."""
     index_of = {name: index for index, name in enumerate(cameras.names)}
     intrinsics: dict[int, ColmapCamera] = {}
     images = []
@@ -127,15 +131,20 @@ def _write_poses(cameras: Cameras, database: Path, folder: Path) -> Path:
             camera.params = intrinsics[camera.camera_id].params
             camera.has_prior_focal_length = True
             store.update_camera(camera)
+        names = {image.image_id: image.name for image in store.read_all_images()}
     write_model(folder, checked_model([*intrinsics.values()], images, NO_POINTS, str(folder)))
-    return folder
+    posed = pycolmap.Reconstruction(folder)
+    for image_id, name in names.items():
+        posed.image(image_id).name = name
+    return posed
 
 
 def _posed_image(image: pycolmap.Image, cam_from_world: FloatArray) -> ColmapImage:
     x, y, z, w = Rotation.from_matrix(cam_from_world[:3, :3]).as_quat()
     return ColmapImage(
         image_id=image.image_id,
-        name=image.name,
+        # COLMAP's text reader cuts a name at its first space: numbers now, the real names once it is read.
+        name=str(image.image_id),
         camera_id=image.camera_id,
         quat_wxyz=np.array([w, x, y, z]),
         translation=cam_from_world[:3, 3],

@@ -25,7 +25,7 @@ from radiant_core.sfm.pairs import Pairs, gps_positions, pairs_with
 MIN_POINTS = 15
 FEW_POINTS = 60
 GPS_FACTOR = 5.0
-MAX_LEFT_SHARE = 0.05
+MAX_LEFT_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +53,9 @@ class Mapped:
 def map_photographs(job: MappingJob) -> Mapped:
     """The best model of the job's photographs; BadInput when they do not overlap enough for any."""
     if job.config.mapper == "global":
-        candidate, decisions = _without_strays(job, _global_model(job)), []
+        candidate, decisions = without_strays(job, _global_model(job)), []
     else:
-        candidate = _without_strays(job, _incremental_model(job, "incremental"))
+        candidate = without_strays(job, _incremental_model(job, "incremental"))
         candidate, decisions = _improved(job, candidate)
     if candidate is None:
         raise BadInput(
@@ -71,12 +71,12 @@ def _improved(job: MappingJob, model: pycolmap.Reconstruction | None) -> tuple[p
     extra = pairs_with([photo.name for photo in job.photographs], _missing(job, model), job.pairs)
     if extra:
         match_pairs(job.database, extra, job.config, job.report)
-        wider = _without_strays(job, _incremental_model(job, "incremental-wider"))
+        wider = without_strays(job, _incremental_model(job, "incremental-wider"))
         decisions.append(_retry_decision(job, model, wider, f"{len(extra)} more pairs"))
         model = _better(model, wider)
     left = len(_missing(job, model)) / len(job.photographs)
     if job.config.mapper == "auto" and left > MAX_LEFT_SHARE:
-        overall = _without_strays(job, _global_model(job))
+        overall = without_strays(job, _global_model(job))
         decisions.append(_retry_decision(job, model, overall, "the global mapper"))
         model = _better(model, overall)
     return model, decisions
@@ -154,7 +154,7 @@ def _retry_decision(
     )
 
 
-def _without_strays(job: MappingJob, model: pycolmap.Reconstruction | None) -> pycolmap.Reconstruction | None:
+def without_strays(job: MappingJob, model: pycolmap.Reconstruction | None) -> pycolmap.Reconstruction | None:
     """The model without its strays; None when fewer than two images or almost no points are left."""
     if model is None:
         return None

@@ -23,6 +23,7 @@ MEDIAN_DEPTH_UNITS = 10.0
 """Median distance from a camera to the points it sees, in a frame without GPS."""
 MAX_ROLL = np.sin(np.radians(20.0))
 NUM_PLANE_TRIALS = 300
+NUM_REFITS = 30
 MAX_PLANE_POINTS = 5000
 
 
@@ -48,8 +49,13 @@ def estimate_up(cameras: Cameras, points: FloatArray, seed: int = 0) -> UpEstima
     return UpEstimate(
         up=up if upward >= 0 else -up,
         source="ground plane" if use_plane else "level cameras",
-        roll_deg=float(np.degrees(np.arcsin(min(1.0, _roll(rotations, up))))),
+        roll_deg=roll_deg(cameras, up),
     )
+
+
+def roll_deg(cameras: Cameras, up: FloatArray) -> float:
+    """RMS angle of the x axes of C cameras to the plane across `up`: how far they would be rolled if that were up."""
+    return float(np.degrees(np.arcsin(min(1.0, _roll(cameras.cam_from_world[:, :3, :3], up)))))
 
 
 def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDArray[np.int64], up: FloatArray) -> Sim3:
@@ -71,20 +77,39 @@ def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDAr
 def level_fit(source: FloatArray, target: FloatArray, up: FloatArray) -> Sim3 | None:
     """Similarity source (N,3) → target (N,3) [m] that turns `up` to z: heading, scale and shift from the pairs only.
 
-    None when the positions do not differ horizontally.
+    Least sum of horizontal distances; the height by the middle of the densest half of the heights, which altitudes that
+    drift cannot pull away. None when the positions do not differ horizontally.
     """
     rotation = level_rotation(up)
-    level = (source - source.mean(axis=0)) @ rotation.T
-    east_north = target - target.mean(axis=0)
-    # In the plane a similarity is one complex factor: least squares is a = Σ conj(s) t / Σ |s|².
-    flat_source, flat_target = level[:, 0] + 1j * level[:, 1], east_north[:, 0] + 1j * east_north[:, 1]
-    power = float(np.square(np.abs(flat_source)).sum())
-    factor = complex(np.vdot(flat_source, flat_target)) / power if power > 0 else 0j
+    level = source @ rotation.T
+    flat_source, flat_target = level[:, 0] + 1j * level[:, 1], target[:, 0] + 1j * target[:, 1]
+    weights = np.ones(len(source))
+    factor, shift = 0j, 0j
+    for _ in range(NUM_REFITS):
+        # In the plane a similarity is target = factor · source + shift with one complex factor.
+        from_mean = flat_source - np.average(flat_source, weights=weights)
+        power = float(weights @ np.square(np.abs(from_mean)))
+        factor = complex(np.vdot(from_mean, weights * flat_target)) / power if power > 0 else 0j
+        shift = complex(np.average(flat_target - factor * flat_source, weights=weights))
+        distances = np.abs(factor * flat_source + shift - flat_target)
+        weights = 1 / np.maximum(
+            distances, max(0.01 * float(np.median(distances)), 1e-9 * float(np.abs(flat_target).max()) + 1e-12)
+        )
     if abs(factor) < 1e-12:
         return None
     cosine, sine = factor.real / abs(factor), factor.imag / abs(factor)
-    total = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]]) @ rotation
-    return Sim3(scale=abs(factor), rotation=total, translation=np.median(target - abs(factor) * source @ total.T, axis=0))
+    heading = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]])
+    height = _middle_of_densest_half(target[:, 2] - abs(factor) * level[:, 2])
+    return Sim3(scale=abs(factor), rotation=heading @ rotation, translation=np.array([shift.real, shift.imag, height]))
+
+
+def _middle_of_densest_half(values: FloatArray) -> float:
+    """Middle of the shortest interval that holds half of the values (N,): the least median of squares in one dimension."""
+    ordered = np.sort(values)
+    half = len(ordered) // 2 + 1
+    widths = ordered[half - 1 :] - ordered[: len(ordered) - half + 1]
+    first = int(np.argmin(widths))
+    return float(ordered[first] + ordered[first + half - 1]) / 2
 
 
 def level_rotation(up: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import read_model
+from radiant_core.io.colmap import ColmapModel, read_model
 from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
@@ -32,6 +32,7 @@ __all__ = [
     "scene_from_colmap",
     "scene_from_mill19",
 ]
+
 
 def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report) -> SfmResult:
     """Cameras, points and undistorted photographs of the usable photographs in `photo_folder`.
@@ -76,14 +77,7 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
     """
     model = read_model(model_folder)
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
-    usable = {photo.name for photo in listing.photographs}
-    lost = [image.name for image in model.images if image.name not in usable]
-    if lost:
-        reasons = {skipped.name: skipped.reason for skipped in listing.skipped}
-        why = reasons.get(lost[0], "is not there")
-        raise BadInput(
-            f"image {lost[0]!r} of the model {why} in {image_folder} ({len(lost)} in all): give the folder of its images."
-        )
+    _require_images(model, listing, image_folder)
     images_to_use = image_folder
     if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):
         start_clean(work_folder)
@@ -91,6 +85,24 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     scene, decisions, warnings = scene_in_world(model, listing.photographs, seed=0)
     return SfmResult(scene=scene, undistorted_folder=images_to_use, unregistered=(), decisions=decisions, warnings=warnings)
+
+
+def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Path) -> None:
+    """BadInput unless every image of the model is there, whole, and, where it has to be undistorted, of its camera's size."""
+    sizes = {photo.name: photo.size_wh for photo in listing.photographs}
+    lost = [image.name for image in model.images if image.name not in sizes]
+    if lost:
+        why = {skipped.name: skipped.reason for skipped in listing.skipped}.get(lost[0], "is not there")
+        raise BadInput(
+            f"image {lost[0]!r} of the model {why} in {image_folder} ({len(lost)} in all): give the folder of its images."
+        )
+    for image in model.images:
+        camera = model.cameras[image.camera_id]
+        if not camera.is_pinhole and sizes[image.name] != camera.size_wh:
+            raise BadInput(
+                f"image {image.name!r} has {sizes[image.name]} px and its distorted camera {camera.size_wh}: "
+                "give the images that the model was made from."
+            )
 
 
 def _save_model(mapped: Mapped, work_folder: Path) -> None:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from radiant_core.errors import StageFailed
 from radiant_core.render.contract import Backend, SplatTensors, rasterize
-from radiant_core.splats import Splats
+from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import camera_extent
 from radiant_core.train.losses import weighted_loss
@@ -139,7 +139,7 @@ def _step(
 
 
 def _degree(splats: SplatTensors) -> int:
-    return int(round((splats.shN.shape[1] + 1) ** 0.5)) - 1
+    return SH_BASES.index(splats.shN.shape[1] + 1)
 
 
 def _target(views: TrainingViews, view: int) -> tuple[Tensor, Tensor | None]:

@@ -115,7 +115,9 @@ def test_means2d_gradient_is_the_gradient_of_a_shift_in_pixels() -> None:
     step = 1e-6
     K = cameras.Ks.copy()
     K[0, 0, 2] += step
-    moved = rasterize(SplatTensors.from_splats(splats, torch.float64), torch.tensor(cameras.cam_from_world), torch.tensor(K), 37, 26, sh_degree=0)
+    moved = rasterize(
+        SplatTensors.from_splats(splats, torch.float64), torch.tensor(cameras.cam_from_world), torch.tensor(K), 37, 26, sh_degree=0
+    )
     # Moving the principal point moves all means2d by one step in x; the clamp window moves too, but no splat here reaches it.
     finite_difference = float((moved.images.sum() - output.images.detach().sum()) / step)
     assert output.means2d.grad is not None
@@ -124,7 +126,12 @@ def test_means2d_gradient_is_the_gradient_of_a_shift_in_pixels() -> None:
 
 def test_antialiasing_dims_a_gaussian_far_below_a_pixel() -> None:
     tiny = Splats(
-        means=[[0, 0, 0]], quats=[[1, 0, 0, 0]], log_scales=[[-7.0] * 3], logit_opacities=[3.0], sh0=np.ones((1, 1, 3)), shN=np.zeros((1, 0, 3))
+        means=[[0, 0, 0]],
+        quats=[[1, 0, 0, 0]],
+        log_scales=[[-7.0] * 3],
+        logit_opacities=[3.0],
+        sh0=np.ones((1, 1, 3)),
+        shN=np.zeros((1, 0, 3)),
     )
     plain, compensated = render(tiny, camera()), render(tiny, camera(), antialiased=True)
     assert plain.alphas.max() > 0.3

@@ -75,7 +75,9 @@ def test_progress_ends_with_the_last_step() -> None:
 @pytest.mark.parametrize("value", [0, 255])
 def test_flat_photographs_end_in_a_finite_model(value: int) -> None:
     images = tuple(np.full((36, 48, 3), value, np.uint8) for _ in CAMERAS.names)
-    result = fit_splats(grey_start(), TrainingViews(cameras=CAMERAS, images=images), replace(CONFIG, num_steps=20, means_lr=3e-3, scales_lr=0.2))
+    result = fit_splats(
+        grey_start(), TrainingViews(cameras=CAMERAS, images=images), replace(CONFIG, num_steps=20, means_lr=3e-3, scales_lr=0.2)
+    )
     assert np.isfinite(result.last_loss)
 
 

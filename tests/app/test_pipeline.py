@@ -1,0 +1,214 @@
+"""The main job on the smallest sample scene: all stages, every photograph to one device, resuming, library use, bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiant_app.config import RunConfig
+from radiant_app.demo import sample_scenes_folder
+from radiant_app.events import Event, StageDone, StageSkipped
+from radiant_app.pipeline import RunResult, run
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.ply import load_ply
+from radiant_core.io.records import load_plan, load_scene
+from radiant_core.train.needs import Overrides
+
+TINY = Overrides(long_side_px=96, num_steps=100, max_num_splats=1500)
+
+
+@pytest.fixture(scope="module")
+def hamlet() -> Path:
+    return sample_scenes_folder() / "hamlet" / "images"
+
+
+@pytest.fixture(scope="module")
+def finished(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult, list[Event]]:
+    config = RunConfig(source=hamlet, out=tmp_path_factory.mktemp("runs") / "hamlet", overrides=TINY)
+    events: list[Event] = []
+    return config, run(config, events.append), events
+
+
+def radiant(*arguments: object, cwd: Path | None = None, **options) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "radiant_app", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300, check=False, **options)
+
+
+def test_every_output_is_there_and_reads(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
+    config, result, _ = finished
+    for name in ("manifest.json", "plan.json", "scene.ply", "metrics.json", "report.html", "pictures/regions.png", "pictures/timeline.png"):
+        assert (config.out / name).stat().st_size > 0, name
+    assert len(load_ply(config.out / "scene.ply")) == result.metrics["num_gaussians"] == len(result.load_splats())
+    assert result.metrics["lpips"] is None and result.metrics["lpips_reason"]
+    page = result.report.read_text()
+    assert not re.findall(r'(?:src|href)="(?!data:)', page), "the report must be self-contained"
+
+
+def test_every_training_photograph_went_to_exactly_one_device(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
+    config, _, _ = finished
+    scene = load_scene(config.out / "sfm" / "scene.safetensors")
+    held_out = held_out_mask(scene.cameras.names)
+    training = sorted(name for name, held in zip(scene.cameras.names, held_out, strict=True) if not held)
+    dealt = sorted(path.name for path in config.out.glob("devices/*/photos/*"))
+    assert dealt == training
+    _, edge_plans = load_plan(config.out / "plan.json")
+    indices = np.concatenate([plan.camera_indices for plan in edge_plans])
+    assert sorted(indices) == list(range(len(training)))
+
+
+def test_no_photograph_lies_at_an_edge_or_the_cloud(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
+    config, _, _ = finished
+    manifest = json.loads((config.out / "manifest.json").read_text())
+    assert {row["num_photographs"] for row in manifest["ledger"] if row["tier"] != "device"} == {0}
+    pictures = [path for tier in ("edges", "cloud") for path in (config.out / tier).rglob("*") if path.suffix.lower() in (".jpg", ".png")]
+    assert pictures == []
+
+
+def test_training_beats_both_baselines_on_every_held_out_photograph(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
+    _, result, _ = finished
+    for row in result.metrics["images"]:
+        assert row["psnr_db"] > row["initial_psnr_db"] + 1, row
+        assert row["psnr_db"] > row["mean_color_psnr_db"] + 1, row
+
+
+def test_resuming_skips_every_finished_stage_and_keeps_the_scene(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
+    config, _, first = finished
+    before = (config.out / "scene.ply").read_bytes()
+    events: list[Event] = []
+    run(config, events.append, resume=True)
+    assert not any(isinstance(event, StageDone) for event in events)
+    assert {e.stage for e in events if isinstance(e, StageSkipped)} == {e.stage for e in first if isinstance(e, StageDone)}
+    assert (config.out / "scene.ply").read_bytes() == before
+
+
+def test_a_flipped_bit_makes_resume_repeat_that_stage(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    copy = tmp_path / "copy"
+    shutil.copytree(config.out, copy)
+    model = copy / "cloud" / "scene.ply"
+    damaged = bytearray(model.read_bytes())
+    damaged[-5] ^= 1
+    model.write_bytes(damaged)
+    events: list[Event] = []
+    run(RunConfig(source=config.source, out=copy, overrides=TINY), events.append, resume=True)
+    assert [event.stage for event in events if isinstance(event, StageDone)] == ["cloud"]
+    assert model.read_bytes() == (config.out / "cloud" / "scene.ply").read_bytes()
+
+
+def test_commands_on_a_finished_run(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
+    config, result, _ = finished
+    scores = radiant("evaluate", config.out, "--json")
+    assert json.loads(scores.stdout)["psnr_db"] == pytest.approx(result.metrics["psnr_db"], abs=1e-6), scores.stderr
+    exported = radiant("export", config.out, tmp_path / "out.ply")
+    assert exported.returncode == 0 and (tmp_path / "out.ply").read_bytes() == (config.out / "scene.ply").read_bytes()
+    rendered = radiant("render", config.out, "--out", tmp_path / "pictures")
+    assert rendered.returncode == 0 and len(list((tmp_path / "pictures").glob("*.png"))) == len(result.metrics["images"])
+    joined = radiant("aggregate", config.out, "--out", tmp_path / "joined.ply", "--epochs", 1, "--aggregate-preset", "paper")
+    assert joined.returncode == 0 and len(load_ply(tmp_path / "joined.ply")) > 0, joined.stderr
+    planned = radiant("plan", config.out, "--out", tmp_path / "plan.json", "--plan-method", "even", "--json")
+    assert planned.returncode == 0 and (tmp_path / "plan.png").exists(), planned.stderr
+    trained = radiant("train", config.out, "--out", tmp_path / "all.ply", "--steps", 3, "--long-side-px", 48)
+    assert trained.returncode == 0 and len(load_ply(tmp_path / "all.ply")) > 100, trained.stderr
+    shot = radiant("inspect", config.out, "--screenshot", tmp_path / "shot.png", "--view", "cameras")
+    assert shot.returncode == 0 and (tmp_path / "shot.png").stat().st_size > 1000, shot.stderr
+
+
+def _photographs(folder: Path, source: Path, count: int) -> Path:
+    folder.mkdir()
+    for path in sorted(source.iterdir())[:count]:
+        shutil.copy(path, folder)
+    return folder
+
+
+def test_bad_input_gets_one_sentence_and_leaves_nothing(hamlet: Path, tmp_path: Path) -> None:
+    empty, one = _photographs(tmp_path / "empty", hamlet, 0), _photographs(tmp_path / "one", hamlet, 1)
+    unknown_key, no_bandwidth = tmp_path / "key.toml", tmp_path / "bandwidth.toml"
+    device = '[[edge]]\nid = "a"\nuplink_mbit_per_s = {}\n[[edge.device]]\nid = "d"\n'
+    unknown_key.write_text(device.format(10) + "wheels = 4\n")
+    no_bandwidth.write_text(device.format(0))
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine.txt").write_text("keep")
+    out = tmp_path / "out"
+    cases = [
+        ((tmp_path / "nowhere", "--out", out), "no folder"),
+        ((empty, "--out", out), "photograph"),
+        ((one, "--out", out), "photograph"),
+        ((hamlet, "--out", out, "--system", unknown_key), "wheels"),
+        ((hamlet, "--out", out, "--system", no_bandwidth), "uplink"),
+        ((hamlet, "--out", full), "not empty"),
+        ((hamlet, "--out", out, "--train-preset", "best"), "best"),
+    ]
+    for arguments, word in cases:
+        finished = radiant("run", *arguments)
+        assert finished.returncode == 2, (arguments, finished.stderr)
+        assert word in finished.stderr and "Traceback" not in finished.stderr, (arguments, finished.stderr)
+        assert not out.exists(), arguments
+    assert [path.name for path in full.iterdir()] == ["mine.txt"]
+
+
+def test_photographs_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
+    import cv2
+
+    folder = tmp_path / "noise"
+    folder.mkdir()
+    for index in range(4):
+        noise = np.random.default_rng(index).integers(0, 256, (30, 40, 3)).astype(np.uint8)
+        cv2.imwrite(str(folder / f"{index}.jpg"), cv2.resize(noise, (320, 240), interpolation=cv2.INTER_CUBIC))
+    finished = radiant("run", folder, "--out", tmp_path / "out")
+    assert finished.returncode == 2 and "overlap" in finished.stderr and "Traceback" not in finished.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_ends_with_130_and_the_run_can_be_resumed(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
+    config, _, _ = finished
+    out = tmp_path / "run"
+    shutil.copytree(config.out, out)
+    for path in (out / "cloud", *out.glob("devices/*")):
+        (path / "done.json").unlink()
+    options = ["--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats]
+    command = [sys.executable, "-m", "radiant_app", "run", str(config.source), "--out", str(out), *map(str, options), "--resume"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not list(out.glob("devices/*/log.txt")) or not _workers_of(process.pid):
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.05)
+    workers = _workers_of(process.pid)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130 and "--resume" in errors
+    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()], "workers must end with the run"
+    result = run(RunConfig(source=config.source, out=out, overrides=TINY), resume=True)
+    assert result.metrics["psnr_db"] > 5
+
+
+def _workers_of(pid: int) -> list[int]:
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(child) for child in children if _is_running(int(child))]
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_doctor_finds_what_a_run_needs() -> None:
+    finished = radiant("doctor", "--json")
+    findings = json.loads(finished.stdout)
+    assert finished.returncode == 0
+    assert all(finding["ok"] for finding in findings if finding["needed"]), findings

@@ -1,0 +1,160 @@
+"""The system file: what is read, what a default is, and one precise sentence for everything else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from radiant_app import system_file
+from radiant_app.system_file import dump_system, even_system, load_system
+from radiant_core.errors import BadInput
+from radiant_core.plan.system import System
+
+ROOT = Path(__file__).parents[2]
+WHOLE = """
+[[edge]]
+id = "north"
+position_m = [0.0, 40]
+uplink_mbit_per_s = 100.0
+aggregate_s = { constant = 5.0, linear = 0.5 }
+[[edge.device]]
+id = "north-1"
+init_s = { linear = 0.1 }
+train_s = { constant = 20.0, linear = 1.0, power_coefficient = 0.01, exponent = 1.5 }
+model_mb = { linear = 0.5 }
+uplink_mbit_per_s = 50.0
+max_cameras = 400
+[[edge]]
+id = "south"
+lat_lon_deg = [47.37, 8.54]
+[[edge.device]]
+id = "south-1"
+relative_speed = 2.0
+"""
+
+
+def loaded(tmp_path: Path, text: str | bytes) -> System:
+    path = tmp_path / "system.toml"
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return load_system(path)
+
+
+def test_every_key_arrives_in_base_units(tmp_path: Path) -> None:
+    north, south = loaded(tmp_path, WHOLE).edges
+    device = north.devices[0]
+    assert (north.id, north.position, north.lat_lon_deg) == ("north", (0.0, 40.0), None)
+    assert (north.uplink_bytes_per_s, device.uplink_bytes_per_s) == (12.5e6, 6.25e6)
+    assert float(north.aggregate_s(10)) == 10.0
+    assert float(device.init_s(10)) == pytest.approx(1.0, rel=1e-15)
+    assert float(device.train_s(100)) == pytest.approx(130.0, rel=1e-15)
+    assert float(device.model_bytes(3)) == 1.5e6
+    assert device.max_cameras == 400
+    assert (south.position, south.lat_lon_deg, south.devices[0].max_cameras) == (None, (47.37, 8.54), None)
+
+
+def test_what_is_left_out_has_the_documented_default(tmp_path: Path) -> None:
+    north, south = loaded(tmp_path, WHOLE).edges
+    assert south.uplink_bytes_per_s == north.uplink_bytes_per_s
+    assert south.aggregate_s == north.aggregate_s
+    assert south.devices[0].uplink_bytes_per_s == north.devices[0].uplink_bytes_per_s
+    assert south.devices[0].model_bytes == north.devices[0].model_bytes
+    assert float(south.devices[0].train_s(10)) == 15.0  # 20 + 10 seconds at double speed
+    assert float(south.devices[0].init_s(10)) == pytest.approx(0.5, rel=1e-15)
+
+
+def test_the_text_written_is_the_system_read(tmp_path: Path) -> None:
+    system = loaded(tmp_path, WHOLE)
+    assert loaded(tmp_path, dump_system(system)) == system
+
+
+def test_the_example_in_the_module_is_a_system_file(tmp_path: Path) -> None:
+    assert system_file.__doc__ is not None
+    example = [line for line in system_file.__doc__.splitlines() if line.startswith("    ")]
+    assert [device.id for device in loaded(tmp_path, "\n".join(example)).devices] == ["north-1"]
+
+
+def test_the_sample_system_of_the_town_has_two_edges_with_two_devices() -> None:
+    system = load_system(ROOT / "sample_scenes" / "town" / "system.toml")
+    assert [len(edge.devices) for edge in system.edges] == [2, 2]
+    assert all(edge.position is None and edge.lat_lon_deg is None for edge in system.edges)
+
+
+def test_an_even_system_has_equal_edges_and_equal_devices() -> None:
+    system = even_system(3, 2)
+    assert [edge.id for edge in system.edges] == ["edge-1", "edge-2", "edge-3"]
+    assert len({(device.train_s, device.init_s, device.uplink_bytes_per_s) for device in system.devices}) == 1
+    assert len(system.devices) == 6
+
+
+@pytest.mark.parametrize("counts", [(0, 2), (2, 0), (-1, 1)])
+def test_an_even_system_without_edges_or_devices_is_refused(counts: tuple[int, int]) -> None:
+    with pytest.raises(BadInput, match="at least one"):
+        even_system(*counts)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("uplink_mbit_per_s = 50.0", "uplink_mbit_per_s = 0", "edge[0].device[0].uplink_mbit_per_s is 0; expected greater than"),
+        ("uplink_mbit_per_s = 100.0", "uplink_mbit_per_s = -1.5", "edge[0].uplink_mbit_per_s is -1.5; expected greater than 0"),
+        ("uplink_mbit_per_s = 50.0", "uplink_mbit_per_s = nan", "edge[0].device[0].uplink_mbit_per_s is nan; expected"),
+        ("uplink_mbit_per_s = 50.0", "uplink_mbit_per_s = inf", "device[0].uplink_mbit_per_s is inf; expected a finite"),
+        ("uplink_mbit_per_s = 50.0", 'uplink_mbit_per_s = "50"', "device[0].uplink_mbit_per_s is '50'; expected a valid number"),
+        ("uplink_mbit_per_s = 50.0", "uplink_mbit_per_s = true", "device[0].uplink_mbit_per_s is True; expected a valid number"),
+        ("max_cameras = 400", "max_cameras = 400.5", "edge[0].device[0].max_cameras is 400.5; expected"),
+        ("max_cameras = 400", "max_cameras = -1", "edge[0].device[0].max_cameras is -1; expected greater than or equal to 0"),
+        ("max_cameras = 400", "max_camera = 400", "edge[0].device[0].max_camera is not a key of a system file"),
+        ("init_s = { linear = 0.1 }", "init_s = { linear = -0.1 }", "edge[0].device[0].init_s.linear is -0.1; expected"),
+        ("init_s = { linear = 0.1 }", "init_s = { linaer = 0.1 }", "edge[0].device[0].init_s.linaer is not a key"),
+        ("init_s = { linear = 0.1 }", "init_s = 0.1", "edge[0].device[0].init_s is 0.1; expected"),
+        ("exponent = 1.5", "exponent = 5", "edge[0].device[0].train_s.exponent is 5; expected less than or equal to 4"),
+        ("relative_speed = 2.0", "relative_speed = 0", "edge[1].device[0].relative_speed is 0; expected greater than 0"),
+        ("relative_speed = 2.0", "relative_speed = 1e-320", "expected a finite number"),
+        ("position_m = [0.0, 40]", "position_m = [0.0]", "edge[0].position_m is [0.0]; list should have at least 2 items"),
+        ("position_m = [0.0, 40]", "position_m = [0.0, 40]\nlat_lon_deg = [1, 2]", "'north' has both position_m and"),
+        ('id = "north"\n', "", "edge[0].id is missing"),
+        ('id = "north"\n', 'id = "../north"\n', "edge id '../north' cannot name a folder"),
+        ('id = "south"', 'id = "north"', "edge id 'north' comes twice"),
+        ('id = "south-1"', 'id = "north-1"', "device id 'north-1' comes twice"),
+        ('[[edge.device]]\nid = "south-1"\nrelative_speed = 2.0\n', "", "edge[1].device is missing"),
+        ('[[edge.device]]\nid = "south-1"\nrelative_speed = 2.0\n', "device = []", "edge[1].device is []; list should"),
+        ('[[edge]]\nid = "south"', '[edge]\nid = "south"', "not a TOML file"),
+        ("max_cameras = 400", "max_cameras = " + "9" * 5000, "not a TOML file"),
+    ],
+)
+def test_a_bad_value_gets_one_sentence_with_file_key_and_expectation(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in WHOLE
+    with pytest.raises(BadInput) as caught:
+        loaded(tmp_path, WHOLE.replace(old, new, 1))
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{tmp_path / 'system.toml'}: ")
+    assert message in sentence
+    assert "\n" not in sentence
+    assert len(sentence) < len(str(tmp_path)) + 250
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "edge is missing"),
+        (b"edge = []", "edge is []; list should have at least 1 item"),
+        (b"edge = 3", "edge is 3; expected a valid list"),
+        (b"edges = 2", "is missing"),
+        (b"\xff\xfe", "byte 0 is not UTF-8"),
+        (b"{", "not a TOML file"),
+        (b"a = " + b"[" * 100_000, "not a TOML file"),
+        (b"#" * (system_file.MAX_FILE_BYTES + 1), "larger than 1048576 bytes"),
+    ],
+    ids=["empty", "no edge", "number", "misspelt", "binary", "broken", "deeply nested", "huge"],
+)
+def test_a_file_of_another_kind_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        loaded(tmp_path, content)
+    assert message in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(BadInput, match="cannot be read"):
+            load_system(path)

@@ -1,0 +1,182 @@
+"""Photographs: which are usable, what EXIF says of them, and what becomes of damaged ones."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.io.jpeg import read_exif, read_jpeg_facts
+from radiant_core.io.photos import list_photographs, load_photograph
+
+HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "images"
+
+
+def picture(seed: int, size_wh: tuple[int, int] = (96, 64)) -> np.ndarray:
+    coarse = np.random.default_rng(seed).integers(0, 256, (size_wh[1] // 8, size_wh[0] // 8, 3), np.uint8)
+    return cv2.resize(coarse, size_wh, interpolation=cv2.INTER_CUBIC)
+
+
+def write(path: Path, image: np.ndarray) -> bytes:
+    assert cv2.imwrite(str(path), image)
+    return path.read_bytes()
+
+
+def exif_block(order: str, south_west: bool, below_sea: bool) -> bytes:
+    """A TIFF with make, model, focal length and GPS, built by hand in either byte order."""
+    rationals = struct.pack(order + "14I", 41, 1, 24, 1, 162, 100, 81, 1, 53, 1, 2801, 100, 26528, 100)
+    focal = struct.pack(order + "2I", 52, 10)
+    data_at = 8 + (2 + 4 * 12 + 4) + (2 + 12 + 4) + (2 + 6 * 12 + 4)
+    texts = b"Canon\0S100 II\0"
+
+    def entry(tag: int, kind: int, count: int, value: bytes) -> bytes:
+        return struct.pack(order + "HHI", tag, kind, count) + value.ljust(4, b"\0")
+
+    def at(offset: int) -> bytes:
+        return struct.pack(order + "I", data_at + offset)
+
+    exif_at, gps_at = 8 + 54, 8 + 54 + 18
+    main = [
+        entry(0x010F, 2, 6, at(0)),
+        entry(0x0110, 2, 8, at(6)),
+        entry(0x8769, 4, 1, struct.pack(order + "I", exif_at)),
+        entry(0x8825, 4, 1, struct.pack(order + "I", gps_at)),
+    ]
+    gps = [
+        entry(1, 2, 2, b"S\0" if south_west else b"N\0"),
+        entry(2, 5, 3, at(len(texts) + 8)),
+        entry(3, 2, 2, b"W\0" if south_west else b"E\0"),
+        entry(4, 5, 3, at(len(texts) + 8 + 24)),
+        entry(5, 1, 1, b"\1" if below_sea else b"\0"),
+        entry(6, 5, 1, at(len(texts) + 8 + 48)),
+    ]
+
+    def directory(entries: list[bytes]) -> bytes:
+        return struct.pack(order + "H", len(entries)) + b"".join(entries) + b"\0\0\0\0"
+
+    header = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
+    details = directory([entry(0x920A, 5, 1, at(len(texts)))])
+    return header + directory(main) + details + directory(gps) + texts + focal + rationals
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("flipped", [False, True])
+def test_exif_is_read_in_both_byte_orders_and_all_hemispheres(order: str, flipped: bool) -> None:
+    facts = read_exif(exif_block(order, flipped, flipped))
+    sign = -1 if flipped else 1
+    assert (facts.make, facts.model, facts.focal_mm) == ("Canon", "S100 II", 5.2)
+    assert facts.lat_lon_alt == pytest.approx(
+        (sign * (41 + 24 / 60 + 1.62 / 3600), sign * (81 + 53 / 60 + 28.01 / 3600), sign * 265.28)
+    )
+
+
+def test_damaged_exif_never_raises_and_never_leaves_the_globe() -> None:
+    good = exif_block("<", False, False)
+    rng = np.random.default_rng(0)
+    for _ in range(3000):
+        block = bytearray(good)
+        for _ in range(int(rng.integers(1, 6))):
+            block[rng.integers(len(block))] = (0, 1, 127, 255, int(rng.integers(256)))[rng.integers(5)]
+        facts = read_exif(bytes(block[: rng.integers(len(block) + 1)]))
+        if facts.lat_lon_alt is not None:
+            lat, lon, alt = facts.lat_lon_alt
+            assert abs(lat) <= 90
+            assert abs(lon) <= 180
+            assert np.isfinite(alt)
+        assert facts.focal_mm is None or (np.isfinite(facts.focal_mm) and facts.focal_mm > 0)
+
+
+def test_a_damaged_jpeg_header_never_raises() -> None:
+    good = sorted(HAMLET.iterdir())[0].read_bytes()
+    rng = np.random.default_rng(1)
+    for _ in range(2000):
+        data = bytearray(good[:2000])
+        data[rng.integers(len(data))] = rng.integers(256)
+        read_jpeg_facts(bytes(data[: rng.integers(len(data) + 1)]))
+
+
+def test_the_sample_photographs_have_position_size_and_one_camera() -> None:
+    listing = list_photographs(HAMLET)
+    assert [photo.name for photo in listing.photographs] == sorted(path.name for path in HAMLET.iterdir())
+    assert listing.skipped == ()
+    assert all(photo.lat_lon_alt is not None for photo in listing.photographs)
+    assert len({photo.camera for photo in listing.photographs}) == 1
+    assert {photo.size_wh for photo in listing.photographs} == {(320, 240)}
+
+
+def test_damaged_files_are_skipped_and_named_and_the_rest_is_used(tmp_path: Path) -> None:
+    jpeg = write(tmp_path / "a.jpg", picture(0))
+    png = write(tmp_path / "b.PNG", picture(1))
+    for share in (0.3, 0.6, 0.95):
+        (tmp_path / f"cut-{share}.jpg").write_bytes(jpeg[: int(len(jpeg) * share)])
+        (tmp_path / f"cut-{share}.png").write_bytes(png[: int(len(png) * share)])
+    (tmp_path / "text.jpg").write_text("no image")
+    (tmp_path / "empty.jpg").touch()
+    (tmp_path / "bomb.png").write_bytes(png[:16] + struct.pack(">II", 60_000, 60_000) + png[24:])
+    (tmp_path / "notes.txt").write_text("not looked at")
+    listing = list_photographs(tmp_path)
+    assert [photo.name for photo in listing.photographs] == ["a.jpg", "b.PNG"]
+    reasons = {skipped.name: skipped.reason for skipped in listing.skipped}
+    assert set(reasons) == {path.name for path in tmp_path.iterdir()} - {"a.jpg", "b.PNG", "notes.txt"}
+    assert "truncated" in reasons["cut-0.95.jpg"]
+    assert "truncated" in reasons["cut-0.95.png"]
+    assert "pixels" in reasons["bomb.png"]
+
+
+def test_an_embedded_thumbnail_does_not_make_a_cut_jpeg_whole() -> None:
+    thumbnail = cv2.imencode(".jpg", picture(2, (32, 24)))[1].tobytes()
+    jpeg = cv2.imencode(".jpg", picture(3))[1].tobytes()
+    segment = b"\xff\xe1" + struct.pack(">H", len(thumbnail) + 2) + thumbnail
+    whole = jpeg[:2] + segment + jpeg[2:]
+    assert read_jpeg_facts(whole).whole
+    assert read_jpeg_facts(whole + b"maker data behind the end").whole
+    assert not read_jpeg_facts(whole[:-40]).whole
+
+
+@pytest.mark.parametrize(
+    ("count", "told"), [(None, "does not exist"), (0, "contains no photographs"), (1, "1 usable photograph")]
+)
+def test_too_few_photographs_are_one_clear_sentence(count: int | None, told: str, tmp_path: Path) -> None:
+    folder = tmp_path / "photos"
+    if count is not None:
+        folder.mkdir()
+        for index in range(count):
+            write(folder / f"{index}.jpg", picture(index))
+    with pytest.raises(BadInput, match=told):
+        list_photographs(folder)
+
+
+def test_progress_is_told_for_every_file(tmp_path: Path) -> None:
+    for index in range(4):
+        write(tmp_path / f"{index}.jpg", picture(index))
+    told: list[tuple[int, int]] = []
+    list_photographs(tmp_path, lambda done, total: told.append((done, total)))
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+def test_a_photograph_comes_in_rgb_between_0_and_1_and_keeps_its_mean_when_reduced(tmp_path: Path) -> None:
+    image = np.zeros((64, 96, 3), np.uint8)
+    image[..., 2], image[:32, :, 0] = 255, 100
+    write(tmp_path / "red.png", image)
+    full, small = load_photograph(tmp_path / "red.png", (96, 64)), load_photograph(tmp_path / "red.png", (24, 16))
+    assert (full.shape, full.dtype, small.shape) == ((64, 96, 3), np.float32, (16, 24, 3))
+    assert np.array_equal(full * 255, image[:, :, ::-1])
+    # 1/255: area averaging of whole blocks rounds each value once.
+    assert np.abs(small.mean(axis=(0, 1)) - full.mean(axis=(0, 1))).max() < 1 / 255
+    with pytest.raises(BadInput, match="cannot be decoded"):
+        load_photograph(tmp_path / "missing.png", (4, 4))
+
+
+def test_the_exif_orientation_does_not_turn_pixels(tmp_path: Path) -> None:
+    jpeg = cv2.imencode(".jpg", picture(4))[1].tobytes()
+    tiff = b"II*\0\x08\0\0\0" + struct.pack("<HHHIHH", 1, 0x0112, 3, 1, 6, 0) + b"\0\0\0\0"
+    content = b"Exif\0\0" + tiff
+    path = tmp_path / "turned.jpg"
+    path.write_bytes(jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(content) + 2) + content + jpeg[2:])
+    write(tmp_path / "other.jpg", picture(5))
+    assert {photo.size_wh for photo in list_photographs(tmp_path).photographs} == {(96, 64)}
+    assert load_photograph(path, (96, 64)).shape == (64, 96, 3)

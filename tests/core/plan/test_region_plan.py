@@ -1,0 +1,249 @@
+"""The planner as a whole: optimal, certified, a partition, and precise about what it cannot plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.plan import region_plan
+from radiant_core.plan.deadline import edge_tables
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.power_diagram import assign, polygon_area_m2
+from radiant_core.plan.region_plan import MARGIN, PlanInfeasible, PlanMethod, choose_method, plan_regions
+from radiant_core.plan.system import System
+
+from .instances import LAYOUTS, linear_system, random_system
+
+METHODS = get_args(PlanMethod)
+
+
+def planned(positions: FloatArray, system: System, method: PlanMethod = "exact") -> CloudPlan:
+    plan = plan_regions(positions, system, method=method)
+    assert isinstance(plan, CloudPlan)
+    return plan
+
+
+def squared_distance_sum(plan: CloudPlan, positions: FloatArray) -> float:
+    return float(np.sum((positions - plan.sites[plan.edge_of_camera]) ** 2))
+
+
+def outline_area_m2(positions: FloatArray) -> float:
+    width, height = np.ptp(positions, axis=0)
+    margin = 2 * MARGIN * (max(width, height) or 1.0)
+    return (width + margin) * (height + margin)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("seed", range(25))
+def test_exact_reaches_the_bound_with_a_certificate(layout: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    num_cameras, num_edges = int(rng.integers(1, 150)), int(rng.integers(1, 10))
+    system = random_system(rng, num_edges, limits=(num_cameras, 2 * num_cameras) if seed % 2 else None)
+    plan = planned(LAYOUTS[layout](rng, num_cameras), system)
+    assert plan.makespan_s == plan.lower_bound_s
+    assert plan.certified
+    assert plan.status == "optimal"
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_no_assignment_at_all_is_faster_or_of_these_counts_nearer(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    num_cameras, num_edges = int(rng.integers(1, 7)), int(rng.integers(1, 4))
+    positions = LAYOUTS[list(LAYOUTS)[seed % len(LAYOUTS)]](rng, num_cameras)
+    system = random_system(rng, num_edges)
+    plan = planned(positions, system)
+    assignments = np.array(list(product(range(num_edges), repeat=num_cameras)))
+    counts = np.stack([(assignments == edge).sum(axis=1) for edge in range(num_edges)], axis=1)
+    times_s = np.stack([t.edge_time_s[counts[:, m]] for m, t in enumerate(edge_tables(system, num_cameras))], axis=1)
+    assert plan.makespan_s == times_s.max(axis=1).min()
+    same = assignments[(counts == plan.counts).all(axis=1)]
+    nearest = np.sum((positions - plan.sites[same]) ** 2, axis=(1, 2)).min()
+    assert squared_distance_sum(plan, positions) == pytest.approx(nearest, rel=1e-12, abs=1e-9)  # m², the same sum reordered
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_regions_partition_the_scene_and_belong_to_edges_with_cameras(layout: str, method: PlanMethod) -> None:
+    rng = np.random.default_rng(5)
+    positions = LAYOUTS[layout](rng, 80)
+    plan = planned(positions, random_system(rng, 6), method)
+    areas_m2 = np.array([polygon_area_m2(border) for border in plan.borders])
+    assert areas_m2.sum() == pytest.approx(outline_area_m2(positions), rel=1e-9)
+    assert (areas_m2[plan.counts == 0] == 0).all()
+    assert plan.counts.sum() == 80
+    assert plan.certified
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", range(15))
+def test_no_method_beats_the_bound_and_times_follow_from_the_counts(seed: int, method: PlanMethod) -> None:
+    rng = np.random.default_rng(seed)
+    system = random_system(rng, 5)
+    plan = planned(LAYOUTS["clustered"](rng, 120), system, method)
+    assert plan.makespan_s >= plan.lower_bound_s
+    expected_s = [table.edge_time_s[count] for table, count in zip(edge_tables(system, 120), plan.counts, strict=True)]
+    np.testing.assert_array_equal(plan.edge_time_s, expected_s)
+    assert (plan.status == "optimal") == (plan.makespan_s == plan.lower_bound_s)
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_moving_borders_never_ends_slower_than_it_started(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    system, positions = random_system(rng, 4), LAYOUTS["uniform"](rng, 200)
+    exact, paper, voronoi = (planned(positions, system, method) for method in ("exact", "paper", "voronoi"))
+    assert exact.makespan_s <= paper.makespan_s <= voronoi.makespan_s
+    assert paper.history[0] == voronoi.makespan_s
+
+
+def test_even_differs_by_one_camera_at_most() -> None:
+    rng = np.random.default_rng(1)
+    counts = planned(LAYOUTS["clustered"](rng, 103), random_system(rng, 5), "even").counts
+    assert sorted(counts) == [20, 20, 21, 21, 21]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_stored_sites_and_weights_give_each_camera_its_edge(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    utm_m = np.array([500_000.0, 9_999_000.0])
+    positions = LAYOUTS["uniform"](rng, 300) + utm_m
+    plan = planned(positions, linear_system(rng.random((7, 2)) * 300.0 + utm_m, rng.uniform(1, 4, 7)))
+    np.testing.assert_array_equal(assign(positions, plan.sites, plan.weights), plan.edge_of_camera)
+
+
+@pytest.mark.parametrize("shift_m", [(1e6, 0.0), (500_000.0, 9_999_000.0), (-1e7, 1e7)])
+def test_the_plan_does_not_depend_on_the_origin(shift_m: tuple[float, float]) -> None:
+    rng = np.random.default_rng(2)
+    # Multiples of 1/1024 m, so that the shifted scene is the same scene and not one rounded to other places.
+    positions, sites = rng.integers(0, 1 << 19, (300, 2)) / 1024, rng.integers(0, 1 << 19, (5, 2)) / 1024
+    speeds = rng.uniform(1, 3, 5)
+    here = planned(positions, linear_system(sites, speeds))
+    there = planned(positions + shift_m, linear_system(sites + shift_m, speeds))
+    np.testing.assert_array_equal(there.edge_of_camera, here.edge_of_camera)
+    for moved, border in zip(there.borders, here.borders, strict=True):
+        np.testing.assert_allclose(moved - shift_m, border, atol=1e-6)  # metres; 1e7 m in float64 has steps of 2e-9
+
+
+def test_the_order_of_cameras_and_edges_does_not_matter() -> None:
+    rng = np.random.default_rng(3)
+    positions, system = LAYOUTS["uniform"](rng, 250), random_system(rng, 6)
+    cameras, edges = rng.permutation(250), rng.permutation(6)
+    plan = planned(positions, system)
+    shuffled = planned(positions[cameras], System(edges=tuple(system.edges[index] for index in edges)))
+    np.testing.assert_array_equal(edges[shuffled.edge_of_camera], plan.edge_of_camera[cameras])
+    assert shuffled.makespan_s == plan.makespan_s
+
+
+def test_edges_at_one_spot_get_borders_between_them() -> None:
+    rng = np.random.default_rng(4)
+    positions = LAYOUTS["uniform"](rng, 90)
+    plan = planned(positions, linear_system(np.full((3, 2), 120.0), np.ones(3)))
+    assert plan.counts.tolist() == [30, 30, 30]
+    assert all(len(border) for border in plan.borders)
+    np.testing.assert_array_equal(assign(positions, plan.sites, plan.weights), plan.edge_of_camera)
+
+
+def test_edges_a_thousand_kilometres_away_still_share_the_scene() -> None:
+    rng = np.random.default_rng(5)
+    positions = LAYOUTS["uniform"](rng, 100)
+    plan = planned(positions, linear_system(np.array([[1e6, 0.0], [0.0, 1e6], [1e6, 1e6]]), np.array([1.0, 1.0, 2.0])))
+    assert plan.counts.tolist() == [40, 40, 20]
+    assert plan.status == "optimal"
+
+
+def test_more_edges_than_cameras_leaves_the_others_without_land() -> None:
+    rng = np.random.default_rng(6)
+    plan = planned(LAYOUTS["uniform"](rng, 3), linear_system(rng.random((9, 2)) * 200.0, np.ones(9)))
+    assert sorted(plan.counts) == [0] * 6 + [1] * 3
+    assert [len(border) > 0 for border in plan.borders] == (plan.counts == 1).tolist()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_camera_and_one_edge_make_a_plan(method: PlanMethod) -> None:
+    plan = planned(np.array([[3.0, 4.0]]), linear_system(np.array([[0.0, 0.0]]), np.array([2.0])), method)
+    assert plan.makespan_s == 2.0
+    assert polygon_area_m2(plan.borders[0]) > 0
+
+
+def test_memory_that_just_suffices_is_filled_to_the_last_camera() -> None:
+    rng = np.random.default_rng(7)
+    plan = planned(LAYOUTS["clustered"](rng, 60), linear_system(rng.random((4, 2)) * 500.0, np.array([1.0, 1.0, 1.0, 9.0]), 15))
+    assert plan.counts.tolist() == [15, 15, 15, 15]
+    assert plan.status == "optimal"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_too_little_memory_is_a_result_that_names_the_capacity(method: PlanMethod) -> None:
+    result = plan_regions(np.random.default_rng(8).random((61, 2)), linear_system(np.eye(2), np.ones(2), 30), method=method)
+    assert isinstance(result, PlanInfeasible)
+    assert (result.status, result.capacity, result.num_cameras) == ("infeasible", 60, 61)
+    assert "60 of 61 cameras" in result.reason
+
+
+def test_nearest_edges_that_overflow_are_a_result_that_names_the_edge() -> None:
+    positions = np.random.default_rng(9).random((50, 2))
+    result = plan_regions(positions, linear_system(np.array([[0.5, 0.5], [90.0, 0.5]]), np.ones(2), 30), method="voronoi")
+    assert isinstance(result, PlanInfeasible)
+    assert "'e0' 50 cameras" in result.reason
+
+
+def test_moving_borders_prefers_what_fits_into_memory() -> None:
+    positions = np.random.default_rng(10).random((50, 2)) * 100.0
+    plan = planned(positions, linear_system(np.array([[30.0, 50.0], [95.0, 50.0]]), np.ones(2), 30), "paper")
+    assert plan.counts.max() <= 30
+
+
+def test_moving_borders_does_not_leave_what_fits_for_what_looks_faster() -> None:
+    # The first edge is ten times faster but can hold 10: every move towards balance overfills it, so the start must be kept.
+    positions = np.stack([np.linspace(0.0, 100.0, 50), np.zeros(50)], axis=1)
+    fast, slow = linear_system(np.array([[5.0, 0.0], [25.0, 0.0]]), np.array([1.0, 10.0]), 10).edges
+    roomy = replace(slow, devices=(replace(slow.devices[0], max_cameras=None),))
+    plan = planned(positions, System(edges=(fast, roomy)), "paper")
+    assert plan.counts[0] <= 10
+    assert min(plan.history) < plan.makespan_s
+
+
+def test_a_plan_too_large_for_exactness_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert choose_method("exact", 1000, 500) == ("exact", ())
+    assert choose_method("voronoi", 10_000_000, 1000) == ("voronoi", ())
+    method, (decision,) = choose_method("exact", 1000, 501)
+    assert (method, decision.figure) == ("paper", 501_000)
+    monkeypatch.setattr(region_plan, "MAX_EXACT_PAIRS", 99)
+    assert planned(np.random.default_rng(0).random((50, 2)), linear_system(np.eye(2), np.ones(2))).method == "paper"
+
+
+@pytest.mark.parametrize(
+    ("positions", "message"),
+    [
+        (np.empty((0, 2)), "no camera"),
+        (np.array([[np.nan, 0.0]]), "not finite"),
+        (np.array([[0.0, np.inf]]), "not finite"),
+        (np.zeros((4, 3)), "shape"),
+        (np.array([[1e9, 0.0]]), "at most 1e\\+08 m"),
+    ],
+)
+def test_poisoned_positions_are_refused(positions: FloatArray, message: str) -> None:
+    with pytest.raises(BadInput, match=message):
+        plan_regions(positions, linear_system(np.eye(2), np.ones(2)))
+
+
+def test_denormal_distances_end_in_a_plan() -> None:
+    positions = np.random.default_rng(11).random((20, 2)) * 1e-300
+    assert planned(positions, linear_system(np.eye(2), np.ones(2))).counts.tolist() == [10, 10]
+
+
+def test_an_edge_without_position_is_refused() -> None:
+    system = linear_system(np.eye(2), np.ones(2))
+    unplaced = System(edges=(system.edges[0], replace(system.edges[1], position=None)))
+    with pytest.raises(BadInput, match="edge 'e1' has no position"):
+        plan_regions(np.zeros((3, 2)), unplaced)
+
+
+def test_an_unknown_method_is_refused() -> None:
+    with pytest.raises(BadInput, match="use one of exact, paper, voronoi, even"):
+        plan_regions(np.zeros((3, 2)), linear_system(np.eye(2), np.ones(2)), method="magic")  # pyright: ignore[reportArgumentType]
