@@ -1,10 +1,8 @@
-"""Points where structure from motion found none, and an apron around what was photographed. Once per model.
+"""Points where structure from motion found none: woods, water and lawns. Once per model.
 
-Fill-in: each training image is cut into cells; a cell below the horizon in which no sparse point is seen gets one, in the cell's mean
-colour. Without it woods, water and lawns start empty, and a short training cannot reach there: on an aerial set they stayed black.
-Apron: coarse cells half an image beyond each image's sides continue its edge colours over ground that no training image sees, so
-that a view from a little further out meets a blur and not a black hole.
-Both lie on the ray through the cell's middle, at the depth interpolated from the nearest observed points.
+Each training image is cut into cells; a cell below the horizon in which no sparse point is seen gets one on the ray through its middle,
+at the depth interpolated from the nearest observed points, in the cell's mean colour. Without it such places start empty, and a
+short training cannot reach there: on an aerial set the woods stayed black.
 """
 
 from __future__ import annotations
@@ -20,10 +18,8 @@ from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.train.views import TrainingViews
 
-FILL_CELLS_ACROSS, APRON_CELLS_ACROSS = 20, 10
+CELLS_ACROSS = 20
 """Cells along the long side of an image."""
-APRON_MARGIN = 0.5
-"""How far the apron reaches beyond an image, in image sides."""
 MIN_SPACING_CELLS = 0.7
 """A new point nearer than this many cells to a point that is already there is left out."""
 NEIGHBOURS = 4
@@ -44,25 +40,16 @@ class AddedPoints:
 
 
 def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
-    """One point per image cell without a sparse point; `views.cameras` are the scene's in the same order, at any resolution."""
-    return _added(scene, views, FILL_CELLS_ACROSS, 0.0)
+    """One point per empty image cell, each apart from the scene's and from those of the images before.
 
-
-def apron_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
-    """Coarse points beside the images, where no training camera looks."""
-    apron = _added(scene, views, APRON_CELLS_ACROSS, APRON_MARGIN)
-    unseen = ~views.cameras.any_sees(apron.points)
-    return AddedPoints(points=apron.points[unseen], colors=apron.colors[unseen])
-
-
-def _added(scene: SfmScene, views: TrainingViews, cells_across: int, margin: float) -> AddedPoints:
-    """New points of all images, each apart from the scene's and from those of the images before."""
+    `views.cameras` are the scene's in the same order, at any resolution.
+    """
     known, first_new = scene.points, len(scene.points)
     colors = [np.zeros((0, 3), np.uint8)]
     for index in range(len(views)):
-        cells = _cells(views, index, cells_across, margin)
+        cells = _cells(views.images[index])
         seen = scene.points[scene.observations[scene.observations[:, 1] == index, 0]]
-        placed = _place(views.cameras, index, seen, cells, cells_across)
+        placed = _place(views.cameras, index, seen, cells)
         if placed is None:
             continue
         points, spacing, empty = placed
@@ -76,24 +63,19 @@ def _added(scene: SfmScene, views: TrainingViews, cells_across: int, margin: flo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Cells:
-    """Middles (F,2) px and mean colours (F,3) of cells inside or, with a margin, only outside of one image."""
+    """Middles (F,2) px and mean colours (F,3) of the cells of one image."""
 
     middles: NDArray[np.floating]
     colors: NDArray[np.uint8]
 
 
-def _cells(views: TrainingViews, index: int, cells_across: int, margin: float) -> _Cells:
-    image = views.images[index]
+def _cells(image: NDArray[np.uint8]) -> _Cells:
     height, width = image.shape[:2]
-    cell_px = max(width, height) / cells_across
+    cell_px = max(width, height) / CELLS_ACROSS
     columns, rows = max(1, round(width / cell_px)), max(1, round(height / cell_px))
-    beyond_x, beyond_y = round(margin * columns), round(margin * rows)
-    column, row = np.meshgrid(np.arange(-beyond_x, columns + beyond_x), np.arange(-beyond_y, rows + beyond_y))
-    outside = (column < 0) | (column >= columns) | (row < 0) | (row >= rows)
-    column, row = (axis[outside] if margin else axis.ravel() for axis in (column, row))
-    middles = (np.stack([column, row], axis=1) + 0.5) * np.array([width / columns, height / rows])
-    means = _block_means(image, columns, rows)
-    return _Cells(middles=middles, colors=means[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)])
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    middles = (np.stack([column.ravel(), row.ravel()], axis=1) + 0.5) * np.array([width / columns, height / rows])
+    return _Cells(middles=middles, colors=_block_means(image, columns, rows).reshape(-1, 3))
 
 
 def _block_means(image: NDArray[np.uint8], columns: int, rows: int) -> NDArray[np.uint8]:
@@ -107,7 +89,7 @@ def _block_means(image: NDArray[np.uint8], columns: int, rows: int) -> NDArray[n
 
 
 def _place(
-    cameras: Cameras, index: int, seen: FloatArray, cells: _Cells, cells_across: int
+    cameras: Cameras, index: int, seen: FloatArray, cells: _Cells
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
     """Points (F,3) of the cells, their spacing (F,) in world units, and which lie below the horizon without an observed point in
     them (F,); None when the image sees too few points to tell a depth."""
@@ -122,6 +104,6 @@ def _place(
     depths = (weights * in_camera[nearest, 2]).sum(axis=1) / weights.sum(axis=1)
     rays = np.concatenate([cells.middles, np.ones((len(cells.middles), 1))], axis=1) @ np.linalg.inv(K).T
     points = (rays * depths[:, None] - pose[:3, 3]) @ pose[:3, :3]
-    cell_px = cameras.sizes_wh[index].max() / cells_across
+    cell_px = cameras.sizes_wh[index].max() / CELLS_ACROSS
     empty = (distances[:, 0] > 0.5 * cell_px) & (rays @ pose[:3, 2] < 0)
     return points, depths * cell_px / K[0, 0], empty

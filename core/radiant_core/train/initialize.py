@@ -10,12 +10,12 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.splats import SH_BASES, SH_C0, Splats, concatenate_splats
+from radiant_core.splats import SH_BASES, SH_C0, Splats
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.fill_in import AddedPoints, apron_points, fill_in_points
+from radiant_core.train.fill_in import fill_in_points
 from radiant_core.train.views import TrainingViews
 
-INITIAL_OPACITY, APRON_OPACITY = 0.1, 0.9
+INITIAL_OPACITY = 0.1
 NUM_SKY = 400
 
 
@@ -36,51 +36,34 @@ def initial_splats(points: FloatArray, colors: NDArray[np.uint8], cameras: Camer
     sky_radius = np.linalg.norm(sky - sky.mean(0), axis=1).max() if len(sky) else 0.0
     scales = np.concatenate([spacing, np.full(len(sky), 1.5 * sky_radius / np.sqrt(NUM_SKY))])
     rgb = np.concatenate([colors / 255.0, np.full((len(sky), 3), 0.75)])
-    opacity = np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY))
-    return _splats_at(np.concatenate([points, sky]), rgb, scales, (opacity, sh_degree))
-
-
-def _splats_at(points: FloatArray, rgb: FloatArray, scales: FloatArray, values: tuple[float, int]) -> Splats:
-    """Round Gaussians at points (P,3) with colours (P,3) in 0..1 and scales (P,); `values` are opacity logit and SH degree."""
-    logit_opacity, sh_degree = values
-    count = len(points)
+    means = np.concatenate([points, sky]).astype(np.float32)
+    count = len(means)
     return Splats(
-        means=points.astype(np.float32),
+        means=means,
         quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         log_scales=np.log(np.repeat(scales[:, None], 3, axis=1)).astype(np.float32),
-        logit_opacities=np.full(count, logit_opacity, np.float32),
+        logit_opacities=np.full(count, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),
         sh0=((rgb - 0.5) / SH_C0)[:, None].astype(np.float32),
         shN=np.zeros((count, SH_BASES[sh_degree] - 1, 3), np.float32),
     )
 
 
 def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:
-    """The Gaussians that training starts from: sparse and fill-in points, a sky, an apron; and how many were filled in.
+    """The Gaussians that training starts from: sparse points, fill-in points and a sky; and how many were filled in.
 
-    `views.cameras` are those of the scene in the same order. Within the limit fill-in gets what the sparse points leave, at least a
-    quarter, and the apron at most a tenth.
+    `views.cameras` are those of the scene in the same order. Fill-in gets what the limit leaves, at least a quarter of it.
     """
     limit = config.max_num_splats
-    apron = apron_points(scene, views).thinned(limit // 10)
-    fill = fill_in_points(scene, views).thinned(max(limit - len(scene.points) - len(apron.points), limit // 4))
-    kept = np.linspace(0, len(scene.points) - 1, max(1, min(len(scene.points), limit - len(fill.points) - len(apron.points))))
-    own = scene.points[kept.astype(np.int64)], scene.colors[kept.astype(np.int64)]
-    observed = initial_splats(
-        np.concatenate([own[0], fill.points]),
-        np.concatenate([own[1], fill.colors]),
+    fill = fill_in_points(scene, views).thinned(max(limit - len(scene.points), limit // 4))
+    kept = np.linspace(0, len(scene.points) - 1, max(1, min(len(scene.points), limit - len(fill.points)))).astype(np.int64)
+    initial = initial_splats(
+        np.concatenate([scene.points[kept], fill.points]),
+        np.concatenate([scene.colors[kept], fill.colors]),
         views.cameras,
-        max_num_splats=limit - len(apron.points),
+        max_num_splats=limit,
         sh_degree=config.sh_degree,
     )
-    return concatenate_splats([observed, *_opaque(apron, config.sh_degree)]), len(fill.points)
-
-
-def _opaque(apron: AddedPoints, sh_degree: int) -> list[Splats]:
-    """The apron's Gaussians: no image will ever raise their opacity, so they begin opaque."""
-    if len(apron.points) < 4:
-        return []
-    opacity = np.log(APRON_OPACITY / (1 - APRON_OPACITY))
-    return [_splats_at(apron.points, apron.colors / 255, _neighbour_distance(apron.points), (opacity, sh_degree))]
+    return initial, len(fill.points)
 
 
 def sky_share(cameras: Cameras) -> float:
