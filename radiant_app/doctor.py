@@ -91,7 +91,7 @@ def _desktop() -> Finding:
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     extra = importlib.util.find_spec("pyvistaqt") is not None
     found = f"display {display or 'none'}, extra {'installed' if extra else 'not installed'}"
-    advice = "pip install 'radiant-splats[desktop]' on a machine with a display; pictures work without."
+    advice = ".venv/bin/pip install -e '.[desktop]' on a machine with a display; pictures work without."
     return Finding(name="desktop window", ok=bool(display) and extra, needed=False, found=found, advice=advice)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +75,7 @@ class System:
         if not self.edges:
             raise BadInput("the system has no edges: give it at least one.")
         for kind, ids in (("edge", [edge.id for edge in self.edges]), ("device", [d.id for d in self.devices])):
-            twice = sorted({name for name in ids if ids.count(name) > 1})
+            twice = sorted(name for name, count in Counter(ids).items() if count > 1)
             if twice:
                 raise BadInput(f"{kind} id {twice[0]!r} comes twice: ids name folders and must differ.")
 

@@ -24,7 +24,7 @@ class Overrides:
     """Upper limit of Gaussians of a device."""
 
 
-_REFERENCE_LIMITS = Overrides(long_side_px=240, num_steps=250, max_num_splats=8_000)
+_REFERENCE_LIMITS = Overrides(long_side_px=240, num_steps=120, max_num_splats=8_000)
 _UNITS = {"long_side_px": "px", "num_steps": "steps", "max_num_splats": "Gaussians"}
 
 

@@ -1,0 +1,42 @@
+"""The shipped finished runs: every view draws them, and only the planted seam is seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from radiant_app.demo import sample_scenes_folder
+from radiant_viewer.run_view import load_run_view, required_splats
+from radiant_viewer.seam_layer import color_steps, seam_pieces
+from radiant_viewer.views import View, screenshot, seam_band_width
+
+RUNS = sample_scenes_folder() / "runs"
+
+
+@pytest.mark.parametrize("view", get_args(View))
+def test_every_view_draws_the_tiny_run(view: str) -> None:
+    image = screenshot(RUNS / "tiny", view)
+    assert image.ndim == 3 and image.std() > 5, "a picture with something on it"
+
+
+def median_step(run: Path) -> float:
+    view = load_run_view(run)
+    width = seam_band_width(view.cloud_plan)
+    steps = color_steps(required_splats(view), seam_pieces(view.cloud_plan, width), width)
+    assert np.isfinite(steps).any()
+    return float(np.nanmedian(steps))
+
+
+def test_the_planted_seam_stands_out_by_its_height() -> None:
+    plain, planted = median_step(RUNS / "tiny"), median_step(RUNS / "planted_seam")
+    # 30 levels were planted; the scene's own texture along the border hides part of a step, never adds half of one.
+    assert planted - plain > 10, f"{plain:.1f} → {planted:.1f} levels"
+
+
+def test_no_run_says_where_it_was_made() -> None:
+    for manifest in RUNS.glob("*/manifest.json"):
+        assert '"sample_scenes/hamlet/images"' in manifest.read_text()
+        assert "/tmp/" not in manifest.read_text()
