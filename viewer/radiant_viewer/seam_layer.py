@@ -2,9 +2,10 @@
 
     step(x)² = max(0, ‖c₊(x) − c₋(x)‖² − median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖²)
 
-c± is the opacity-weighted mean colour of the Gaussians in the band of one width to either side of the border, n its normal; the
-parallels lie inside the regions, so the scene's own texture is subtracted (in squares, as independent parts add). Once per
-picture; S pieces.
+c± is the mean colour of the Gaussians in the band of one width to either side of the border, each weighted by opacity times the
+area it covers, n the normal; bands are pooled over the neighbouring pieces of the same border, since a seam steps the same way
+all along and texture does not. The parallels lie inside the regions, so the scene's own texture is subtracted (in squares, as
+independent parts add). Once per picture; S pieces.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ from radiant_viewer.splat_layer import splat_colors
 PARALLELS = (-3.0, -2.0, 2.0, 3.0)
 """Where the scene's own texture is measured, in widths of the band from the border."""
 MIN_GAUSSIANS = 3
-"""A band with fewer opaque Gaussians has no colour: its piece gets no value."""
+"""A band with fewer Gaussians has no colour: its piece gets no value."""
+POOLED_WIDTHS = 2.0
+"""How far along the border bands are pooled, in widths, where each piece is to keep its own value."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,22 +59,28 @@ def seam_pieces(cloud_plan: CloudPlan, length: float) -> SeamPieces:
     return SeamPieces(ends=np.concatenate(ends), edge_pairs=np.concatenate(pairs))
 
 
-def color_steps(splats: Splats, pieces: SeamPieces, width: float) -> FloatArray:
-    """Colour step (S,) across each piece in 8-bit levels; NaN where too few Gaussians lie beside it. `width` of a band > 0."""
+def color_steps(splats: Splats, pieces: SeamPieces, width: float, pooled_widths: float = POOLED_WIDTHS) -> FloatArray:
+    """Colour step (S,) across each piece in 8-bit levels; NaN where too few Gaussians lie beside it.
+
+    `width` of a band > 0; `pooled_widths` = infinity gives every piece the one figure of its border. Raises BadInput for a bad width.
+    """
     if not (np.isfinite(width) and width > 0):
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
-    opacities = 1 / (1 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -50, 50)))
-    colors = splat_colors(splats).astype(np.float64)
+    weights = _shown_weights(splats, width)
+    weighted = np.column_stack([weights[:, None] * splat_colors(splats), weights, np.ones(len(splats))])
     tree = KDTree(splats.means[:, :2].astype(np.float64))
     middles = pieces.ends.mean(axis=1)
     along = pieces.ends[:, 1] - pieces.ends[:, 0]
     normals = np.column_stack([-along[:, 1], along[:, 0]]) / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    same_border = (pieces.edge_pairs[:, None] == pieces.edge_pairs).all(axis=2)
+    pooled = same_border & (np.linalg.norm(middles[:, None] - middles, axis=2) <= pooled_widths * width)
 
     def band_colors(offset_widths: float) -> FloatArray:
-        centers = middles + offset_widths * width * normals
-        return np.array(
-            [_mean_color(chosen, opacities, colors) for chosen in tree.query_ball_point(centers, 0.5 * width)]
-        ).reshape(-1, 3)
+        # The border of the region with the lower index runs counter-clockwise, so "left" is the same side in all its pieces.
+        chosen = tree.query_ball_point(middles + offset_widths * width * normals, 0.5 * width)
+        sums = pooled @ np.array([weighted[rows].sum(axis=0) for rows in chosen]).reshape(-1, 5)
+        colors = sums[:, :3] / np.maximum(sums[:, 3:4], 1e-12)
+        return np.where(sums[:, 4:] >= MIN_GAUSSIANS, colors, np.nan)
 
     def steps_at(offset_widths: float) -> FloatArray:
         return np.linalg.norm(band_colors(offset_widths + 0.5) - band_colors(offset_widths - 0.5), axis=1) / np.sqrt(3)
@@ -123,11 +132,12 @@ def _neighbours(cloud_plan: CloudPlan, edge: int, points: FloatArray) -> NDArray
     return np.where(shared, nearest, -1)
 
 
-def _mean_color(chosen: list[int], opacities: FloatArray, colors: FloatArray) -> FloatArray:
-    if len(chosen) < MIN_GAUSSIANS:
-        return np.full(3, np.nan)
-    weights = opacities[chosen]
-    return weights @ colors[chosen] / max(float(weights.sum()), 1e-12)
+def _shown_weights(splats: Splats, width: float) -> FloatArray:
+    """Opacity times covered area (N,): the product of the two longer axes, at most a quarter of the band's square."""
+    opacities = 1 / (1 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -50, 50)))
+    log_areas = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
+    # Relative to the band: neither a tiny nor a huge scene under- or overflows.
+    return opacities * np.exp(np.clip(log_areas - 2 * np.log(width), -50, np.log(0.25)))
 
 
 def _rounded_up(value: float) -> float:

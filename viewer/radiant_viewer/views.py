@@ -115,11 +115,12 @@ def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[Lay
     steps = color_steps(splats, pieces, width)
     label = f"Colour step (8-bit levels), bands of {width:.3g} {scene.frame.unit}"
     layer = seam_layer(pieces, steps, label, ground_height(scene))
-    if not np.isfinite(steps).any():
+    whole_borders = color_steps(splats, pieces, width, pooled_widths=np.inf)
+    if not np.isfinite(whole_borders).any():
         return layer, "too few Gaussians beside the borders to say"
-    worst = int(np.nanargmax(steps))
+    worst = int(np.nanargmax(whole_borders))
     first, second = (cloud_plan.edge_ids[edge] for edge in pieces.edge_pairs[worst])
-    return layer, f"largest {steps[worst]:.1f} levels, between {first} and {second}"
+    return layer, f"largest {whole_borders[worst]:.1f} levels, all along the border of {first} and {second}"
 
 
 def seam_band_width(cloud_plan: CloudPlan) -> float:

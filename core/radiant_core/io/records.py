@@ -28,6 +28,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 
 VERSION = "1"
+METADATA_NAME = "radiant"
 
 SPLATS_DTYPES: dict[str, str] = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"), "F32")
 CAMERAS_DTYPES = {"Ks": "F64", "cam_from_world": "F64", "sizes_wh": "I64"}
@@ -112,8 +113,9 @@ def _camera_arrays(cameras: Cameras) -> dict[str, NDArray]:
 
 
 def _save_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about: Mapping[str, Any]) -> None:
-    metadata = {"schema": schema, "version": VERSION, "about": json.dumps(about, allow_nan=False)}
-    write_atomic(path, save(dict(arrays), metadata))
+    # One entry only: safetensors writes several in an order that differs from process to process, and keys hash these bytes.
+    record = json.dumps({"schema": schema, "version": VERSION, "about": dict(about)}, allow_nan=False, sort_keys=True)
+    write_atomic(path, save(dict(arrays), {METADATA_NAME: record}))
 
 
 def _load_arrays(path: Path, schema: str, dtypes: Mapping[str, str]) -> tuple[dict[str, NDArray], dict[str, Any]]:
@@ -122,18 +124,20 @@ def _load_arrays(path: Path, schema: str, dtypes: Mapping[str, str]) -> tuple[di
         raise StoreDamaged(f"cannot read {path}: there is no such file: run the stage that writes it again.")
     try:
         with safe_open(os.fspath(path), framework="np") as file, _naming(path):
-            metadata = file.metadata() or {}
-            _require_schema(metadata, schema)
+            record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
+            _require_schema(record, schema)
             found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
             if found != dtypes:
                 raise BadInput(f"it holds the arrays {found}, expected {dict(dtypes)}: write it anew with this version.")
-            return {name: file.get_tensor(name) for name in dtypes}, json.loads(metadata["about"])
+            return {name: file.get_tensor(name) for name in dtypes}, record["about"]
     except (SafetensorError, OSError) as error:
         raise StoreDamaged(f"{path} is not a whole safetensors file: {error}: run the stage that writes it again.") from error
 
 
-def _require_schema(metadata: Mapping[str, Any], schema: str) -> None:
-    found = (metadata.get("schema"), metadata.get("version"))
+def _require_schema(record: Any, schema: str) -> None:
+    if not isinstance(record, dict):
+        raise BadInput("it does not say what it holds: write it anew with this version.")
+    found = (record.get("schema"), record.get("version"))
     if found != (schema, VERSION):
         raise BadInput(f"it says schema and version {found}, expected {(schema, VERSION)}: check which file it is.")
 

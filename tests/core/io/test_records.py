@@ -140,6 +140,15 @@ def test_plans_come_back_with_empty_regions(tmp_path: Path) -> None:
     assert_same(load_plan(tmp_path / "plan.json"), (cloud, edges))
 
 
+def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
+    scene, path = some_scene(), tmp_path / "a.safetensors"
+    written = set()
+    for _ in range(6):
+        save_scene(path, scene)
+        written.add(path.read_bytes())
+    assert len(written) == 1, "keys of stages hash these bytes"
+
+
 def test_one_type_is_not_read_as_another(tmp_path: Path) -> None:
     save_cameras(tmp_path / "a.safetensors", some_cameras())
     with pytest.raises(BadInput, match=r"a\.safetensors.*radiant\.cameras.*radiant\.splats"):
@@ -152,15 +161,19 @@ def test_a_strangers_safetensors_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="expected"):
         load_splats(path)
     arrays = {name: array.astype(np.float64) for name, array in some_splats().arrays().items()}
-    save_file(arrays, path, {"schema": "radiant.splats", "version": "1", "about": "{}"})
+    save_file(arrays, path, {"radiant": json.dumps({"schema": "radiant.splats", "version": "1", "about": {}})})
     with pytest.raises(BadInput, match="it holds the arrays"):
         load_splats(path)
+    for broken in ("[]", "{", '{"schema": "radiant.splats", "version": "1"}'):
+        save_file(some_splats().arrays(), path, {"radiant": broken})
+        with pytest.raises(BadInput, match=r"a\.safetensors"):
+            load_splats(path)
 
 
 def test_a_model_with_a_nan_is_refused_by_file_and_tensor(tmp_path: Path) -> None:
     arrays = {name: array.copy() for name, array in some_splats().arrays().items()}
     arrays["means"][2, 1] = np.nan
-    save_file(arrays, tmp_path / "a.safetensors", {"schema": "radiant.splats", "version": "1", "about": "{}"})
+    save_file(arrays, tmp_path / "a.safetensors", {"radiant": json.dumps({"schema": "radiant.splats", "version": "1", "about": {}})})
     with pytest.raises(BadInput, match=r"a\.safetensors: means has 1 values that are not finite, the first at index \(2, 1\)"):
         load_splats(tmp_path / "a.safetensors")
 
