@@ -75,6 +75,7 @@ install_project() {
 run_checks() {
   .venv/bin/lint-imports
   .venv/bin/ruff check
+  .venv/bin/ruff format --check --quiet
   .venv/bin/pyright
 }
 

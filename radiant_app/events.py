@@ -73,9 +73,7 @@ class Failed:
 Event = StageStarted | StageProgress | StageDone | StageSkipped | Warned | Decided | Failed
 Listener = Callable[[Event], None]
 
-_TYPES: dict[str, Any] = {
-    kind.__name__: kind for kind in (StageStarted, StageProgress, StageDone, StageSkipped, Warned, Decided, Failed)
-}
+_TYPES: dict[str, Any] = {kind.__name__: kind for kind in (StageStarted, StageProgress, StageDone, StageSkipped, Warned, Decided, Failed)}
 
 
 def encode(event: Event) -> str:

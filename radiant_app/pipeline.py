@@ -1,6 +1,6 @@
 """The main job: photographs in, one Gaussian model out. The order of the stages and what passes between them; nothing is computed here.
 
-    sfm → plan → Tree(cloud(edge(device …))) → evaluation → report
+sfm → plan → Tree(cloud(edge(device …))) → evaluation → report
 """
 
 from __future__ import annotations
@@ -172,15 +172,11 @@ def _training_settings(config: RunConfig, progress: _Progress) -> tuple[TrainCon
     return train, aggregate, backend
 
 
-def _evaluation_stage(
-    config: RunConfig, scene: SfmScene, train: TrainConfig, rendering: tuple[Path, str], progress: _Progress
-) -> None:
+def _evaluation_stage(config: RunConfig, scene: SfmScene, train: TrainConfig, rendering: tuple[Path, str], progress: _Progress) -> None:
     images, backend = rendering
     folder = config.out / "evaluation"
     folder.mkdir(exist_ok=True)
-    untrained = initial_splats(
-        scene.points, scene.colors, scene.cameras, max_num_splats=train.max_num_splats, sh_degree=train.sh_degree
-    )
+    untrained = initial_splats(scene.points, scene.colors, scene.cameras, max_num_splats=train.max_num_splats, sh_degree=train.sh_degree)
     save_splats(folder / "initial.safetensors", untrained)
     held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(train.long_side_px)
     run_task(evaluation_task(config.out, images, held_out, backend), progress.listen, progress.clock)

@@ -126,7 +126,5 @@ def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
         raise BadInput(f"{out / 'manifest.json'} is not of version {MANIFEST_VERSION}: run again into another folder.")
     differing = sorted(key for key in settings if record["config"].get(key) != settings[key])
     if differing:
-        raise BadInput(
-            f"{out} was begun with another {', '.join(differing)}: repeat those settings to resume, or choose another folder."
-        )
+        raise BadInput(f"{out} was begun with another {', '.join(differing)}: repeat those settings to resume, or choose another folder.")
     return Manifest(folder=out, config=settings, stages=record["stages"], decisions=record["decisions"], warnings=record["warnings"])

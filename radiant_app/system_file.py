@@ -1,4 +1,4 @@
-'''The system file: edges, their devices and their costs, written by a user in TOML and checked here.
+"""The system file: edges, their devices and their costs, written by a user in TOML and checked here.
 
     [[edge]]
     id = "north"
@@ -17,7 +17,7 @@
 
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
 left out has the value above, except position, memory limit (none) and relative_speed (1).
-'''
+"""
 
 from __future__ import annotations
 

@@ -43,9 +43,7 @@ def generate(config: SceneConfig, out: Path, on_photo: Callable[[], None] = lamb
             for name in names:
                 shutil.move(str(Path(temporary) / name), str(out / name))
     except OSError as error:
-        raise BadInput(
-            f"cannot write the scene to {out}: {error.strerror}; free space or choose another folder with --out"
-        ) from error
+        raise BadInput(f"cannot write the scene to {out}: {error.strerror}; free space or choose another folder with --out") from error
 
 
 def _write_scene(config: SceneConfig, folder: Path, on_photo: Callable[[], None]) -> None:

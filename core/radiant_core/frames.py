@@ -40,7 +40,7 @@ class Frame:
 
     @property
     def unit(self) -> str:
-        """"m" or, where nothing fixes the scale, "units"."""
+        """Metres ("m") or, where nothing fixes the scale, "units"."""
         return "m" if self.kind == "metric" else "units"
 
 
@@ -76,9 +76,7 @@ class Sim3:
 
     def inverse(self) -> Sim3:
         """The similarity that undoes this one."""
-        return Sim3(
-            scale=1 / self.scale, rotation=self.rotation.T, translation=-(self.rotation.T @ self.translation) / self.scale
-        )
+        return Sim3(scale=1 / self.scale, rotation=self.rotation.T, translation=-(self.rotation.T @ self.translation) / self.scale)
 
 
 def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:

@@ -103,9 +103,7 @@ def _metrics(key: str, runs: list[SfmRun]) -> list[Metric]:
         Metric(key=f"{key}.seconds", value=seconds, unit="s", direction="lower", tolerance=_TIME_TOLERANCE * seconds),
         Metric(key=f"{key}.registered", value=median("num_registered"), unit="1", direction="higher", tolerance=1),
         *(
-            Metric(
-                key=f"{key}.{name}", value=median(field), unit=unit, direction="lower", tolerance=_ERROR_TOLERANCE * median(field)
-            )
+            Metric(key=f"{key}.{name}", value=median(field), unit=unit, direction="lower", tolerance=_ERROR_TOLERANCE * median(field))
             for name, field, unit in errors
         ),
     ]

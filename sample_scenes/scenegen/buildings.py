@@ -21,9 +21,7 @@ PLASTERS = [
         (0.72, 0.77, 0.68), (0.94, 0.94, 0.92), (0.70, 0.50, 0.42),
     )
 ]  # fmt: skip
-TILE_TINTS = [
-    linear(*rgb) for rgb in ((0.62, 0.40, 0.31), (0.54, 0.35, 0.29), (0.45, 0.37, 0.34), (0.37, 0.38, 0.41), (0.66, 0.48, 0.37))
-]
+TILE_TINTS = [linear(*rgb) for rgb in ((0.62, 0.40, 0.31), (0.54, 0.35, 0.29), (0.45, 0.37, 0.34), (0.37, 0.38, 0.41), (0.66, 0.48, 0.37))]
 FLAT_TINTS = [linear(*rgb) for rgb in ((0.62, 0.61, 0.58), (0.48, 0.48, 0.48), (0.72, 0.70, 0.66), (0.55, 0.50, 0.45))]
 METAL, BRICK, WHITE = linear(0.70, 0.71, 0.72), linear(0.55, 0.33, 0.27), linear(0.93, 0.93, 0.92)
 
@@ -100,9 +98,7 @@ def _add_gabled_roof(
         builder.add_polygon(place.world(slope + np.array([0.0, 0.0, 0.08])), uvs, tiles)
 
 
-def _add_flat_block(
-    builder: MeshBuilder, place: Placement, size_m: tuple[float, float], height: float, rng: np.random.Generator
-) -> None:
+def _add_flat_block(builder: MeshBuilder, place: Placement, size_m: tuple[float, float], height: float, rng: np.random.Generator) -> None:
     """Walls, a parapet and a gravelled or felted roof below its rim."""
     number = int(rng.integers(1, 2**30))
     wall = Look(material=Material.WALL, tint=PLASTERS[rng.integers(len(PLASTERS))], number=number)

@@ -100,9 +100,7 @@ class Placement:
         return np.asarray(local, np.float64) @ turn.T + np.array([self.x, self.y, self.z])
 
 
-def add_prism(
-    builder: MeshBuilder, place: Placement, outline: tuple[NDArray, NDArray], z: tuple[float, float], look: Look
-) -> None:
+def add_prism(builder: MeshBuilder, place: Placement, outline: tuple[NDArray, NDArray], z: tuple[float, float], look: Look) -> None:
     """Add the sides between a bottom and a top outline (K,2) at two heights; uvs are metres along and up."""
     bottom, top = (np.column_stack([line, np.full(len(line), height)]) for line, height in zip(outline, z, strict=True))
     for k in range(len(bottom)):

@@ -13,9 +13,7 @@ from scenegen.ground import linear
 from scenegen.mesh import Look, Material, MeshBuilder, Placement, add_lid, add_prism, rectangle
 from scenegen.noise import Floats, value_noise
 
-LEAVES = [
-    linear(*rgb) for rgb in ((0.30, 0.40, 0.19), (0.38, 0.46, 0.22), (0.24, 0.35, 0.19), (0.45, 0.45, 0.22), (0.33, 0.42, 0.28))
-]
+LEAVES = [linear(*rgb) for rgb in ((0.30, 0.40, 0.19), (0.38, 0.46, 0.22), (0.24, 0.35, 0.19), (0.45, 0.45, 0.22), (0.33, 0.42, 0.28))]
 PAINTS = [
     linear(*rgb)
     for rgb in (

@@ -38,9 +38,7 @@ class Photographer:
         self.layout = Layout(extent_m=config.extent_m, seed=config.seed)
         self._mesh: Mesh = build_town(self.layout)
         self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            o3d.core.Tensor.from_numpy(self._mesh.vertices), o3d.core.Tensor.from_numpy(self._mesh.triangles)
-        )
+        self._scene.add_triangles(o3d.core.Tensor.from_numpy(self._mesh.vertices), o3d.core.Tensor.from_numpy(self._mesh.triangles))
 
     def photograph(self, shot: Shot, number: int) -> NDArray[np.uint8]:
         """The photograph (H,W,3) sRGB; number selects its sensor noise."""

@@ -91,9 +91,7 @@ def test_resuming_skips_every_finished_stage_and_keeps_the_scene(finished: tuple
     assert (config.out / "scene.ply").read_bytes() == before
 
 
-def test_a_flipped_bit_makes_resume_repeat_that_stage(
-    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
-) -> None:
+def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
     config, _, _ = finished
     copy = tmp_path / "copy"
     shutil.copytree(config.out, copy)

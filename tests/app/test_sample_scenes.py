@@ -162,8 +162,7 @@ def exif_position(path: Path) -> tuple[float, float, float] | None:
     if not gps:
         return None
     degrees = [
-        sum(float(part) / 60.0**k for k, part in enumerate(gps[tag]))
-        for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude)
+        sum(float(part) / 60.0**k for k, part in enumerate(gps[tag])) for tag in (ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude)
     ]
     return degrees[0], degrees[1], float(gps[ExifTags.GPS.GPSAltitude])
 

@@ -112,9 +112,7 @@ def _cell(edge: int) -> Polygon:
         along = np.array([-toward[1], toward[0]])
         middle, far = (SITES[edge] + other) / 2, 1000.0
         cell = cell.intersection(
-            Polygon(
-                [middle + far * along, middle - far * along, middle - far * (along + toward), middle + far * (along - toward)]
-            )
+            Polygon([middle + far * along, middle - far * along, middle - far * (along + toward), middle + far * (along - toward)])
         )
     turned = cell.normalize().reverse()
     assert isinstance(turned, Polygon)

@@ -68,9 +68,7 @@ def test_later_layers_lie_over_earlier_ones_whatever_their_height() -> None:
 
 
 def test_borders_show_through_what_stands_before_them_in_a_view() -> None:
-    wall = Layer(
-        name="wall", polygons=(np.array([[-2.0, 0, -1], [2, 0, -1], [2, 0, 1], [-2, 0, 1]]),), polygon_colors=colors([255, 0, 0])
-    )
+    wall = Layer(name="wall", polygons=(np.array([[-2.0, 0, -1], [2, 0, -1], [2, 0, 1], [-2, 0, 1]]),), polygon_colors=colors([255, 0, 0]))
     line = np.array([[[-2.0, 1, 0], [2, 1, 0]]])
     for in_front in (False, True):
         layer = Layer(name="line", segments=line, segment_colors=colors([0, 0, 0]), line_width_px=5, in_front=in_front)

@@ -81,9 +81,7 @@ def test_a_broken_file_is_named_in_one_sentence(run_folder: Path, name: str) -> 
     assert len(str(caught.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    "record", [[], {}, {"images": 3}, {"images": [{"name": "a"}]}, {"images": [{"name": "a", "psnr_db": True}]}]
-)
+@pytest.mark.parametrize("record", [[], {}, {"images": 3}, {"images": [{"name": "a"}]}, {"images": [{"name": "a", "psnr_db": True}]}])
 def test_figures_of_another_form_are_refused(run_folder: Path, record: object) -> None:
     write_json(run_folder / "metrics.json", record)
     with pytest.raises(StoreDamaged, match=r"metrics\.json"):
@@ -105,8 +103,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def rows(*lengths_s: float) -> list[TimelineRow]:
     return [
-        TimelineRow(name=f"north-{i}", spans=(TimelineSpan(stage="train", start_s=0, stop_s=length),))
-        for i, length in enumerate(lengths_s)
+        TimelineRow(name=f"north-{i}", spans=(TimelineSpan(stage="train", start_s=0, stop_s=length),)) for i, length in enumerate(lengths_s)
     ]
 
 

@@ -56,9 +56,7 @@ def pyramid_segments(cameras: Cameras, depth: float) -> FloatArray:
     """Eight lines per camera (8C,2,3): four from the centre to the image corners at `depth`, four around them."""
     widths, heights = cameras.sizes_wh.astype(np.float64).T
     zero = np.zeros_like(widths)
-    corners_px = np.stack(
-        [np.stack([zero, widths, widths, zero]), np.stack([zero, zero, heights, heights]), np.ones((4, len(cameras)))]
-    )
+    corners_px = np.stack([np.stack([zero, widths, widths, zero]), np.stack([zero, zero, heights, heights]), np.ones((4, len(cameras)))])
     rays = np.einsum("cij,jkc->cki", np.linalg.inv(cameras.Ks), corners_px)
     rotations = cameras.cam_from_world[:, :3, :3]
     centers = np.repeat(cameras.centers[:, None], 4, axis=1)
@@ -67,9 +65,7 @@ def pyramid_segments(cameras: Cameras, depth: float) -> FloatArray:
     return lines.reshape(-1, 2, 3)
 
 
-def _layer(
-    cameras: Cameras, name: str, colors: ColorArray, legend: tuple[LegendEntry, ...], heat: HeatScale | None = None
-) -> Layer:
+def _layer(cameras: Cameras, name: str, colors: ColorArray, legend: tuple[LegendEntry, ...], heat: HeatScale | None = None) -> Layer:
     # White stands for "not trained" and would vanish as a thin line on white ground.
     strokes = np.where((colors == 255).all(axis=1, keepdims=True), np.array(GREY, np.uint8), colors)
     return Layer(

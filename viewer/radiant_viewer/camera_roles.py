@@ -31,9 +31,7 @@ class CameraRoles:
     held_out: NDArray[np.bool_]
 
 
-def camera_roles(
-    cameras: Cameras, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], held_out: Collection[str]
-) -> CameraRoles:
+def camera_roles(cameras: Cameras, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], held_out: Collection[str]) -> CameraRoles:
     """Who trains what, for all C cameras of the scene.
 
     The plan may speak of all C cameras or only of those that are not held out, in the scene's order.
@@ -41,9 +39,7 @@ def camera_roles(
     """
     unknown = sorted(set(held_out) - set(cameras.names))
     if unknown:
-        raise BadInput(
-            f"the held-out photograph {unknown[0]!r} is none of the scene's {len(cameras)} cameras: plan this scene again."
-        )
+        raise BadInput(f"the held-out photograph {unknown[0]!r} is none of the scene's {len(cameras)} cameras: plan this scene again.")
     is_held_out = np.array([name in held_out for name in cameras.names], dtype=bool)
     planned = _planned_indices(is_held_out, len(cloud_plan.edge_of_camera))
     edge_of_camera = np.full(len(cameras), NOBODY, np.int64)
@@ -84,6 +80,4 @@ def _require_fits(plan: EdgePlan, cloud_plan: CloudPlan, num_planned: int) -> No
             f"the plan of edge {plan.edge_id!r} belongs to none of the edges {list(cloud_plan.edge_ids)}: plan this scene again."
         )
     if len(plan.camera_indices) and (plan.camera_indices.min() < 0 or plan.camera_indices.max() >= num_planned):
-        raise BadInput(
-            f"the plan of edge {plan.edge_id!r} names a camera beyond the {num_planned} planned ones: plan this scene again."
-        )
+        raise BadInput(f"the plan of edge {plan.edge_id!r} names a camera beyond the {num_planned} planned ones: plan this scene again.")

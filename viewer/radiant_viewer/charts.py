@@ -63,9 +63,7 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
     for index, row in enumerate(rows):
         _draw_row(axes, index, row, unit_s, colors)
     _style_axes(axes, rows, max(end_s / unit_s, 1e-9), f"Time ({unit})")
-    _draw_keys(
-        figure_axes=axes_at(figure, (16, height_px - TOP_PX + 8, width_px - 32, 34)), width_px=width_px - 32, colors=colors
-    )
+    _draw_keys(figure_axes=axes_at(figure, (16, height_px - TOP_PX + 8, width_px - 32, 34)), width_px=width_px - 32, colors=colors)
     return figure_image(figure)
 
 

@@ -18,6 +18,4 @@ def require_desktop() -> None:
     if missing:
         raise BadInput(f"no window can be opened because {missing[0]} is not installed: install the extra 'desktop', {instead}")
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in DISPLAY_VARIABLES):
-        raise BadInput(
-            f"no window can be opened because neither DISPLAY nor WAYLAND_DISPLAY is set: log in at a desktop, {instead}"
-        )
+        raise BadInput(f"no window can be opened because neither DISPLAY nor WAYLAND_DISPLAY is set: log in at a desktop, {instead}")

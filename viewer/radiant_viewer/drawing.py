@@ -69,9 +69,7 @@ def _add_points(
 
 def _add(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
     # Unlit: a region's colour on the picture is its colour in the legend.
-    return plotter.add_mesh(
-        mesh, scalars="colors", rgb=True, lighting=False, show_scalar_bar=False, reset_camera=False, render=False
-    )
+    return plotter.add_mesh(mesh, scalars="colors", rgb=True, lighting=False, show_scalar_bar=False, reset_camera=False, render=False)
 
 
 def _polygon_mesh(layer: Layer, origin: FloatArray, height: float | None) -> pv.PolyData:

@@ -48,9 +48,7 @@ class PageText:
 def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
     """The room in px that a page of `size_wh` leaves for the drawing; BadInput for a page too small to be read."""
     if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
-        raise BadInput(
-            f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}."
-        )
+        raise BadInput(f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}.")
     left, bottom = (LEFT_PX, BOTTOM_PX) if is_map else (GAP_PX, GAP_PX)
     return size_wh[0] - PANEL_PX - left - GAP_PX, size_wh[1] - TITLE_PX - bottom
 
@@ -166,9 +164,7 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
         if not (0 <= x <= width and 0 <= y <= height):
             continue
         style = {"size": 9.5, "weight": "bold"} if labels[index].strong else {"size": 8.5, "weight": "normal"}
-        artist = axes.text(
-            x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style
-        )
+        artist = axes.text(x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style)
         artist.set_bbox({"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
         size = artist.get_window_extent(canvas.get_renderer())
         place = _free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, drawing.mark_px)

@@ -40,9 +40,7 @@ def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
         segments=sides,
         segment_colors=np.tile(np.array(INK, np.uint8), (len(sides), 1)),
         line_width_px=2.2,
-        legend=tuple(
-            LegendEntry(text=_edge_text(cloud_plan, index), color=_rgb(colors[index]), marker="area") for index in shown
-        ),
+        legend=tuple(LegendEntry(text=_edge_text(cloud_plan, index), color=_rgb(colors[index]), marker="area") for index in shown),
     )
 
 
@@ -88,9 +86,7 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     """Where each edge stands, with its id, number of cameras and predicted time; sites far outside the map are only counted."""
     near = _near_map(cloud_plan)
     sites = at_height(cloud_plan.sites, height)
-    labels = [
-        Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near).tolist()
-    ]
+    labels = [Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near).tolist()]
     text = "Edge" if near.all() else f"Edge ({int((~near).sum())} outside the map)"
     return Layer(
         name="Edges",

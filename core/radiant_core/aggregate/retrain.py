@@ -51,6 +51,4 @@ def known_parts(models: Sequence[Splats], cameras: Sequence[Cameras]) -> list[ND
 
 def teacher_views(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int) -> TrainingViews:
     """Every model's synthetic views at its own cameras, reduced to `long_side_px`."""
-    return concatenate_views(
-        [synthetic_views(model, own.scaled(long_side_px)) for model, own in zip(models, cameras, strict=True)]
-    )
+    return concatenate_views([synthetic_views(model, own.scaled(long_side_px)) for model, own in zip(models, cameras, strict=True)])

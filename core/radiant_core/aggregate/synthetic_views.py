@@ -17,9 +17,7 @@ from radiant_core.train.views import TrainingViews
 def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> TrainingViews:
     """Render `splats` at all `cameras` at their sizes: images (H,W,3) uint8, weights (H,W) uint8 from alpha."""
     rendered = list(_in_bytes(splats, cameras, backend))
-    return TrainingViews(
-        cameras=cameras, images=tuple(image for image, _ in rendered), weights=tuple(weight for _, weight in rendered)
-    )
+    return TrainingViews(cameras=cameras, images=tuple(image for image, _ in rendered), weights=tuple(weight for _, weight in rendered))
 
 
 def _in_bytes(splats: Splats, cameras: Cameras, backend: Backend):  # noqa: ANN202 - pairs (image, weight) of uint8 arrays

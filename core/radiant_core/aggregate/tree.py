@@ -39,9 +39,7 @@ def tree_of_plan(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> Tree:
     """Cloud over the edges and devices that have cameras; idle ones are left out."""
     edges = []
     for index, plan in enumerate(edge_plans):
-        devices = tuple(
-            Tree(id=f"devices/{device_id}", tier="device") for device_id in plan.device_ids if len(plan.cameras_of(device_id))
-        )
+        devices = tuple(Tree(id=f"devices/{device_id}", tier="device") for device_id in plan.device_ids if len(plan.cameras_of(device_id)))
         if devices:
             edges.append(Tree(id=f"edges/{cloud_plan.edge_ids[index]}", tier="edge", children=devices))
     return Tree(id="cloud", tier="cloud", children=tuple(edges))

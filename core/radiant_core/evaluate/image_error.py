@@ -80,9 +80,7 @@ def flip(render: ArrayLike, photograph: ArrayLike) -> float | None:
 
 def image_errors(name: str, render: ArrayLike, photograph: ArrayLike) -> ImageErrors:
     """All figures of one image (H,W,3) in 0..1 against its photograph; BadInput on other shapes or values."""
-    return ImageErrors(
-        name=name, psnr_db=psnr_db(render, photograph), ssim=ssim(render, photograph), flip=flip(render, photograph)
-    )
+    return ImageErrors(name=name, psnr_db=psnr_db(render, photograph), ssim=ssim(render, photograph), flip=flip(render, photograph))
 
 
 def mean_errors(errors: Sequence[ImageErrors], name: str = "mean") -> ImageErrors:

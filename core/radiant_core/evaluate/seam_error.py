@@ -67,9 +67,7 @@ def border_distance_m(points_xy: FloatArray, plan: CloudPlan) -> FloatArray:
     return gaps.min(axis=1)
 
 
-def seam_masks(
-    cameras: Cameras, depths_m: Sequence[NDArray[np.floating]], plan: CloudPlan, half_band_m: float
-) -> tuple[SeamMask, ...]:
+def seam_masks(cameras: Cameras, depths_m: Sequence[NDArray[np.floating]], plan: CloudPlan, half_band_m: float) -> tuple[SeamMask, ...]:
     """Masks of C images from their depths, C arrays (H,W) along the camera's z axis; 0, NaN or infinite means no ground.
 
     Raises BadInput when a depth does not have its camera's size or `half_band_m` is not positive.
@@ -103,9 +101,7 @@ def band_and_interior_psnr_db(
     )
 
 
-def _seam_mask(
-    cameras: Cameras, index: int, depth_m: NDArray[np.floating], plan: CloudPlan, half_band_m: float
-) -> SeamMask:
+def _seam_mask(cameras: Cameras, index: int, depth_m: NDArray[np.floating], plan: CloudPlan, half_band_m: float) -> SeamMask:
     width, height = cameras.sizes_wh[index]
     if depth_m.shape != (height, width):
         raise BadInput(f"the depth of {cameras.names[index]!r} has shape {depth_m.shape}, expected ({height}, {width}).")

@@ -128,9 +128,7 @@ def _check_camera(camera: ColmapCamera, source: str) -> None:
         raise BadInput(f"{label} has the size {camera.size_wh[0]} × {camera.size_wh[1]}, expected 1 to {MAX_SIDE_PX} px a side.")
     num_focals = 1 if camera.model.startswith("SIMPLE") or camera.model in ("RADIAL", "RADIAL_FISHEYE") else 2
     if not _within(MAX_COORDINATE, np.array(camera.params)) or min(camera.params[:num_focals]) <= 0:
-        raise BadInput(
-            f"{label} has the parameters {camera.params}, expected finite numbers under 1e9 and a positive focal length."
-        )
+        raise BadInput(f"{label} has the parameters {camera.params}, expected finite numbers under 1e9 and a positive focal length.")
 
 
 def _check_image(image: ColmapImage, cameras: dict[int, ColmapCamera], source: str) -> None:

@@ -62,9 +62,7 @@ class PhotoListing:
     skipped: tuple[Skipped, ...]
 
 
-def list_photographs(
-    folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None
-) -> PhotoListing:
+def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None) -> PhotoListing:
     """The usable photographs (JPEG, PNG) directly in `folder`, truncated or undecodable ones skipped and named.
 
     `on_photo(done, total)` is called after each file; `names` asks for these files only, subfolders with '/' allowed.

@@ -76,9 +76,7 @@ def paper_regions(
         outlier = int(np.abs(gaps_s).argmax())
         steps[outlier] += -1 if gaps_s[outlier] > 0 else 1
     weights = best * weight_of_step
-    return PaperRegions(
-        weights=weights, edge_of_camera=assign(positions, sites, weights), history=tuple(history), converged=converged
-    )
+    return PaperRegions(weights=weights, edge_of_camera=assign(positions, sites, weights), history=tuple(history), converged=converged)
 
 
 def estimated_times_s(tables: Sequence[EdgeTable], counts: NDArray[np.int64]) -> FloatArray:

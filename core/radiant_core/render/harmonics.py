@@ -1,6 +1,6 @@
 """Colour from real spherical harmonics up to degree 3, in the sign and order that 3DGS files use. Once per Gaussian and image.
 
-    c(d) = max(0, ½ + Σ_k Y_k(d) f_k)         Basis: Sloan, Stupid Spherical Harmonics Tricks (2008), appendix A2.
+c(d) = max(0, ½ + Σ_k Y_k(d) f_k)         Basis: Sloan, Stupid Spherical Harmonics Tricks (2008), appendix A2.
 """
 
 from __future__ import annotations

@@ -51,8 +51,7 @@ def rasterize_reference(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view
     if means2d.requires_grad:
         means2d.retain_grad()
     pictures = [
-        _shade(splats, viewmats[index], replace(projection, means2d=means2d[index]), view)
-        for index, projection in enumerate(projections)
+        _shade(splats, viewmats[index], replace(projection, means2d=means2d[index]), view) for index, projection in enumerate(projections)
     ]
     images, alphas, depths = (torch.stack(parts) for parts in zip(*pictures, strict=True))
     radii_px = torch.stack([torch.where(p.visible, p.extents.amax(-1), 0).detach() for p in projections])

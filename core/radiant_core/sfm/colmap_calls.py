@@ -20,9 +20,7 @@ Result = TypeVar("Result")
 pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL.value)
 
 
-def call_colmap(
-    doing: str, call: Callable[..., Result], *args: Any, on_tick: Callable[[], None] | None = None, **options: Any
-) -> Result:
+def call_colmap(doing: str, call: Callable[..., Result], *args: Any, on_tick: Callable[[], None] | None = None, **options: Any) -> Result:
     """`call(*args, **options)` in a thread of its own, so that Ctrl-C is heard here; `on_tick` is called every 0.25 s meanwhile.
 
     A `cancellation_token` among the options is cancelled on Ctrl-C. Raises StageFailed, naming what it was `doing`, when

@@ -19,9 +19,7 @@ PAIRS_PER_CALL = 400
 """Each call builds the search index of its photographs anew: calls of 32 pairs took 40 % longer than one call for all."""
 
 
-def extract_features(
-    database: Path, photo_folder: Path, photographs: tuple[Photograph, ...], config: SfmConfig, report: Report
-) -> None:
+def extract_features(database: Path, photo_folder: Path, photographs: tuple[Photograph, ...], config: SfmConfig, report: Report) -> None:
     """Write features into `database`, one camera per make, model, focal length and size."""
     groups: dict[CameraKey, list[str]] = defaultdict(list)
     for photo in photographs:

@@ -105,9 +105,7 @@ def _photographs_of(cameras: Cameras, photographs: tuple[Photograph, ...]) -> tu
     for name, K, size_wh in zip(cameras.names, cameras.Ks, cameras.sizes_wh, strict=True):
         photo = by_name[name]
         if photo.size_wh != tuple(size_wh):
-            raise BadInput(
-                f"photograph {name!r} has {photo.size_wh} px and its camera {tuple(size_wh)}: scale the one or the other."
-            )
+            raise BadInput(f"photograph {name!r} has {photo.size_wh} px and its camera {tuple(size_wh)}: scale the one or the other.")
         grouped.append(replace(photo, camera=CameraKey(make="", model=repr(K.tolist()), focal_mm=None, size_wh=photo.size_wh)))
     return tuple(grouped)
 

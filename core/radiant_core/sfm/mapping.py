@@ -140,9 +140,7 @@ def _missing(job: MappingJob, model: pycolmap.Reconstruction | None) -> tuple[st
     return tuple(photo.name for photo in job.photographs if photo.name not in registered)
 
 
-def _retry_decision(
-    job: MappingJob, old: pycolmap.Reconstruction | None, new: pycolmap.Reconstruction | None, means: str
-) -> Decision:
+def _retry_decision(job: MappingJob, old: pycolmap.Reconstruction | None, new: pycolmap.Reconstruction | None, means: str) -> Decision:
     better = _size(new) > _size(old)
     return Decision(
         stage="sfm",

@@ -66,9 +66,7 @@ def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDAr
     distances = np.linalg.norm(points[observations[:, 0]] - cameras.centers[observations[:, 1]], axis=1)
     typical = float(np.median(distances)) if len(distances) else 0.0
     if not typical > 0:
-        raise BadInput(
-            "the sparse model has no point at a distance from its cameras: take photographs that overlap from several places."
-        )
+        raise BadInput("the sparse model has no point at a distance from its cameras: take photographs that overlap from several places.")
     rotation = level_rotation(up)
     scale = MEDIAN_DEPTH_UNITS / typical
     return Sim3(scale=scale, rotation=rotation, translation=-scale * rotation @ np.median(points, axis=0))
@@ -92,9 +90,7 @@ def level_fit(source: FloatArray, target: FloatArray, up: FloatArray) -> Sim3 | 
         factor = complex(np.vdot(from_mean, weights * flat_target)) / power if power > 0 else 0j
         shift = complex(np.average(flat_target - factor * flat_source, weights=weights))
         distances = np.abs(factor * flat_source + shift - flat_target)
-        weights = 1 / np.maximum(
-            distances, max(0.01 * float(np.median(distances)), 1e-9 * float(np.abs(flat_target).max()) + 1e-12)
-        )
+        weights = 1 / np.maximum(distances, max(0.01 * float(np.median(distances)), 1e-9 * float(np.abs(flat_target).max()) + 1e-12))
     if abs(factor) < 1e-12:
         return None
     cosine, sine = factor.real / abs(factor), factor.imag / abs(factor)

@@ -93,9 +93,7 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
     lost = [image.name for image in model.images if image.name not in sizes]
     if lost:
         why = {skipped.name: skipped.reason for skipped in listing.skipped}.get(lost[0], "is not there")
-        raise BadInput(
-            f"image {lost[0]!r} of the model {why} in {image_folder} ({len(lost)} in all): give the folder of its images."
-        )
+        raise BadInput(f"image {lost[0]!r} of the model {why} in {image_folder} ({len(lost)} in all): give the folder of its images.")
     for image in model.images:
         camera = model.cameras[image.camera_id]
         if not camera.is_pinhole and sizes[image.name] != camera.size_wh:

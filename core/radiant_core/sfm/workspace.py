@@ -15,9 +15,7 @@ WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part")
 
 def listed(folder: Path, report: Report, names: tuple[str, ...] | None = None) -> PhotoListing:
     """`list_photographs` with its progress, of those `names` where given; BadInput as there."""
-    return list_photographs(
-        folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names
-    )
+    return list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
 
 
 def start_clean(work_folder: Path) -> None:

@@ -88,9 +88,7 @@ def _block_means(image: NDArray[np.uint8], columns: int, rows: int) -> NDArray[n
     return (sums / counts[..., None]).round().astype(np.uint8)
 
 
-def _place(
-    cameras: Cameras, index: int, seen: FloatArray, cells: _Cells
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
+def _place(cameras: Cameras, index: int, seen: FloatArray, cells: _Cells) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
     """Points (F,3) of the cells, their spacing (F,) in world units, and which lie below the horizon without an observed point in
     them (F,); None when the image sees too few points to tell a depth."""
     pose, K = cameras.cam_from_world[index], cameras.Ks[index]

@@ -30,17 +30,13 @@ def test_a_value_that_is_no_finite_number_is_refused(value: Any) -> None:
         psnr(value)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"key": ""}, {"direction": "up"}, {"unit": None}, {"tolerance": -1.0}, {"tolerance": float("nan")}]
-)
+@pytest.mark.parametrize("wrong", [{"key": ""}, {"direction": "up"}, {"unit": None}, {"tolerance": -1.0}, {"tolerance": float("nan")}])
 def test_a_wrong_field_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(BadInput):
         Metric(**{"key": "k", "value": 1.0, "unit": "s", "direction": "lower", **wrong})
 
 
-@pytest.mark.parametrize(
-    "rows", [None, {}, [1], [{"key": "k"}], [{"key": "k", "value": 1, "unit": "s", "direction": "lower", "x": 1}]]
-)
+@pytest.mark.parametrize("rows", [None, {}, [1], [{"key": "k"}], [{"key": "k", "value": 1, "unit": "s", "direction": "lower", "x": 1}]])
 def test_json_that_is_no_list_of_metrics_is_refused(rows: Any) -> None:
     with pytest.raises(BadInput):
         metrics_from_json(rows)

@@ -23,9 +23,7 @@ NUM_MUTATIONS = 1000
 def text_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small model of every kind of record: two camera models, a name in a subfolder, an image without points."""
     folder = tmp_path_factory.mktemp("text")
-    (folder / "cameras.txt").write_text(
-        "# cameras\n1 PINHOLE 640 480 500 501 320 240\n4 SIMPLE_RADIAL 320 240 300 160 120 -0.01\n"
-    )
+    (folder / "cameras.txt").write_text("# cameras\n1 PINHOLE 640 480 500 501 320 240\n4 SIMPLE_RADIAL 320 240 300 160 120 -0.01\n")
     (folder / "images.txt").write_text(
         "# images\n2 0.6 0 0.8 0 1 2 3 4 b(1).jpg\n10.5 20.25 7 30 40 -1\n"
         "1 1 0 0 0 -1 -2 -3 1 a.jpg\n50 60 7 70 80 9\n"

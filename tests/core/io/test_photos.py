@@ -69,9 +69,7 @@ def test_exif_is_read_in_both_byte_orders_and_all_hemispheres(order: str, flippe
     facts = read_exif(exif_block(order, flipped, flipped))
     sign = -1 if flipped else 1
     assert (facts.make, facts.model, facts.focal_mm) == ("Canon", "S100 II", 5.2)
-    assert facts.lat_lon_alt == pytest.approx(
-        (sign * (41 + 24 / 60 + 1.62 / 3600), sign * (81 + 53 / 60 + 28.01 / 3600), sign * 265.28)
-    )
+    assert facts.lat_lon_alt == pytest.approx((sign * (41 + 24 / 60 + 1.62 / 3600), sign * (81 + 53 / 60 + 28.01 / 3600), sign * 265.28))
 
 
 def test_damaged_exif_never_raises_and_never_leaves_the_globe() -> None:
@@ -137,9 +135,7 @@ def test_an_embedded_thumbnail_does_not_make_a_cut_jpeg_whole() -> None:
     assert not read_jpeg_facts(whole[:-40]).whole
 
 
-@pytest.mark.parametrize(
-    ("count", "told"), [(None, "does not exist"), (0, "contains no photographs"), (1, "1 usable photograph")]
-)
+@pytest.mark.parametrize(("count", "told"), [(None, "does not exist"), (0, "contains no photographs"), (1, "1 usable photograph")])
 def test_too_few_photographs_are_one_clear_sentence(count: int | None, told: str, tmp_path: Path) -> None:
     folder = tmp_path / "photos"
     if count is not None:

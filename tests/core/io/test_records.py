@@ -49,7 +49,7 @@ def some_cameras(count: int = 5) -> Cameras:
     poses[:, :3, :3] = rotmats_from_quats(rng.normal(size=(count, 4)))
     poses[:, :3, 3] = rng.normal(size=(count, 3))
     Ks = np.tile(np.array([[500.1, 0, 320.3], [0, 499.9, 240.7], [0, 0, 1]]), (count, 1, 1))
-    names = tuple(f"ö/{index} \"x\".jpg" for index in range(count))
+    names = tuple(f'ö/{index} "x".jpg' for index in range(count))
     return Cameras(names=names, Ks=Ks, cam_from_world=poses, sizes_wh=np.tile([640, 480], (count, 1)))
 
 
@@ -195,9 +195,7 @@ def test_what_is_not_there_or_no_file_is_store_damaged(tmp_path: Path, load: Cal
     ],
     ids=["splats", "cameras", "scene", "plan"],
 )
-def test_two_thousand_mutations_raise_our_errors_only(
-    tmp_path: Path, save: Callable[[Path], None], load: Callable[[Path], Any]
-) -> None:
+def test_two_thousand_mutations_raise_our_errors_only(tmp_path: Path, save: Callable[[Path], None], load: Callable[[Path], Any]) -> None:
     path = tmp_path / "a.file"
     save(path)
     good = path.read_bytes()
@@ -250,9 +248,7 @@ def test_a_wrong_field_of_a_plan_is_bad_input(tmp_path: Path, name: str, value: 
         load_plan(path)
 
 
-@pytest.mark.parametrize(
-    "text", ["[]", "{}", '{"schema": "radiant.plan", "version": "2"}', '{"schema": "radiant.plan", "version": "1"}']
-)
+@pytest.mark.parametrize("text", ["[]", "{}", '{"schema": "radiant.plan", "version": "2"}', '{"schema": "radiant.plan", "version": "1"}'])
 def test_json_that_is_no_plan_is_bad_input(tmp_path: Path, text: str) -> None:
     (tmp_path / "plan.json").write_text(text)
     with pytest.raises(BadInput, match=r"plan\.json"):

@@ -73,6 +73,7 @@ def test_a_file_size_limit_of_the_system_leaves_the_old_file(tmp_path: Path) -> 
 
 def test_a_writer_that_fails_midway_leaves_the_old_file(tmp_path: Path) -> None:
     write_atomic(tmp_path / "a.bin", b"old")
+
     def write_half() -> None:
         with atomic_writer(tmp_path / "a.bin") as file:
             file.write(b"half")

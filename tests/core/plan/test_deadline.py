@@ -77,8 +77,7 @@ def test_counts_are_as_fast_as_the_best_of_all_counts(seed: int) -> None:
         num_cameras = sum(limits)
     counts, bound_s = fastest_counts(tables, num_cameras)
     makespans_s = [
-        max(table.edge_time_s[part] for table, part in zip(tables, parts, strict=True))
-        for parts in compositions(num_cameras, limits)
+        max(table.edge_time_s[part] for table, part in zip(tables, parts, strict=True)) for parts in compositions(num_cameras, limits)
     ]
     assert counts.sum() == num_cameras
     assert bound_s == min(makespans_s)  # both read the same table
@@ -96,8 +95,7 @@ def test_shares_are_proportional_to_speed_for_linear_costs() -> None:
 def test_devices_whose_time_does_not_depend_on_cameras_share_them_evenly() -> None:
     edge = random_edge(np.random.default_rng(0), "e", 3)
     flat = [
-        replace(d, init_s=CostCurve(), train_s=CostCurve(constant=20.0), model_bytes=CostCurve(), max_cameras=None)
-        for d in edge.devices
+        replace(d, init_s=CostCurve(), train_s=CostCurve(constant=20.0), model_bytes=CostCurve(), max_cameras=None) for d in edge.devices
     ]
     np.testing.assert_array_equal(edge_table(replace(edge, devices=tuple(flat)), 30).quotas(30), [10, 10, 10])
 

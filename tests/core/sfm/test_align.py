@@ -39,9 +39,7 @@ def test_no_small_change_of_the_fit_makes_the_squared_error_smaller() -> None:
     for _ in range(200):
         turn = Rotation.from_rotvec(rng.normal(scale=1e-3, size=3)).as_matrix()
         shift = rng.normal(scale=1e-3, size=3)
-        moved = Sim3(
-            scale=fit.scale * np.exp(rng.normal(scale=1e-3)), rotation=turn @ fit.rotation, translation=fit.translation + shift
-        )
+        moved = Sim3(scale=fit.scale * np.exp(rng.normal(scale=1e-3)), rotation=turn @ fit.rotation, translation=fit.translation + shift)
         assert np.square(moved.apply(source) - target).sum() >= best
 
 

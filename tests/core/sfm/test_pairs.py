@@ -19,9 +19,7 @@ def photos(count: int, with_gps: int) -> tuple[Photograph, ...]:
     rng = np.random.default_rng(0)
     places = [(46 + 0.001 * rng.random(), 7 + 0.001 * rng.random(), 500.0) for _ in range(count)]
     return tuple(
-        Photograph(
-            name=f"{i}.jpg", path=Path(f"{i}.jpg"), size_wh=(4, 3), lat_lon_alt=places[i] if i < with_gps else None, camera=key
-        )
+        Photograph(name=f"{i}.jpg", path=Path(f"{i}.jpg"), size_wh=(4, 3), lat_lon_alt=places[i] if i < with_gps else None, camera=key)
         for i in range(count)
     )
 

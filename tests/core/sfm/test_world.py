@@ -36,9 +36,7 @@ def flight(positions_m: np.ndarray, rng: np.random.Generator, pitch_deg: float =
     poses[:, :3, 3] = -np.einsum("cij,cj->ci", poses[:, :3, :3], positions_m)
     K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
     names = tuple(f"{index:03d}.jpg" for index in range(len(poses)))
-    return Cameras(
-        names=names, Ks=np.tile(K, (len(poses), 1, 1)), cam_from_world=poses, sizes_wh=np.tile(SIZE_WH, (len(poses), 1))
-    )
+    return Cameras(names=names, Ks=np.tile(K, (len(poses), 1, 1)), cam_from_world=poses, sizes_wh=np.tile(SIZE_WH, (len(poses), 1)))
 
 
 def ground(rng: np.random.Generator) -> np.ndarray:
