@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import queue
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +24,8 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import is_sealed
 
 STOP_GRACE_S = 3.0
+FULL_BYTES = 1 << 20
+"""With less than this left a disk counts as full: the libraries that write there end their process without a word."""
 
 
 def worker_command(task: NodeTask) -> list[str]:
@@ -132,6 +135,8 @@ class _Fold:
             error = BadInput if running.failure.exit_code == BadInput.exit_code else StageFailed
             raise error(f"{task.stage}: {running.failure.message}")
         if code != 0 or not is_sealed(task.folder, task.key):
+            if shutil.disk_usage(task.folder).free < FULL_BYTES:
+                raise BadInput(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out.")
             reason = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
             raise StageFailed(
                 f"{task.stage}: its process {reason} before it was done; see {_log_path(task.folder)}, then run again with --resume."

@@ -25,6 +25,7 @@ from radiant_core.io.records import load_plan, load_scene
 from radiant_core.train.needs import Overrides
 
 TINY = Overrides(long_side_px=96, num_steps=100, max_num_splats=1500)
+TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,11 @@ def hamlet() -> Path:
 
 @pytest.fixture(scope="module")
 def finished(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult, list[Event]]:
-    config = RunConfig(source=hamlet, out=tmp_path_factory.mktemp("runs") / "hamlet", overrides=TINY)
+    folder = tmp_path_factory.mktemp("runs")
+    shutil.copytree(hamlet, folder / "photos")
+    whole = next(hamlet.iterdir()).read_bytes()
+    (folder / "photos" / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    config = RunConfig(source=folder / "photos", out=folder / "hamlet", overrides=TINY)
     events: list[Event] = []
     return config, run(config, events.append), events
 
@@ -157,6 +162,29 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(hamlet: Path, tmp_path: 
     assert [path.name for path in full.iterdir()] == ["mine.txt"]
 
 
+def test_a_truncated_photograph_is_skipped_named_and_no_failure(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
+    config, result, _ = finished
+    assert "cut.jpg" not in load_scene(config.out / "sfm" / "scene.safetensors").cameras.names
+    assert any("cut.jpg" in warning for warning in json.loads((config.out / "manifest.json").read_text())["warnings"])
+    assert "cut.jpg" in result.report.read_text()
+    again = radiant("run", config.source, "--out", config.out, "--resume", *TINY_OPTIONS)
+    assert again.returncode == 0 and "cut.jpg" in again.stdout + again.stderr, again.stderr
+
+
+def test_a_full_disk_gets_one_sentence_and_leaves_nothing(hamlet: Path, tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True, check=False)
+    if mounted.returncode:
+        pytest.skip("only root may mount a disk of 2 MB")
+    try:
+        finished = radiant("run", hamlet, "--out", disk / "run", *TINY_OPTIONS)
+        assert finished.returncode == 2 and "free space" in finished.stderr and "Traceback" not in finished.stderr, finished.stderr
+        assert list(disk.iterdir()) == []
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
 def test_photographs_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
     import cv2
 
@@ -176,8 +204,7 @@ def test_ctrl_c_ends_with_130_and_the_run_can_be_resumed(finished: tuple[RunConf
     shutil.copytree(config.out, out)
     for path in (out / "cloud", *out.glob("devices/*")):
         (path / "done.json").unlink()
-    options = ["--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats]
-    command = [sys.executable, "-m", "radiant_app", "run", str(config.source), "--out", str(out), *map(str, options), "--resume"]
+    command = [sys.executable, "-m", "radiant_app", "run", str(config.source), "--out", str(out), *map(str, TINY_OPTIONS), "--resume"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 120
     while not list(out.glob("devices/*/log.txt")) or not _workers_of(process.pid):
