@@ -1,12 +1,15 @@
 """A worker process: runs one node in its folder. Started by an executor as `python -m radiant_app.worker KIND FOLDER STAGE KEY`.
 
-Standard output carries events, one per line; everything else goes to the node's log.txt.
+Standard output carries events, one per line; everything else goes to the node's log.txt. Standard input is a pipe that the executor
+holds open: when it closes, the executor is gone and so is the worker, however that one ended.
 """
 
 from __future__ import annotations
 
 import os
+import stat
 import sys
+import threading
 from pathlib import Path
 
 from radiant_app.events import Event, Failed, encode
@@ -17,6 +20,8 @@ from radiant_core.io.run_store import seal
 def main(arguments: list[str]) -> int:
     """Run one node and seal its folder; the exit code says whether it is done."""
     kind, folder, stage, key = arguments
+    if stat.S_ISFIFO(os.fstat(0).st_mode):
+        threading.Thread(target=_end_with_the_executor, daemon=True).start()
     # Libraries print to file descriptor 1 too (C++ logs): events keep the real one, everybody else gets the log.
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
@@ -39,6 +44,12 @@ def main(arguments: list[str]) -> int:
         emit(Failed(stage=stage, message="not enough memory: lower --max-splats or --long-side-px, or free some.", exit_code=1))
         return 1
     return 0
+
+
+def _end_with_the_executor() -> None:
+    while os.read(0, 1):
+        pass
+    os._exit(1)
 
 
 if __name__ == "__main__":

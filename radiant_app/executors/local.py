@@ -13,7 +13,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -103,17 +104,18 @@ class _Fold:
             self.listen(StageSkipped(stage=task.stage))
             return
         self.listen(StageStarted(stage=task.stage))
-        process = _spawn(self.executor.command(task), task.folder, self.num_threads)
-        reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
-        self.running[node.id] = _Running(node=node, task=task, process=process, reader=reader, started_s=now_s)
-        reader.start()
+        with _interrupts_later():
+            process = _spawn(self.executor.command(task), task.folder, self.num_threads)
+            reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
+            self.running[node.id] = _Running(node=node, task=task, process=process, reader=reader, started_s=now_s)
+            reader.start()
 
     def _read(self, node_id: str, process: subprocess.Popen[str]) -> None:
-        assert process.stdout is not None
-        with process.stdout as lines:
+        assert process.stdout is not None and process.stdin is not None
+        with process.stdin, process.stdout as lines:
             for line in lines:
                 self.lines.put((node_id, line))
-        process.wait()
+            process.wait()
         self.lines.put((node_id, None))
 
     def _handle(self, node_id: str, line: str | None) -> None:
@@ -167,8 +169,25 @@ def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Pop
     # A session of its own: Ctrl-C reaches only us, and we stop the workers in order.
     with _log_path(folder).open("w") as log:
         return subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=log, stdin=subprocess.DEVNULL, text=True, env=environment, start_new_session=True
+            command, stdout=subprocess.PIPE, stderr=log, stdin=subprocess.PIPE, text=True, env=environment, start_new_session=True
         )
+
+
+@contextmanager
+def _interrupts_later() -> Iterator[None]:
+    """Hold Ctrl-C and termination back while a worker is started: one not yet on the list would outlive the run."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    held: list[int] = []
+    before = {number: signal.signal(number, lambda caught, frame: held.append(caught)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if held:
+            signal.raise_signal(held[0])
 
 
 def _log_path(folder: Path) -> Path:

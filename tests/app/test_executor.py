@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -94,6 +95,16 @@ def test_a_killed_worker_is_named_and_resuming_finishes(tmp_path: Path) -> None:
         executor({"devices/3": "import os; os.kill(os.getpid(), 9)"}).fold(TREE, preparer(tmp_path, []), lambda event: None)
     times = executor({}).fold(TREE, preparer(tmp_path, []), lambda event: None)
     assert set(times) == {"cloud", "edges/a", "devices/1", "devices/2", "devices/3"}
+
+
+def test_a_worker_ends_when_its_executor_is_gone(tmp_path: Path) -> None:
+    sleeper = "import time; from radiant_app import nodes, worker; nodes.run_node = lambda *given: print('here') or time.sleep(60)\n"
+    command = [sys.executable, "-c", sleeper + f"worker.main(['device', {str(tmp_path)!r}, 'devices/1', 'key'])"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stderr is not None
+        assert process.stderr.readline() == "here\n"
+        process.stdin.close()
+        assert process.wait(timeout=10) == 1
 
 
 def test_a_worker_that_forgets_to_seal_is_not_believed(tmp_path: Path) -> None:
