@@ -70,7 +70,7 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
 def comparison_picture(
     photo: Image, render: Image, difference: Image | None = None, captions: Sequence[str] = (), title: str = ""
 ) -> Image:
-    """Photograph, render and difference (each (H,W,3)) side by side with captions, in their own pixels up to 560 px wide.
+    """Photograph, render and difference (each (H,W,3)) side by side with captions, each 380 to 560 px wide.
 
     Without `difference` it is |photo − render| × 3. Raises BadInput when sizes differ.
     """
@@ -82,7 +82,7 @@ def comparison_picture(
         _require_same_size(photo, picture)
     texts = [*captions, *("Photograph", "Render", "Difference × 3")[len(captions) :]]
     height, width = photo.shape[:2]
-    scale = max(220 / width, min(1.0, 560 / width))
+    scale = max(380 / width, min(1.0, 560 / width))
     shown_w, shown_h, gap, head, foot = round(width * scale), round(height * scale), 14, 44 if title else 14, 38
     page_wh = (3 * shown_w + 4 * gap, shown_h + head + foot)
     figure = new_figure(page_wh)

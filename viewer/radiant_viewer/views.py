@@ -30,7 +30,7 @@ from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
 
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats: the model in 3D;
-compare: the worst held-out photograph beside its render."""
+compare: held-out photographs beside their renders, worst, middle and best."""
 SIZE_WH = (1280, 900)
 
 
@@ -47,7 +47,7 @@ def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH) 
         return seams_picture(run.scene, run.cloud_plan, required_splats(run), size_wh)
     if view == "splats":
         return splats_picture(run.scene, run.cloud_plan, required_splats(run), size_wh)
-    return worst_comparison(run)
+    return comparisons(run)
 
 
 def plan_picture(
@@ -140,18 +140,21 @@ def splats_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_
     return render_view(layers, size_wh, PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit))
 
 
-def worst_comparison(run: RunView) -> Image:
-    """Photograph, render and difference of the held-out photograph with the lowest PSNR; BadInput before evaluation."""
+def comparisons(run: RunView) -> Image:
+    """Photograph, render and difference of the held-out photographs with the lowest, the middle and the highest PSNR, one below the
+    other; BadInput before evaluation."""
     if not run.psnr_db:
         raise BadInput(f"{run.folder} has no figures of held-out photographs: {finish_command(run.folder)}.")
-    worst = min(run.psnr_db, key=lambda name: run.psnr_db[name] if run.psnr_db else 0.0)
-    photo, render, difference = (load_image(path) for path in comparison_paths(run, worst))
-    return comparison_picture(
-        photo,
-        render,
-        difference,
-        title=f"{worst}: PSNR {run.psnr_db[worst]:.2f} dB, the lowest of {len(run.psnr_db)} held-out photographs",
-    )
+    psnr_db = run.psnr_db
+    ordered = sorted(psnr_db, key=lambda name: psnr_db[name])
+    # Keyed by name: with one or two photographs a row is not shown twice.
+    shown = {ordered[0]: "lowest", ordered[len(ordered) // 2]: "middle", ordered[-1]: "highest"} | {ordered[0]: "lowest"}
+    rows = []
+    for name, place in shown.items():
+        photo, render, difference = (load_image(path) for path in comparison_paths(run, name))
+        rows.append(comparison_picture(photo, render, difference, title=f"{name}: {psnr_db[name]:.2f} dB, {place} of {len(ordered)}"))
+    width = max(row.shape[1] for row in rows)
+    return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows])
 
 
 def ground_height(scene: SfmScene) -> float:
