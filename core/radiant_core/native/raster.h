@@ -35,7 +35,6 @@ class RenderedView {
   // Pairs of Gaussian and tile, and of Gaussian and block, of the last forward pass.
   std::int64_t num_instances() const { return num_instances_; }
   std::int64_t num_block_pairs() const;
-  std::size_t num_bytes() const;
 
  private:
   // A piece of the Gaussians: projected and counted as one, the same pieces for any number of threads.
