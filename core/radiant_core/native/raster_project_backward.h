@@ -39,13 +39,14 @@ RADIANT_INLINE PlaneGradients plane_gradients(const View& view, const Geometry& 
   for (int c = 0; c < 3; ++c) p.color[c] = m[6 + c];
   p.depth = m[9];
   if (view.antialiased) {
-    // ln compensation = ½ (ln det Σ − ln det Σ'), constant under its floor.
+    // ln compensation = ½ (ln det Σ − ln det Σ'), constant under its floor. With det Σ' = det Σ + s tr Σ + s² written out, the
+    // differences of nearly equal quotients turn into sums, for example yy/det Σ − yy'/det Σ' = s (yy² + xy² + s yy) / (det Σ det Σ').
+    constexpr float d = kDilationPx2;
     const Mask above = broadcast(1e-12f) < g.determinant / g.dilated_determinant;
-    const F half = keep(above, 0.5f * p.log_opacity), sharp = half / select(above, g.determinant, broadcast(1.0f));
-    const F dilated = half / g.dilated_determinant;
-    p.xx += sharp * g.yy - dilated * g.dilated_yy;
-    p.yy += sharp * g.xx - dilated * g.dilated_xx;
-    p.xy -= 2.0f * g.xy * (sharp - dilated);
+    const F factor = keep(above, 0.5f * d * p.log_opacity) / select(above, g.determinant, broadcast(1.0f)) / g.dilated_determinant;
+    p.xx += factor * (g.yy * g.yy + g.xy * g.xy + d * g.yy);
+    p.yy += factor * (g.xx * g.xx + g.xy * g.xy + d * g.xx);
+    p.xy -= 2.0f * factor * g.xy * (g.xx + g.yy + d);
   }
   return p;
 }
