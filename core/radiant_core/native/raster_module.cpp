@@ -156,6 +156,14 @@ std::int64_t multiply_adds(const std::string& instruction_set, std::int64_t roun
   return done;
 }
 
+std::string compiler() {
+#if defined(__clang__)
+  return "clang " + std::to_string(__clang_major__) + "." + std::to_string(__clang_minor__);
+#else
+  return "gcc " + std::to_string(__GNUC__) + "." + std::to_string(__GNUC_MINOR__);
+#endif
+}
+
 }  // namespace
 
 void bind_raster(nb::module_& module) {
@@ -174,6 +182,7 @@ void bind_raster(nb::module_& module) {
                    "Pairs of Gaussian and 4 px block.");
   module.def("pooled_array", &pooled_array, "shape"_a, "Uninitialised float32 array whose memory is used again after it was freed.");
   module.def("instruction_sets", &instruction_sets, "Those this CPU and build have, the fastest first.");
+  module.def("compiler", &compiler, "Name and version of the compiler of this build.");
   module.def("multiply_adds", &multiply_adds, "instruction_set"_a, "rounds"_a,
              "Do `rounds` rounds of independent fused multiply-adds; returns how many of 16 lanes they were.");
 }

@@ -115,6 +115,17 @@ def rasterize_native(
     return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=call.radii_px, means2d=means2d)
 
 
+def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> int:
+    """Pixel–Gaussian pairs that a rendering of one camera goes through: 16 for each block of 4 × 4 px that a Gaussian reaches."""
+    shape, count, native = (height, width), len(splats), _native.RenderedView()
+    pictures = [np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)]
+    native.forward(
+        "", _arrays(list(splats.tensors().values())), viewmat, K, width, height, 0, 0.01, 1e10, False, np.zeros(3, np.float32),
+        *pictures, np.empty((count, 2), np.float32), np.empty(count, np.float32), False, torch.get_num_threads(),
+    )  # fmt: skip
+    return 16 * native.num_block_pairs
+
+
 def _check_native(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions, instruction_set: str) -> None:
     for name, tensor in splats.tensors().items():
         if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
