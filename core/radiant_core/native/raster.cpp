@@ -11,8 +11,6 @@
 namespace radiant {
 namespace {
 
-constexpr std::size_t kListBlock = std::size_t{1} << 20;
-
 
 // The list and its storage travel together through the kernel, which knows only the list.
 struct GrowingSpans : SpanList {
@@ -31,13 +29,6 @@ void grow_spans(SpanList& spans, std::int64_t capacity) {
 
 }  // namespace
 
-std::uint32_t* RenderedView::Worker::take(std::size_t count) {
-  while (list < lists.size() && used + count > lists[list].capacity()) ++list, used = 0;
-  if (list == lists.size()) lists.emplace_back().reserve(std::max(count, kListBlock)), used = 0;
-  used += count;
-  return lists[list].data() + (used - count);
-}
-
 std::int64_t RenderedView::chunk_end(std::size_t chunk) const { return std::min(count_, chunk_begin(chunk) + chunk_size_); }
 
 void RenderedView::forward(const Kernels& kernels, const View& view, const SplatArrays& splats, const ViewOutputs& out, bool differentiable,
@@ -51,10 +42,14 @@ void RenderedView::forward(const Kernels& kernels, const View& view, const Splat
   project(splats, out, threads);
   fill_tiles(threads);
   const auto pixels = static_cast<std::size_t>(tiles * kTilePx * kTilePx);
-  blend_ = {footprints_.data(), owners_.data(), transmittance_.reserve(pixels), last_.reserve(pixels), out.images, out.alphas, out.depths};
-  tile_lists_.reserve(static_cast<std::size_t>(tiles));
+  blend_ = {footprints_.data(),
+            reached_.reserve(static_cast<std::size_t>(num_instances_)),
+            transmittance_.reserve(pixels),
+            last_.reserve(pixels),
+            out.images,
+            out.alphas,
+            out.depths};
   if (workers_.size() < static_cast<std::size_t>(threads)) workers_.resize(static_cast<std::size_t>(threads));
-  for (Worker& worker : workers_) worker.list = worker.used = 0;
   parallel_for(threads, tiles, [&](std::int64_t tile, int worker) { blend_tile(tile, workers_[static_cast<std::size_t>(worker)]); });
 }
 
@@ -149,46 +144,46 @@ void RenderedView::blend_tile(std::int64_t tile, Worker& worker) {
   Entry* entries = entries_.data() + start;
   sort_by_depth(entries, worker.spare.reserve(static_cast<std::size_t>(count)), static_cast<std::size_t>(count));
   order_equal_depths(entries, static_cast<std::size_t>(count));
-  float* scratch = worker.scratch.reserve(static_cast<std::size_t>(kernels_->blend_scratch(count)));
-  TileLists& lists = tile_lists_.data()[tile];
-  const std::uint32_t* made = kernels_->blend(view_, static_cast<int>(tile), entries, count, blend_, scratch, lists.counts);
-  std::size_t total = 0;
-  for (const std::uint32_t n : lists.counts) total += n;
-  lists.indices = nullptr;
-  if (!differentiable_) return;
-  std::uint32_t* kept = worker.take(total);
-  std::memcpy(kept, made, total * sizeof(std::uint32_t));
-  lists.indices = kept;
+  for (std::int64_t i = 0; i < count; ++i) entries[i].owner = owners_.data()[entries[i].instance];
+  char* scratch = worker.scratch.reserve(static_cast<std::size_t>(kernels_->blend_scratch(count)));
+  kernels_->blend(view_, static_cast<int>(tile), entries, start, count, blend_, scratch);
 }
 
-void RenderedView::blend_backward(const float* images, const float* alphas, const float* depths, const float* out_depths, float* means2d,
-                                  int threads) {
+void RenderedView::blend_backward(const ImageGradients& gradients, float* means2d, int threads) {
   Moments* moments = moments_.reserve(static_cast<std::size_t>(num_instances_));
-  const ImageGradients gradients{images, alphas, depths, nullptr, nullptr, out_depths};
-  if (workers_.size() < static_cast<std::size_t>(threads)) workers_.resize(static_cast<std::size_t>(threads));
-  parallel_for(threads, static_cast<std::int64_t>(view_.tiles_x) * view_.tiles_y, [&](std::int64_t tile, int index) {
+  parallel_for(threads, static_cast<std::int64_t>(view_.tiles_x) * view_.tiles_y, [&](std::int64_t tile, int) {
     const std::int64_t start = tile_starts_.data()[tile], count = tile_starts_.data()[tile + 1] - start;
-    if (count == 0) return;
-    float* scratch = workers_[static_cast<std::size_t>(index)].scratch.reserve(static_cast<std::size_t>(kernels_->blend_scratch(count)));
-    kernels_->blend_backward(view_, static_cast<int>(tile), entries_.data() + start, count, tile_lists_.data()[tile], blend_, gradients, scratch,
-                             moments);
+    if (count > 0) kernels_->blend_backward(view_, static_cast<int>(tile), entries_.data() + start, start, count, blend_, gradients, moments);
   });
-  Moments* sums = sums_.reserve(static_cast<std::size_t>(count_));
-  parallel_for(threads, static_cast<std::int64_t>(num_chunks_), [&](std::int64_t index, int) {
-    const auto c = static_cast<std::size_t>(index);
-    const Moments* instance = moments + chunks_[c].first_instance;
-    for (std::int64_t g = chunk_begin(c); g < chunk_end(c); ++g) {
-      Moments sum{};
-      const Moments* const end = instance + num_tiles_.data()[g];
-      if (instance != end) sum = *instance++;
+  sums_.reserve(static_cast<std::size_t>(count_));
+  parallel_for(threads, static_cast<std::int64_t>(num_chunks_),
+               [&](std::int64_t chunk, int) { sum_chunk(static_cast<std::size_t>(chunk), means2d); });
+  has_sums_ = true;
+}
+
+// Sums the instances of each Gaussian, whose moments stand one after another, and moves to its centre: ∂ln α/∂m = 1/k Lᵀ (u, v).
+void RenderedView::sum_chunk(std::size_t chunk, float* means2d) {
+  const Moments* instance = moments_.data() + chunks_[chunk].first_instance;
+  for (std::int64_t g = chunk_begin(chunk); g < chunk_end(chunk); ++g) {
+    Moments sum{};
+    const Moments* const end = instance + num_tiles_.data()[g];
+    float x = 0, y = 0;
+    if (instance != end) {
+      sum = *instance++;
       for (; instance != end; ++instance)
         for (int k = 0; k < kMoments; ++k) reinterpret_cast<float*>(&sum)[k] += reinterpret_cast<const float*>(instance)[k];
-      sums[g] = sum;
-      means2d[2 * g] = sum.mean_x;
-      means2d[2 * g + 1] = sum.mean_y;
+      const Footprint& at = footprints_.data()[g];
+      x = at.l11 * sum.hu / kHalfLog2e;
+      y = (at.l12 * sum.hu + at.l22 * sum.hv) / kHalfLog2e;
+      // A colour that was clamped at 0 has no gradient.
+      sum.red = at.red > 0 ? sum.red : 0;
+      sum.green = at.green > 0 ? sum.green : 0;
+      sum.blue = at.blue > 0 ? sum.blue : 0;
     }
-  });
-  has_sums_ = true;
+    sums_.data()[g] = sum;
+    means2d[2 * g] = x;
+    means2d[2 * g + 1] = y;
+  }
 }
 
 void RenderedView::project_backward(const SplatArrays& splats, const float* means2d, const SplatGradients& gradients, int threads) {
@@ -204,9 +199,7 @@ void RenderedView::project_backward(const SplatArrays& splats, const float* mean
 
 std::int64_t RenderedView::num_block_pairs() const {
   std::int64_t pairs = 0;
-  const std::int64_t tiles = static_cast<std::int64_t>(view_.tiles_x) * view_.tiles_y;
-  for (std::int64_t tile = 0; tile < tiles; ++tile)
-    for (const std::uint32_t n : tile_lists_.data()[tile].counts) pairs += n;
+  for (std::int64_t i = 0; i < num_instances_; ++i) pairs += __builtin_popcount(reached_.data()[i]);
   return pairs;
 }
 

@@ -26,8 +26,8 @@ class RenderedView {
   // Renders into `out`; keeps what `backward` needs if `differentiable`. Throws std::length_error beyond 2³² instances.
   void forward(const Kernels& kernels, const View& view, const SplatArrays& splats, const ViewOutputs& out, bool differentiable, int threads);
 
-  // ∂loss/∂means2d (N,2) of gradients (H,W,3), (H,W) or null, (H,W) or null. `depths` is the forward pass's output.
-  void blend_backward(const float* images, const float* alphas, const float* depths, const float* out_depths, float* means2d, int threads);
+  // ∂loss/∂means2d (N,2).
+  void blend_backward(const ImageGradients& gradients, float* means2d, int threads);
 
   // Gradients of the Gaussians, from those of `blend_backward` (zero if it was not called since) and means2d (N,2).
   void project_backward(const SplatArrays& splats, const float* means2d, const SplatGradients& gradients, int threads);
@@ -43,19 +43,17 @@ class RenderedView {
     SpanList spans{};
     std::int64_t first_instance = 0;
   };
-  // What one thread needs, and the block lists it has made.
+  // What one thread needs.
   struct Worker {
-    Buffer<float> scratch;
+    Buffer<char> scratch;
     Buffer<Entry> spare;
-    std::vector<Buffer<std::uint32_t>> lists;
-    std::size_t list = 0, used = 0;
-    std::uint32_t* take(std::size_t count);
   };
 
   void project(const SplatArrays& splats, const ViewOutputs& out, int threads);
   void fill_tiles(int threads);
   void blend_tile(std::int64_t tile, Worker& worker);
   void order_equal_depths(Entry* entries, std::size_t count) const;
+  void sum_chunk(std::size_t chunk, float* means2d);
   Projection projection(const ViewOutputs& out) const;
   std::int64_t chunk_begin(std::size_t chunk) const { return static_cast<std::int64_t>(chunk) * chunk_size_; }
   std::int64_t chunk_end(std::size_t chunk) const;
@@ -69,12 +67,11 @@ class RenderedView {
   std::vector<Worker> workers_;
   Buffer<Footprint> footprints_;
   Buffer<std::uint32_t> depth_keys_, num_tiles_, owners_, cursors_;
-  Buffer<std::uint16_t> num_spans_;
+  Buffer<std::uint16_t> num_spans_, reached_;
   Buffer<float> color_slopes_, transmittance_;
   Buffer<std::int32_t> last_;
   Buffer<Entry> entries_;
   Buffer<std::int64_t> tile_starts_;
-  Buffer<TileLists> tile_lists_;
   Buffer<Moments> moments_, sums_;
   BlendState blend_{};
 };

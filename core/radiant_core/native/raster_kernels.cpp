@@ -1,5 +1,5 @@
 // The rasterizer's kernels for one instruction set. Compiled several times, each with its own RADIANT_ISA and flags.
-#include "raster_blend.h"
+#include "raster_blend_backward.h"
 #include "raster_kernels.h"
 #include "raster_project_backward.h"
 

@@ -102,15 +102,15 @@ void forward(PyRenderedView& self, const std::string& instruction_set, const std
   self.rendered.forward(kernels, view, arrays, out, differentiable, threads);
 }
 
-void blend_backward(PyRenderedView& self, const Floats& images, const nb::object& alphas, const nb::object& depths, const Floats& out_depths,
-                    Output means2d, int threads) {
+void blend_backward(PyRenderedView& self, const Floats& images, const nb::object& alphas, const nb::object& depths, const Floats& out_alphas,
+                    const Floats& out_depths, Output means2d, int threads) {
   const std::int64_t pixels = static_cast<std::int64_t>(self.width) * self.height;
-  const float* by_images = checked(images, 3 * pixels, "images");
-  const float *by_alphas = input_or_null(alphas, pixels, "alphas"), *by_depths = input_or_null(depths, pixels, "depths");
-  const float* depths_out = checked(out_depths, pixels, "out_depths");
+  const ImageGradients gradients{checked(images, 3 * pixels, "images"), input_or_null(alphas, pixels, "alphas"),
+                                 input_or_null(depths, pixels, "depths"), checked(out_alphas, pixels, "out_alphas"),
+                                 checked(out_depths, pixels, "out_depths")};
   float* to = checked(means2d, 2 * self.count, "means2d");
   nb::gil_scoped_release unlocked;
-  self.rendered.blend_backward(by_images, by_alphas, by_depths, depths_out, to, threads);
+  self.rendered.blend_backward(gradients, to, threads);
 }
 
 void project_backward(PyRenderedView& self, const std::vector<Floats>& splats, const Floats& means2d, const std::vector<nb::object>& gradients,
@@ -173,7 +173,7 @@ void bind_raster(nb::module_& module) {
            "antialiased"_a, "background"_a, "images"_a, "alphas"_a, "depths"_a, "means2d"_a, "radii_px"_a, "differentiable"_a, "threads"_a,
            "Render into images (H,W,3), alphas (H,W), depths (H,W) m, means2d (N,2) px, radii_px (N). splats: means, quats, log_scales,\n"
            "logit_opacities, sh0, shN, float32; viewmat (4,4), K (3,3) float64. ValueError for a wrong size or instruction set.")
-      .def("blend_backward", &blend_backward, "images"_a, "alphas"_a.none(), "depths"_a.none(), "out_depths"_a, "means2d"_a, "threads"_a,
+      .def("blend_backward", &blend_backward, "images"_a, "alphas"_a.none(), "depths"_a.none(), "out_alphas"_a, "out_depths"_a, "means2d"_a, "threads"_a,
            "Gradients of images (H,W,3), alphas and depths (H,W) or None into means2d (N,2); the rest waits for project_backward.")
       .def("project_backward", &project_backward, "splats"_a, "means2d"_a, "gradients"_a, "add"_a, "threads"_a,
            "Gradients of the six tensors, from blend_backward's and means2d (N,2), into arrays or None; added or overwritten.")

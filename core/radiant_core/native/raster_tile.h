@@ -102,47 +102,4 @@ RADIANT_INLINE void transpose_bits(const uint32_t in[kBlocksPerTile], uint16_t* 
 #endif
 }
 
-// Sorts entries by depth, then by what float32 has lost of it, then by instance: a total order, whoever filled the list.
-static void sort_entries(const Footprint* footprints, const uint32_t* owners, Entry* entries, Entry* scratch, int64_t count) {
-  uint32_t low = 0xffffffffu, high = 0;
-  for (int64_t i = 0; i < count; ++i) {
-    const uint32_t key = entries[i].depth_key;
-    low = key < low ? key : low;
-    high = key > high ? key : high;
-  }
-  const uint32_t range = count ? high - low : 0;
-  Entry *from = entries, *to = scratch;
-  for (int shift = 0; shift < 32 && range >> shift; shift += 8) {
-    uint32_t starts[256] = {};
-    for (int64_t i = 0; i < count; ++i) ++starts[(from[i].depth_key - low) >> shift & 255];
-    uint32_t sum = 0;
-    for (int digit = 0; digit < 256; ++digit) {
-      const uint32_t size = starts[digit];
-      starts[digit] = sum;
-      sum += size;
-    }
-    for (int64_t i = 0; i < count; ++i) to[starts[(from[i].depth_key - low) >> shift & 255]++] = from[i];
-    Entry* swap = from;
-    from = to;
-    to = swap;
-  }
-  uint32_t last_key = 0;
-  for (int64_t i = 0; i < count; ++i) {
-    Entry entry = from[i];
-    const uint32_t key = entry.depth_key;
-    entry.owner = owners[entry.instance];
-    int64_t place = i;
-    if (i > 0 && key == last_key) {
-      const float rest = footprints[entry.owner].depth_rest_m, depth = footprints[entry.owner].depth_m;
-      for (; place > 0; --place) {
-        const Footprint& before = footprints[entries[place - 1].owner];
-        if (before.depth_m != depth || before.depth_rest_m <= rest) break;
-        entries[place] = entries[place - 1];
-      }
-    }
-    last_key = key;
-    entries[place] = entry;
-  }
-}
-
 }  // namespace radiant::RADIANT_ISA

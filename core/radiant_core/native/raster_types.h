@@ -82,34 +82,31 @@ struct Projection {
 
 // A Gaussian in a tile. `instance` counts all pairs of Gaussian and tile, Gaussian after Gaussian.
 struct Entry {
-  uint32_t depth_key, instance;
+  union {
+    uint32_t depth_key;  // until the tile is sorted
+    uint32_t owner;      // from then on: the Gaussian
+  };
+  uint32_t instance;
 };
 
-// Sums over the pixels of one instance, or of all of a Gaussian's, with h = ∂loss/∂ln α: Σh, ∂loss/∂centre, Σhu², Σhuv, Σhv²,
-// and ∂loss by colour and depth.
+// Sums over the pixels of one instance, or of all of a Gaussian's, of h = ∂loss/∂ln α, (u, v) as above, and ∂loss by colour and depth.
 struct Moments {
-  float h, mean_x, mean_y, huu, huv, hvv, red, green, blue, depth;
+  float h, hu, hv, huu, huv, hvv, red, green, blue, depth;
 };
 
-// Block lists of a tile: indices into its entries, block after block.
-struct TileLists {
-  const uint32_t* indices;
-  uint32_t counts[kBlocksPerTile];
-};
-
+// What blending leaves behind for the way back, and the pictures it writes.
 struct BlendState {
   const Footprint* footprints;
-  const uint32_t* owners;        // (instances) Gaussian of each
-  float* transmittance;          // (tiles, 16 blocks, 16 pixels) after the last Gaussian
-  int32_t* last;                 // (tiles, 16, 16) entries of the block's list that were blended
+  uint16_t* reached;                // (instances, tile after tile) bit b: the entry reaches block b of its tile
+  float* transmittance;             // (tiles, 16 blocks, 16 pixels) after the last entry
+  int32_t* last;                    // (tiles, 16, 16) the first entry that was not blended, or the number of entries
   float *images, *alphas, *depths;  // outputs (H,W,3), (H,W), (H,W)
 };
 
+// Gradients of the pictures, in their shapes, null where there is none; and the pictures.
 struct ImageGradients {
-  const float *images, *alphas, *depths;  // as the outputs; alphas and depths may be null
-  const float* transmittance;
-  const int32_t* last;
-  const float *out_depths;
+  const float *images, *alphas, *depths;
+  const float *out_alphas, *out_depths;
 };
 
 struct Kernels {
@@ -118,12 +115,12 @@ struct Kernels {
   void (*project)(const View&, const SplatArrays&, int64_t begin, int64_t end, const Projection&, SpanList&);
   void (*project_backward)(const View&, const SplatArrays&, int64_t begin, int64_t end, const Projection&, const Moments* sums,
                            const float* means2d_gradient, const SplatGradients&);
-  // Floats of scratch that the blending of a tile with `count` entries needs.
+  // Bytes of scratch that blending a tile with `count` entries needs.
   int64_t (*blend_scratch)(int64_t count);
-  // Blends one tile; the block lists are left in scratch, their counts in `counts`.
-  const uint32_t* (*blend)(const View&, int tile, const Entry* entries, int64_t count, const BlendState&, float* scratch, uint32_t* counts);
-  void (*blend_backward)(const View&, int tile, const Entry* entries, int64_t count, const TileLists&, const BlendState&,
-                         const ImageGradients&, float* scratch, Moments* moments);
+  // Blends one tile of `count` sorted entries, which are entries `offset` and following of all tiles.
+  void (*blend)(const View&, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState&, char* scratch);
+  void (*blend_backward)(const View&, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState&, const ImageGradients&,
+                         Moments* moments);
   // Fused multiply-adds of 16 lanes done by `rounds` rounds of independent chains: the peak to compare with.
   int64_t (*fma_rounds)(int64_t rounds, float* sink);
 };

@@ -60,6 +60,7 @@ RADIANT_INLINE F operator/(float a, const F& b) { return broadcast(a) / b; }
 RADIANT_INLINE F& operator+=(F& a, const F& b) { return a = a + b; }
 RADIANT_INLINE F& operator-=(F& a, const F& b) { return a = a - b; }
 RADIANT_INLINE F& operator*=(F& a, const F& b) { return a = a * b; }
+RADIANT_INLINE I operator&(const I& a, const I& b) { I r; RADIANT_PARTS r.p[i] = a.p[i] & b.p[i]; return r; }
 RADIANT_INLINE I operator+(const I& a, const I& b) { I r; RADIANT_PARTS r.p[i] = a.p[i] + b.p[i]; return r; }
 
 #if defined(__AVX512F__)
@@ -247,6 +248,28 @@ RADIANT_INLINE void transpose(F rows[kLanes]) {
       *reinterpret_cast<Quad*>(&to[j + 3][i]) = __builtin_shuffle(high01, high23, Pick{2, 3, 6, 7});
     }
   for (int i = 0; i < 16; ++i) rows[i] = load(to[i]);
+#endif
+}
+
+// Lane i of the result is the sum of row i.
+RADIANT_INLINE F sums_of_rows(F rows[kLanes]) {
+#if defined(__AVX512F__)
+  __m512 a[8], b[4];
+  for (int i = 0; i < 8; ++i)
+    a[i] = _mm512_add_ps(_mm512_unpacklo_ps(rows[2 * i].p[0], rows[2 * i + 1].p[0]), _mm512_unpackhi_ps(rows[2 * i].p[0], rows[2 * i + 1].p[0]));
+  for (int i = 0; i < 4; ++i) {
+    const __m512d low = _mm512_castps_pd(a[2 * i]), high = _mm512_castps_pd(a[2 * i + 1]);
+    b[i] = _mm512_add_ps(_mm512_castpd_ps(_mm512_unpacklo_pd(low, high)), _mm512_castpd_ps(_mm512_unpackhi_pd(low, high)));
+  }
+  // Rows 4i … 4i + 3 stand in each quarter of b[i]: what is left is to add the quarters.
+  for (int i = 0; i < 2; ++i)
+    a[i] = _mm512_add_ps(_mm512_shuffle_f32x4(b[2 * i], b[2 * i + 1], 0x88), _mm512_shuffle_f32x4(b[2 * i], b[2 * i + 1], 0xdd));
+  return {{_mm512_add_ps(_mm512_shuffle_f32x4(a[0], a[1], 0x88), _mm512_shuffle_f32x4(a[0], a[1], 0xdd))}};
+#else
+  transpose(rows);
+  F sum = rows[0];
+  for (int i = 1; i < kLanes; ++i) sum += rows[i];
+  return sum;
 #endif
 }
 
