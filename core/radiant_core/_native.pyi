@@ -38,6 +38,7 @@ class RenderedView:
         images: NDArray[np.float32],
         alphas: NDArray[np.float32] | None,
         depths: NDArray[np.float32] | None,
+        out_alphas: NDArray[np.float32],
         out_depths: NDArray[np.float32],
         means2d: NDArray[np.float32],
         threads: int,
