@@ -203,15 +203,16 @@ def export(
 
 @app.command()
 def bench(
-    name: Annotated[Literal["sfm", "plan"], typer.Argument(help="What to measure.")],
+    name: Annotated[Literal["sfm", "plan", "raster"], typer.Argument(help="What to measure.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
     scene: Annotated[Path | None, typer.Option(help="Scene with known cameras; the sample town without it.")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads of the rasterizer; all cores without it.")] = None,
 ) -> None:
     """Run time beside error."""
-    from radiant_app.bench.runner import run_bench
+    from radiant_app.bench.runner import BenchOptions, run_bench
 
-    run_bench(name, json_file, quick, scene)
+    run_bench(name, json_file, BenchOptions(quick=quick, scene=scene, threads=threads))
 
 
 @app.command()

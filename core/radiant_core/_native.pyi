@@ -1,6 +1,58 @@
 """Types of the native module; its sources are in native/."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 def assign_power_cells(positions: NDArray[np.float64], sites: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int32]: ...
+
+class RenderedView:
+    num_instances: int
+    num_block_pairs: int
+
+    def __init__(self) -> None: ...
+    def forward(
+        self,
+        instruction_set: str,
+        splats: Sequence[NDArray[np.float32]],
+        viewmat: NDArray[np.float64],
+        K: NDArray[np.float64],
+        width: int,
+        height: int,
+        sh_degree: int,
+        near_m: float,
+        far_m: float,
+        antialiased: bool,
+        background: NDArray[np.float32],
+        images: NDArray[np.float32],
+        alphas: NDArray[np.float32],
+        depths: NDArray[np.float32],
+        means2d: NDArray[np.float32],
+        radii_px: NDArray[np.float32],
+        differentiable: bool,
+        threads: int,
+    ) -> None: ...
+    def blend_backward(
+        self,
+        images: NDArray[np.float32],
+        alphas: NDArray[np.float32] | None,
+        depths: NDArray[np.float32] | None,
+        out_alphas: NDArray[np.float32],
+        out_depths: NDArray[np.float32],
+        means2d: NDArray[np.float32],
+        threads: int,
+    ) -> None: ...
+    def project_backward(
+        self,
+        splats: Sequence[NDArray[np.float32]],
+        means2d: NDArray[np.float32],
+        gradients: Sequence[NDArray[np.float32] | None],
+        add: bool,
+        threads: int,
+    ) -> None: ...
+
+def pooled_array(shape: Sequence[int]) -> NDArray[np.float32]: ...
+def compiler() -> str: ...
+def instruction_sets() -> list[str]: ...
+def multiply_adds(instruction_set: str, rounds: int) -> int: ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import typer
@@ -13,26 +14,43 @@ from radiant_core.evaluate.metric import Metric, metrics_to_json
 from radiant_core.io.run_store import write_json
 
 
-def run_bench(name: str, json_file: Path | None, quick: bool, scene: Path | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions:
+    """What the benchmarks may be asked for; each takes what it knows."""
+
+    quick: bool = False
+    """Fewer and smaller cases."""
+    scene: Path | None = None
+    """Scene with known cameras (sfm)."""
+    threads: int | None = None
+    """Threads of the rasterizer (raster)."""
+
+
+def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
     """Run the benchmark `name` and report; BadInput for an unknown name or an unwritable file."""
-    metrics = measure(name, quick, scene)
+    metrics = measure(name, options)
     typer.echo(table(metrics))
     if json_file is not None:
         write_json(json_file, metrics_to_json(metrics))
         typer.echo(f"written: {json_file}")
 
 
-def measure(name: str, quick: bool, scene: Path | None) -> Sequence[Metric]:
+def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
     """The figures of one benchmark."""
     if name == "sfm":
         from radiant_app.bench.sfm import bench_sfm
 
-        return bench_sfm(scene or sample_scenes_folder() / "town", quick)
+        return bench_sfm(options.scene or sample_scenes_folder() / "town", options.quick)
     if name == "plan":
         from radiant_app.bench.plan import bench_plan
 
-        return bench_plan(quick)
-    raise BadInput(f"benchmark {name!r} is unknown: use sfm or plan.")
+        return bench_plan(options.quick)
+    if name == "raster":
+        from radiant_app.bench.raster import bench_raster, build_description
+
+        typer.echo(build_description(options.threads))
+        return bench_raster(options.quick, options.threads)
+    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan or raster.")
 
 
 def table(metrics: Sequence[Metric]) -> str:

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -27,8 +27,25 @@ DILATION_PX2 = 0.3
 TRANSMITTANCE_CUT = 1e-4
 """A Gaussian that would bring a pixel's transmittance to this or below is not blended, nor is any behind it."""
 
-Backend = Literal["auto", "reference"]
-"""auto: the fastest there is; reference: plain PyTorch, the oracle."""
+Backend = Literal["auto", "native", "reference"]
+"""auto: native where it can be used, else reference; native: C++ for float32 on the CPU; reference: plain PyTorch, the oracle."""
+
+Feature = Literal[
+    "colour, alpha, depth",
+    "radii",
+    "2D-mean gradients",
+    "background",
+    "SH 0-3",
+    "antialiased",
+    "several cameras",
+    "float64",
+    "camera gradients",
+]
+FEATURES: dict[str, frozenset[Feature]] = {
+    "native": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
+    "reference": frozenset(get_args(Feature)),
+}
+"""What each backend can do; the contract test holds them to it. Gradients of all six tensors and the background go without saying."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,10 +110,11 @@ def rasterize(
 
     Raises BadInput naming the tensor when a shape is wrong or a value is not finite.
     """
+    from radiant_core.render.native_backend import rasterize_native
     from radiant_core.render.torch_reference import rasterize_reference
 
-    if backend not in ("auto", "reference"):
-        raise BadInput(f"backend {backend!r} is unknown: use 'auto' or 'reference'.")
+    if backend not in get_args(Backend):
+        raise BadInput(f"backend {backend!r} is unknown: use {', '.join(map(repr, get_args(Backend)))}.")
     _check(splats, viewmats, Ks, sh_degree)
     if width < 1 or height < 1:
         raise BadInput(f"the image is {width} × {height} px, expected at least 1 × 1.")
@@ -109,6 +127,8 @@ def rasterize(
         antialiased=antialiased,
         background=torch.zeros(3, dtype=splats.means.dtype) if background is None else background,
     )
+    if backend == "native" or (backend == "auto" and _fits_native(splats, viewmats, Ks)):
+        return rasterize_native(splats, viewmats, Ks, view)
     return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
 
 
@@ -126,8 +146,13 @@ class ViewOptions:
 
 
 def resolve_backend(backend: Backend) -> str:
-    """The backend that `auto` stands for on this machine."""
-    return "reference" if backend == "auto" else backend
+    """The backend that `auto` stands for with float32 models on this machine."""
+    return "native" if backend == "auto" else backend
+
+
+def _fits_native(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> bool:
+    on_cpu = all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in splats.tensors().values())
+    return on_cpu and not viewmats.requires_grad and not Ks.requires_grad
 
 
 def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, sh_degree: int) -> None:

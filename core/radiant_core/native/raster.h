@@ -1,0 +1,82 @@
+// One rendered view: what the forward pass leaves for the backward pass, and the order of the steps.
+//
+// Forward, O(N + instances + pixels · depth complexity): project (chunks of Gaussians) → count and fill tile lists (stable) → per tile:
+// sort by depth, list the blocks each Gaussian reaches, blend. Backward: per tile, then a sum per Gaussian, then the projection.
+// Every sum has a fixed order, so results have the same bits for any number of threads.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "buffers.h"
+#include "raster_types.h"
+
+namespace radiant {
+
+struct ViewOutputs {
+  float *images, *alphas, *depths, *means2d, *radii_px;
+};
+
+class RenderedView {
+ public:
+  RenderedView() = default;
+  RenderedView(const RenderedView&) = delete;
+  RenderedView& operator=(const RenderedView&) = delete;
+
+  // Renders into `out`; keeps what `backward` needs if `differentiable`. Throws std::length_error beyond 2³² instances.
+  void forward(const Kernels& kernels, const View& view, const SplatArrays& splats, const ViewOutputs& out, bool differentiable, int threads);
+
+  // ∂loss/∂means2d (N,2).
+  void blend_backward(const ImageGradients& gradients, float* means2d, int threads);
+
+  // Gradients of the Gaussians, from those of `blend_backward` (zero if it was not called since) and means2d (N,2).
+  void project_backward(const SplatArrays& splats, const float* means2d, const SplatGradients& gradients, int threads);
+
+  // Pairs of Gaussian and tile, and of Gaussian and block, of the last forward pass.
+  std::int64_t num_instances() const { return num_instances_; }
+  std::int64_t num_block_pairs() const;
+
+ private:
+  // A piece of the Gaussians: projected and counted as one, the same pieces for any number of threads.
+  struct Chunk {
+    Buffer<Span> storage;
+    SpanList spans{};
+    std::int64_t first_instance = 0;
+  };
+  // What one thread needs.
+  struct Worker {
+    Buffer<char> scratch;
+    Buffer<Entry> spare;
+  };
+
+  void project(const SplatArrays& splats, const ViewOutputs& out, int threads);
+  void fill_tiles(int threads);
+  void blend_tile(std::int64_t tile, Worker& worker);
+  void order_equal_depths(Entry* entries, std::size_t count) const;
+  void sum_chunk(std::size_t chunk, float* means2d);
+  Projection projection(const ViewOutputs& out) const;
+  std::int64_t chunk_begin(std::size_t chunk) const { return static_cast<std::int64_t>(chunk) * chunk_size_; }
+  std::int64_t chunk_end(std::size_t chunk) const;
+
+  const Kernels* kernels_ = nullptr;
+  View view_{};
+  std::int64_t count_ = 0, chunk_size_ = 0, num_instances_ = 0;
+  std::size_t num_chunks_ = 0;
+  bool differentiable_ = false, has_sums_ = false;
+  std::vector<Chunk> chunks_;
+  std::vector<Worker> workers_;
+  Buffer<Footprint> footprints_;
+  Buffer<std::uint32_t> depth_keys_, num_tiles_, owners_, cursors_;
+  Buffer<std::uint16_t> num_spans_, reached_;
+  Buffer<float> color_slopes_, transmittance_;
+  Buffer<std::int32_t> last_;
+  Buffer<Entry> entries_;
+  Buffer<std::int64_t> tile_starts_;
+  Buffer<Moments> moments_, sums_;
+  BlendState blend_{};
+};
+
+// The kernels of `name`, or the fastest this CPU runs for an empty one; null if this CPU or build has none of that name.
+const Kernels* find_kernels(const char* name);
+
+}  // namespace radiant

@@ -1,0 +1,141 @@
+// One tile on the way back: moments of every instance, from which project_backward makes all gradients. Once per tile and camera.
+//
+// With g the gradient of the pixel, T_i the transmittance before Gaussian i and B_i what the pixel sees behind it:
+//     ∂loss/∂ln α_i = w_i (c_i·g − B_i),   B_{i−1} = B_i + α_i (c_i·g − B_i),   T_i = T_{i+1} / (1 − α_i)
+// Walked from back to front both recurrences only ever add small things to sums of small things: a Gaussian behind an almost opaque
+// one keeps all digits of its gradient, which a difference "all minus what is in front" would lose.
+// The loop is over Gaussians, their blocks inside: the sums of one instance stay in registers and are reduced once per instance.
+#pragma once
+
+#include "raster_blend.h"
+
+namespace radiant::RADIANT_ISA {
+
+struct BlockState {
+  F transmittance, behind, red, green, blue, depth;  // T, B, g
+  F final_transmittance, final_behind, picture_depth;
+  F x, y;                                            // pixels from the tile's centre
+  int32_t last[kLanes];
+  int32_t next;   // the block's pixels with `last` over the entry at hand wait for their start at `next`
+};
+
+// Gradients of 16 pixels from a picture (H,W,stride); 0 outside.
+RADIANT_INLINE F read_block(const View& view, int left, int top, const float* picture, int stride) {
+  alignas(64) float values[kLanes] = {};
+  const int rows = view.height - top < kBlockPx ? view.height - top : kBlockPx, columns = view.width - left < kBlockPx ? view.width - left : kBlockPx;
+  for (int row = 0; row < rows; ++row)
+    for (int column = 0; column < columns; ++column)
+      values[row * kBlockPx + column] = picture[(static_cast<int64_t>(top + row) * view.width + left + column) * stride];
+  return load(values);
+}
+
+// B behind everything is background·g − ∂loss/∂alpha, since alpha = 1 − T; depth = Σ w z / Σ w adds (z − depth) / Σ w to c·g.
+RADIANT_INLINE void start_block(const View& view, int tile, int block, int64_t count, const BlendState& state, const ImageGradients& gradients,
+                                BlockState& b) {
+  const int left = tile % view.tiles_x * kTilePx + block % 4 * kBlockPx, top = tile / view.tiles_x * kTilePx + block / 4 * kBlockPx;
+  const int64_t place = (static_cast<int64_t>(tile) * kBlocksPerTile + block) * kPixelsPerBlock;
+  const F zero = broadcast(0.0f);
+  b.x = lane_x() + block_left(block), b.y = lane_y() + block_top(block);
+  b.red = b.green = b.blue = b.depth = b.picture_depth = zero;
+  if (gradients.images) {
+    b.red = read_block(view, left, top, gradients.images, 3);
+    b.green = read_block(view, left, top, gradients.images + 1, 3);
+    b.blue = read_block(view, left, top, gradients.images + 2, 3);
+  }
+  b.final_behind = view.background[0] * b.red + view.background[1] * b.green + view.background[2] * b.blue;
+  if (gradients.alphas) b.final_behind -= read_block(view, left, top, gradients.alphas, 1);
+  if (gradients.depths) {
+    b.picture_depth = read_block(view, left, top, gradients.out_depths, 1);
+    b.depth = read_block(view, left, top, gradients.depths, 1) / max(read_block(view, left, top, gradients.out_alphas, 1), broadcast(1e-10f));
+  }
+  b.final_transmittance = load(state.transmittance + place);
+  b.next = 0;
+  alignas(64) int32_t started[kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) {
+    b.last[lane] = state.last[place + lane];
+    started[lane] = b.last[lane] == count;
+    if (b.last[lane] < count && b.last[lane] > b.next) b.next = b.last[lane];
+  }
+  b.behind = b.final_behind;
+  b.transmittance = keep(broadcast(int32_t{0}) < load(started), b.final_transmittance);
+}
+
+// Starts the pixels whose last blended entry is this one or behind it.
+static __attribute__((noinline)) void start_pixels(BlockState& b, int32_t entry) {
+  uint32_t starting = 0;
+  int32_t next = 0;
+  for (int lane = 0; lane < kLanes; ++lane) {
+    if (b.last[lane] > entry && b.last[lane] <= b.next) starting |= 1u << lane;
+    if (b.last[lane] <= entry && b.last[lane] > next) next = b.last[lane];
+  }
+  b.transmittance = select(mask_of(starting), b.final_transmittance, b.transmittance);
+  b.behind = select(mask_of(starting), b.final_behind, b.behind);
+  b.next = next;
+}
+
+// Moments of one Gaussian over its blocks.
+template <bool kDepth>
+RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t entry, BlockState* blocks, float* out) {
+  const F zero = broadcast(0.0f);
+  F sums[kLanes];
+  for (int i = 0; i < kLanes; ++i) sums[i] = zero;
+  for (; reached; reached &= reached - 1) {
+    BlockState& b = blocks[__builtin_ctz(reached)];
+    if (__builtin_expect(entry < b.next, 0)) start_pixels(b, entry);
+    const F u = row.l11 * b.x + (row.l12 * b.y + row.u), v = row.l22 * b.y + row.v;
+    const F t = row.log2_opacity - u * u - v * v;
+    const F alpha = alpha_of(t);
+    const F transmittance = b.transmittance * reciprocal(1.0f - alpha), weight = alpha * transmittance;
+    F difference = row.red * b.red + row.green * b.green + row.blue * b.blue - b.behind;
+    if (kDepth) difference += (row.depth_m - b.picture_depth) * b.depth;
+    b.transmittance = transmittance;
+    b.behind += alpha * difference;
+    // At the cap α does not move.
+    const F h = keep(t <= broadcast(kLog2AlphaMax), weight * difference);
+    const F hu = h * u, hv = h * v;
+    sums[0] += h;
+    sums[1] += hu;
+    sums[2] += hv;
+    sums[3] += hu * u;
+    sums[4] += hu * v;
+    sums[5] += hv * v;
+    sums[6] += weight * b.red;
+    sums[7] += weight * b.green;
+    sums[8] += weight * b.blue;
+    if (kDepth) sums[9] += weight * b.depth;
+  }
+  alignas(64) float total[kLanes];
+  store(total, sums_of_rows(sums));
+  __builtin_memcpy(out, total, sizeof(Moments));
+}
+
+template <bool kDepth>
+static void walk_back(const View& view, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState& state,
+                      BlockState* blocks, Row* rows, Moments* moments) {
+  const int left = tile % view.tiles_x * kTilePx, top = tile / view.tiles_x * kTilePx;
+  for (int64_t first = padded(count) - kLanes; first >= 0; first -= kLanes) {
+    const int lanes = count - first < kLanes ? static_cast<int>(count - first) : kLanes;
+    for (int64_t next = first - kLanes; next >= 0 && next < first; ++next) __builtin_prefetch(state.footprints + entries[next].owner);
+    load_group(state.footprints, entries + first, lanes, left + kTilePx / 2, top + kTilePx / 2, rows);
+    for (int lane = lanes - 1; lane >= 0; --lane) {
+      const int64_t entry = first + lane;
+      Moments* out = moments + entries[entry].instance;
+      const uint32_t reached = state.reached[offset + entry];
+      instance_moments<kDepth>(rows[lane], reached, static_cast<int32_t>(entry), blocks, reinterpret_cast<float*>(out));
+    }
+  }
+}
+
+static void blend_backward(const View& view, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState& state,
+                           const ImageGradients& gradients, Moments* moments) {
+  BlockState blocks[kBlocksPerTile];
+  Row rows[kLanes];
+  for (int block = 0; block < kBlocksPerTile; ++block) {
+    const int left = tile % view.tiles_x * kTilePx + block % 4 * kBlockPx, top = tile / view.tiles_x * kTilePx + block / 4 * kBlockPx;
+    if (left < view.width && top < view.height) start_block(view, tile, block, count, state, gradients, blocks[block]);
+  }
+  if (gradients.depths) walk_back<true>(view, tile, entries, offset, count, state, blocks, rows, moments);
+  else walk_back<false>(view, tile, entries, offset, count, state, blocks, rows, moments);
+}
+
+}  // namespace radiant::RADIANT_ISA

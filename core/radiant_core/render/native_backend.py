@@ -1,0 +1,210 @@
+"""The native rasterizer behind autograd: float32 on the CPU, C++ kernels for AVX-512, AVX2 or any CPU (`native/raster*`).
+
+Two autograd steps, so that `means2d` lies on the way of the gradients as it does in the reference:
+
+    splats ──_Project──→ means2d, link ──_Blend──→ images, alphas, depths
+
+The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend` yields ∂loss/∂means2d and leaves all
+other gradients of the image plane in the native `RenderedView`, from where `_Project` takes them. Once per image and training step.
+"""
+
+from __future__ import annotations
+
+import atexit
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from radiant_core import _native
+from radiant_core.errors import BadInput
+from radiant_core.render.contract import RenderOutput, SplatTensors, ViewOptions
+
+
+def instruction_sets() -> tuple[str, ...]:
+    """The builds of the kernels that this CPU can run, the fastest first."""
+    return tuple(_native.instruction_sets())
+
+
+class _FreeViews:
+    """Rendered views whose memory waits for the next call: a model of 500,000 Gaussians would touch 60,000 fresh pages each time."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._views, self._lock = most, list[_native.RenderedView](), threading.Lock()
+
+    def take(self) -> _native.RenderedView:
+        with self._lock:
+            return self._views.pop() if self._views else _native.RenderedView()
+
+    def give_back(self, view: _native.RenderedView) -> None:
+        with self._lock:
+            if len(self._views) < self._most:
+                self._views.append(view)
+
+    def close(self) -> None:
+        """Keep none from now on: at exit they must be gone before the native module is."""
+        with self._lock:
+            self._most = 0
+            self._views.clear()
+
+
+_FREE_VIEWS = _FreeViews(most=2)
+atexit.register(_FREE_VIEWS.close)
+
+
+class _Rendering:
+    """Native views of C cameras and their pictures; the views' memory returns to the pool when nothing refers to this any more."""
+
+    def __init__(self, num_cameras: int, threads: int) -> None:
+        self.views = [_FREE_VIEWS.take() for _ in range(num_cameras)]
+        self.threads = threads
+
+    def __del__(self) -> None:
+        for view in self.views:
+            _FREE_VIEWS.give_back(view)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Call:
+    """What one call has besides tensors that carry gradients; pictures are filled in by `_Project`."""
+
+    rendering: _Rendering
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    view: ViewOptions
+    background: np.ndarray
+    instruction_set: str
+    images: Tensor
+    alphas: Tensor
+    depths: Tensor
+    radii_px: Tensor
+
+
+def rasterize_native(
+    splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions, *, instruction_set: str = "", threads: int | None = None
+) -> RenderOutput:
+    """`contract.rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64 and get no gradient.
+
+    `instruction_set` is one of `instruction_sets()`, the fastest by default; `threads` is torch.get_num_threads() by default.
+    Raises BadInput for another type or device, and where the cameras ask for gradients.
+    """
+    _check_native(splats, viewmats, Ks, view, instruction_set)
+    cameras, count = viewmats.shape[0], len(splats)
+    shape = (cameras, view.height, view.width)
+    call = _Call(
+        rendering=_Rendering(cameras, threads or torch.get_num_threads()),
+        viewmats=_float64(viewmats),
+        Ks=_float64(Ks),
+        view=view,
+        background=view.background.detach().to(torch.float32).contiguous().numpy(),
+        instruction_set=instruction_set,
+        images=torch.empty(*shape, 3),
+        alphas=torch.empty(shape),
+        depths=torch.empty(shape),
+        radii_px=torch.empty(cameras, count),
+    )
+    means2d, link = _Project.apply(call, *splats.tensors().values())
+    if means2d.requires_grad:
+        means2d.retain_grad()
+    images, alphas, depths = _Blend.apply(call, means2d, link, view.background)
+    return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=call.radii_px, means2d=means2d)
+
+
+def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> int:
+    """Pixel–Gaussian pairs that a rendering of one camera goes through: 16 for each block of 4 × 4 px that a Gaussian reaches."""
+    shape, count, native = (height, width), len(splats), _native.RenderedView()
+    pictures = [np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)]
+    native.forward(
+        "", _arrays(list(splats.tensors().values())), viewmat, K, width, height, 0, 0.01, 1e10, False, np.zeros(3, np.float32),
+        *pictures, np.empty((count, 2), np.float32), np.empty(count, np.float32), False, torch.get_num_threads(),
+    )  # fmt: skip
+    return 16 * native.num_block_pairs
+
+
+def _check_native(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions, instruction_set: str) -> None:
+    for name, tensor in splats.tensors().items():
+        if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
+            raise BadInput(
+                f"{name} is {tensor.dtype} on {tensor.device}, backend 'native' takes float32 on the CPU: convert it or use 'reference'."
+            )
+    for name, tensor in (("viewmats", viewmats), ("Ks", Ks)):
+        if tensor.requires_grad:
+            raise BadInput(f"{name} requires gradients, which backend 'native' has none for: use backend='reference'.")
+    if view.near_m < 0:
+        raise BadInput(f"near_m is {view.near_m}, expected 0 or more: nothing behind the camera can be drawn.")
+    if instruction_set and instruction_set not in instruction_sets():
+        raise BadInput(f"instruction set {instruction_set!r} is not one of this CPU's: use {', '.join(instruction_sets())}.")
+
+
+def _float64(tensor: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(tensor.detach().cpu().to(torch.float64).numpy())
+
+
+def _arrays(tensors: Sequence[Tensor]) -> list[np.ndarray]:
+    return [tensor.detach().contiguous().numpy() for tensor in tensors]
+
+
+class _Project(torch.autograd.Function):
+    """Six tensors → means2d (C,N,2) and a scalar that ties `_Blend` to the rendering."""
+
+    @staticmethod
+    def forward(ctx: Any, call: _Call, *tensors: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        arrays, view = _arrays(tensors), call.view
+        means2d = torch.empty(len(call.rendering.views), tensors[0].shape[0], 2)
+        differentiable = any(ctx.needs_input_grad)
+        for index, native in enumerate(call.rendering.views):
+            native.forward(
+                call.instruction_set, arrays, call.viewmats[index], call.Ks[index], view.width, view.height, view.sh_degree,
+                view.near_m, view.far_m, view.antialiased, call.background, call.images[index].numpy(), call.alphas[index].numpy(),
+                call.depths[index].numpy(), means2d[index].numpy(), call.radii_px[index].numpy(), differentiable, call.rendering.threads,
+            )  # fmt: skip
+        ctx.rendering = call.rendering
+        ctx.save_for_backward(*tensors)
+        return means2d, torch.zeros(())
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, means2d: Tensor, link: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        tensors = ctx.saved_tensors
+        wanted = ctx.needs_input_grad[1:]
+        gradients = [_native.pooled_array(list(tensor.shape)) if needed else None for tensor, needed in zip(tensors, wanted, strict=True)]
+        arrays, means2d = _arrays(tensors), means2d.contiguous()
+        for index, native in enumerate(ctx.rendering.views):
+            native.project_backward(arrays, means2d[index].numpy(), gradients, index > 0, ctx.rendering.threads)
+        return None, *(None if gradient is None else torch.from_numpy(gradient) for gradient in gradients)
+
+
+class _Blend(torch.autograd.Function):
+    """means2d and link → pictures, which `_Project` has already drawn."""
+
+    @staticmethod
+    def forward(ctx: Any, call: _Call, means2d: Tensor, link: Tensor, background: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx.rendering, ctx.shape, ctx.background_like = call.rendering, means2d.shape, background
+        ctx.set_materialize_grads(False)
+        ctx.save_for_backward(call.alphas, call.depths)
+        return call.images, call.alphas, call.depths
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, images: Tensor | None, alphas: Tensor | None, depths: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
+        out_alphas, out_depths = ctx.saved_tensors
+        images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
+        alphas, depths = (None if part is None else part.contiguous() for part in (alphas, depths))
+        means2d = torch.empty(ctx.shape)
+        for index, native in enumerate(ctx.rendering.views):
+            by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
+            native.blend_backward(
+                images[index].numpy(), by_alphas, by_depths, out_alphas[index].numpy(), out_depths[index].numpy(), means2d[index].numpy(),
+                ctx.rendering.threads,
+            )
+        background = None
+        if ctx.needs_input_grad[3]:
+            background = ((1 - out_alphas)[..., None] * images).sum((0, 1, 2)).to(ctx.background_like.dtype)
+        return None, means2d, means2d.new_zeros(()), background

@@ -1,0 +1,85 @@
+"""Every backend and build this machine has, and how far one rendering lies from the float64 reference, gradients included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from radiant_core.cameras import Cameras
+from radiant_core.render.contract import RenderOutput, SplatTensors, ViewOptions, rasterize
+from radiant_core.render.native_backend import instruction_sets, rasterize_native
+from radiant_core.splats import Splats
+
+NATIVE = tuple(f"native-{name}" for name in instruction_sets())
+BACKENDS = (*NATIVE, "reference")
+BACKGROUND = (0.1, 0.4, 0.7)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rendered:
+    """One rendering, its leaves and its background."""
+
+    output: RenderOutput
+    leaves: SplatTensors
+    background: Tensor
+
+    def gradients(self) -> dict[str, Tensor]:
+        """(N, …) as float64 (N, D) per tensor that has elements; zeros where autograd gave none."""
+        return {
+            name: (torch.zeros_like(leaf) if leaf.grad is None else leaf.grad).double().reshape(len(leaf), -1)
+            for name, leaf in self.leaves.tensors().items()
+            if leaf.numel()
+        }
+
+
+def render(splats: Splats | SplatTensors, cameras: Cameras, backend: str, *, threads: int | None = None, **options) -> Rendered:
+    """Render in float32, or in float64 for the backend "oracle"; options as those of `rasterize`."""
+    dtype = torch.float64 if backend == "oracle" else torch.float32
+    leaves = SplatTensors.from_splats(splats, dtype) if isinstance(splats, Splats) else splats
+    for leaf in leaves.tensors().values():
+        leaf.requires_grad_()
+    width, height = (int(side) for side in cameras.sizes_wh[0])
+    background = torch.tensor(BACKGROUND, dtype=dtype, requires_grad=True)
+    viewmats, Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
+    options = {"sh_degree": 3, "near_m": 0.01, "far_m": 1e10, "antialiased": False, **options}
+    if backend.startswith("native-"):
+        view = ViewOptions(width=width, height=height, background=background, **options)
+        output = rasterize_native(leaves, viewmats, Ks, view, instruction_set=backend.removeprefix("native-"), threads=threads)
+    else:
+        output = rasterize(leaves, viewmats, Ks, width, height, background=background, backend="reference", **options)
+    return Rendered(output=output, leaves=leaves, background=background)
+
+
+def random_loss(output: RenderOutput, parts: Sequence[str] = ("images", "alphas", "depths"), keep: Tensor | None = None) -> Tensor:
+    """A weighted sum of pictures with fixed random weights in 0..1, the same for every backend; `keep` (C,H,W) drops pixels."""
+    generator = torch.Generator().manual_seed(0)
+    total = output.images.new_zeros(())
+    for part in parts:
+        picture = getattr(output, part)
+        weights = torch.rand(picture.shape, generator=generator, dtype=torch.float64)
+        if keep is not None:
+            weights = weights * (keep[..., None] if picture.ndim == 4 else keep)
+        total = total + (picture * weights.to(picture)).sum()
+    return total
+
+
+def undecided_pixels(splats: Splats, cameras: Cameras) -> Tensor:
+    """Pixels (C,H,W) with a pair within 1e-4 of ln α from a discrete decision (α_min or the cut): they jump when ln o moves by as much.
+
+    The second difference of three renderings is of the order 1e-8 where nothing jumps.
+    """
+    leaves = SplatTensors.from_splats(splats, torch.float64)
+    shifted = [replace(leaves, logit_opacities=leaves.logit_opacities.detach() + shift) for shift in (-1e-4, 0.0, 1e-4)]
+    low, middle, high = (render(tensors, cameras, "oracle").output for tensors in shifted)
+    jumps = [(getattr(low, part) - 2 * getattr(middle, part) + getattr(high, part)).detach().abs() for part in ("images", "alphas")]
+    return (jumps[0].amax(-1) > 1e-6) | (jumps[1] > 1e-6)
+
+
+def relative_errors(gradient: Tensor, exact: Tensor) -> Tensor:
+    """‖g − g64‖ / ‖g64‖ of each Gaussian that has a gradient, the divisor at least 1e-6 of the tensor's largest entry."""
+    norms = exact.norm(dim=1)
+    errors = (gradient - exact).norm(dim=1) / norms.clamp_min(1e-6 * float(exact.abs().max()))
+    return errors[norms > 0]

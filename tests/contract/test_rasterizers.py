@@ -1,0 +1,310 @@
+"""One contract for every rasterizer: each feature and each gradient against the float64 reference, bad input, and the same bits.
+
+Limits are those the project set for its rasterizers: 1e-4 in the image where no pair is undecided, 5e-3 elsewhere (one 8-bit step of one
+Gaussian), RMS 1e-5; gradients 1e-4 for regular Gaussians, 5e-2 for needles, finite for degenerate ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.render.contract import FEATURES, SplatTensors, rasterize
+from radiant_core.splats import Splats
+
+from . import gaussians
+from .backends import BACKENDS, NATIVE, random_loss, relative_errors, render, undecided_pixels
+
+MAX_ERROR, MAX_ERROR_UNDECIDED, MAX_RMS = 1e-4, 5e-3, 1e-5
+
+on_every_backend = pytest.mark.parametrize("backend", BACKENDS)
+on_every_native_build = pytest.mark.parametrize("backend", NATIVE)
+
+
+def assert_pictures_agree(splats: Splats, cameras: Cameras, backend: str, **options) -> None:
+    exact, got = (render(splats, cameras, name, **options).output for name in ("oracle", backend))
+    undecided = undecided_pixels(splats, cameras)
+    for part, unit in (("images", 1.0), ("alphas", 1.0), ("depths", 12.0)):
+        error = (getattr(got, part).double() - getattr(exact, part)).detach().abs() / unit
+        error = error.amax(-1) if part == "images" else error
+        assert error[~undecided].max() <= MAX_ERROR, part
+        # A pixel whose only Gaussian is undecided has all of its depth or none of it.
+        assert part == "depths" or error.max() <= MAX_ERROR_UNDECIDED, part
+        assert error[~undecided].square().mean().sqrt() <= MAX_RMS, part
+    # float32 of some 100 px, and of extents that a radius is computed from.
+    torch.testing.assert_close(got.means2d.double(), exact.means2d, rtol=1e-5, atol=1e-3)
+    torch.testing.assert_close(got.radii_px.double(), exact.radii_px, rtol=1e-4, atol=1e-3)
+
+
+@on_every_backend
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_small_picture_of_every_degree_and_filter(backend: str, degree: int, antialiased: bool) -> None:
+    splats = gaussians.regular(600, seed=degree, bases=16)
+    # 61 × 45 px: partial tiles and partial blocks on both sides.
+    assert_pictures_agree(splats, gaussians.off_centre_cameras(61, 45, focal_px=60), backend, sh_degree=degree, antialiased=antialiased)
+
+
+@on_every_backend
+def test_several_cameras_equal_one_after_another_and_their_gradients_add_up(backend: str) -> None:
+    splats, cameras = gaussians.regular(400), gaussians.off_centre_cameras(48, 32, count=3, focal_px=50)
+    together = render(splats, cameras, backend)
+    together.output.images.square().sum().backward()
+    sums = {name: torch.zeros_like(gradient) for name, gradient in together.gradients().items()}
+    for index in range(3):
+        one = Cameras(
+            names=("one",),
+            Ks=cameras.Ks[[index]],
+            cam_from_world=cameras.cam_from_world[[index]],
+            sizes_wh=cameras.sizes_wh[[index]],
+        )
+        single = render(splats, one, backend)
+        single.output.images.square().sum().backward()
+        assert torch.equal(single.output.images[0], together.output.images[index])
+        for name, gradient in single.gradients().items():
+            sums[name] += gradient
+    for name, gradient in together.gradients().items():
+        torch.testing.assert_close(gradient, sums[name], rtol=1e-5, atol=1e-5 * float(gradient.abs().max()))
+
+
+@on_every_backend
+def test_near_and_far_cut_by_depth(backend: str) -> None:
+    splats, cameras = gaussians.regular(500), gaussians.off_centre_cameras(48, 32, focal_px=50)
+    depths = splats.means[:, 2] + 12.0
+    within = (depths > 11.0) & (depths < 13.0)
+    cut = render(splats, cameras, backend, near_m=11.0, far_m=13.0).output
+    chosen = render(splats.select(within), cameras, backend).output
+    torch.testing.assert_close(cut.images, chosen.images, rtol=0, atol=1e-6)
+    assert (cut.radii_px[0, ~torch.from_numpy(within)] == 0).all()
+
+
+@on_every_backend
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_gradients_of_2000_regular_gaussians(backend: str, antialiased: bool) -> None:
+    splats, cameras = gaussians.regular(2000, seed=5), gaussians.off_centre_cameras(128, 96, focal_px=110)
+    assert_gradients_agree(splats, cameras, backend, antialiased=antialiased, limit=1e-4)
+
+
+@on_every_native_build
+def test_gradients_of_400_needles(backend: str) -> None:
+    splats, cameras = gaussians.needles(400, seed=6), gaussians.off_centre_cameras(64, 48, focal_px=220)
+    assert_gradients_agree(splats, cameras, backend, limit=5e-2)
+
+
+@on_every_native_build
+@pytest.mark.parametrize("focal_px", [15.0, 40.0])
+def test_gradients_at_the_frustum_edge_and_under_the_clamped_jacobian(backend: str, focal_px: float) -> None:
+    splats, cameras = gaussians.frustum_edge(150, seed=7), gaussians.off_centre_cameras(40, 30, focal_px=focal_px)
+    assert_gradients_agree(splats, cameras, backend, limit=1e-3)
+
+
+def assert_gradients_agree(splats: Splats, cameras: Cameras, backend: str, *, limit: float, antialiased: bool = False) -> None:
+    """All gradients but the opacities' to `limit` per Gaussian; those to `limit` of the median.
+
+    An opacity has one number, a sum of both signs: in some Gaussians of a thousand it nearly cancels, and no float32 sum is
+    exact relative to what is left. The others are vectors, whose parts do not cancel all at once.
+    """
+    keep = ~undecided_pixels(splats, cameras)
+    exact, got = (render(splats, cameras, name, antialiased=antialiased) for name in ("oracle", backend))
+    for rendered in (exact, got):
+        random_loss(rendered.output, ("images",), keep).backward()
+    truth = exact.gradients()
+    for name, gradient in got.gradients().items():
+        if name == "logit_opacities":
+            error = (gradient - truth[name]).abs()
+            assert error.max() <= limit * float(truth[name][truth[name] != 0].abs().median()), name
+        else:
+            errors = relative_errors(gradient, truth[name])
+            # float32 PyTorch itself exceeds the limit in one Gaussian of a thousand; it is the oracle in float64 only.
+            assert torch.quantile(errors, 0.99) <= limit, (name, float(torch.quantile(errors, 0.99)))
+            assert errors.max() <= (10 * limit if backend == "reference" else 3 * limit), (name, float(errors.max()))
+    assert exact.background.grad is not None and got.background.grad is not None
+    torch.testing.assert_close(got.background.grad.double(), exact.background.grad, rtol=1e-5, atol=1e-5)
+
+
+@on_every_backend
+@pytest.mark.parametrize("parts", [("images",), ("alphas",), ("depths",), ("images", "alphas", "depths")])
+def test_gradients_may_arrive_on_any_picture(backend: str, parts: tuple[str, ...]) -> None:
+    splats, cameras = gaussians.regular(300, seed=8), gaussians.off_centre_cameras(40, 30, focal_px=40)
+    keep = ~undecided_pixels(splats, cameras)
+    exact, got = (render(splats, cameras, name) for name in ("oracle", backend))
+    for rendered in (exact, got):
+        random_loss(rendered.output, parts, keep).backward()
+    for name, gradient in got.gradients().items():
+        truth = exact.gradients()[name]
+        assert (gradient - truth).norm() <= 1e-4 * truth.norm(), name
+    assert exact.output.means2d.grad is not None and got.output.means2d.grad is not None
+    assert (got.output.means2d.grad - exact.output.means2d.grad).norm() <= 1e-4 * exact.output.means2d.grad.norm()
+
+
+@on_every_backend
+def test_a_loss_on_means2d_reaches_the_means(backend: str) -> None:
+    splats, cameras = gaussians.regular(50), gaussians.off_centre_cameras(40, 30, focal_px=40)
+    exact, got = (render(splats, cameras, name) for name in ("oracle", backend))
+    for rendered in (exact, got):
+        rendered.output.means2d.square().sum().backward()
+    torch.testing.assert_close(got.gradients()["means"], exact.gradients()["means"], rtol=1e-5, atol=1e-3)
+
+
+@on_every_backend
+def test_degenerate_gaussians_leave_pictures_and_gradients_finite(backend: str) -> None:
+    splats, cameras = gaussians.degenerate(2000 if backend == "reference" else 10_000), gaussians.off_centre_cameras(48, 32, focal_px=50)
+    for antialiased in (False, True):
+        rendered = render(splats, cameras, backend, antialiased=antialiased)
+        random_loss(rendered.output).backward()
+        assert all(torch.isfinite(getattr(rendered.output, part)).all() for part in ("images", "alphas", "depths", "radii_px", "means2d"))
+        for name, gradient in rendered.gradients().items():
+            assert torch.isfinite(gradient).all(), name
+
+
+@on_every_native_build
+def test_the_same_bits_for_1_2_and_16_threads_and_from_run_to_run(backend: str) -> None:
+    # More than 4 chunks of 1,024 Gaussians, so that the threads have something to disagree about.
+    splats, cameras = gaussians.regular(5000, seed=9), gaussians.off_centre_cameras(150, 100, count=2, focal_px=130)
+    renderings = [render(splats, cameras, backend, threads=threads) for threads in (1, 2, 16, 2)]
+    for rendered in renderings:
+        random_loss(rendered.output).backward()
+    first = renderings[0]
+    for other in renderings[1:]:
+        for part in ("images", "alphas", "depths", "radii_px", "means2d"):
+            assert torch.equal(getattr(other.output, part), getattr(first.output, part)), part
+        for name, gradient in other.gradients().items():
+            assert torch.equal(gradient, first.gradients()[name]), name
+
+
+@on_every_backend
+def test_the_order_of_the_gaussians_does_not_matter(backend: str) -> None:
+    splats, cameras = gaussians.regular(1500, seed=10), gaussians.off_centre_cameras(96, 64, focal_px=80)
+    permutation = np.random.default_rng(0).permutation(len(splats))
+    straight, shuffled = (render(model, cameras, backend) for model in (splats, splats.select(permutation)))
+    for rendered in (straight, shuffled):
+        random_loss(rendered.output, ("images",)).backward()
+    # Blending follows depth, not storage, so pictures have the same bits natively; the reference pads its lists differently.
+    torch.testing.assert_close(straight.output.images, shuffled.output.images, rtol=0, atol=1e-5 if backend == "reference" else 0)
+    for name, gradient in straight.gradients().items():
+        torch.testing.assert_close(gradient[permutation], shuffled.gradients()[name], rtol=1e-3, atol=1e-5 * float(gradient.abs().max()))
+
+
+@on_every_native_build
+@pytest.mark.parametrize("factor", [1e-3, 1.0, 1e3])
+def test_scaling_the_world_keeps_the_picture(backend: str, factor: float) -> None:
+    splats, cameras = gaussians.regular(800, seed=11), gaussians.off_centre_cameras(64, 48, focal_px=60)
+    poses = cameras.cam_from_world.copy()
+    poses[:, :3, 3] *= factor
+    scaled_cameras = Cameras(names=cameras.names, Ks=cameras.Ks, cam_from_world=poses, sizes_wh=cameras.sizes_wh)
+    scaled = Splats(
+        **{**splats.arrays(), "means": splats.means * np.float32(factor), "log_scales": splats.log_scales + np.float32(np.log(factor))}
+    )
+    undecided = undecided_pixels(splats, cameras)
+    options = {"near_m": 0.01 * factor}
+    difference = (render(splats, cameras, backend).output.images - render(scaled, scaled_cameras, backend, **options).output.images).abs()
+    # Means and log-scales are rounded anew to float32: some 1e-6 of α for each of a few dozen Gaussians.
+    assert difference.amax(-1)[~undecided].max() <= MAX_ERROR
+
+
+@on_every_native_build
+def test_moving_the_world_a_thousand_kilometres_through_the_local_origin_keeps_the_picture(backend: str) -> None:
+    splats, cameras = gaussians.regular(800, seed=12), gaussians.off_centre_cameras(64, 48, focal_px=60)
+    shift_m = np.array([1e6, -1e6, 1e3])
+    world = splats.means.astype(np.float64) + shift_m
+    poses = cameras.cam_from_world.copy()
+    poses[:, :3, 3] -= poses[:, :3, :3] @ shift_m
+    # The local origin takes both back; the centre of a camera comes out of a float64 difference near 1e6 m, 1e-10 m coarse.
+    local_poses = poses.copy()
+    local_poses[:, :3, 3] += local_poses[:, :3, :3] @ shift_m
+    local = Splats(**{**splats.arrays(), "means": world - shift_m})
+    local_cameras = Cameras(names=cameras.names, Ks=cameras.Ks, cam_from_world=local_poses, sizes_wh=cameras.sizes_wh)
+    images = [render(model, views, backend).output.images for model, views in ((splats, cameras), (local, local_cameras))]
+    torch.testing.assert_close(images[0], images[1], rtol=0, atol=MAX_ERROR)
+
+
+@on_every_native_build
+def test_equal_float32_depths_are_told_apart_as_in_float64(backend: str) -> None:
+    # Two walls of opposite colours whose depths differ by 1e-8 m: equal in float32, not in the float64 of the camera transform.
+    count = 40
+    means = np.zeros((count, 3))
+    means[::2, 0] = 1e-8
+    cameras = gaussians.off_centre_cameras(32, 32, count=2, focal_px=30)
+    splats = Splats(
+        means=means,
+        quats=np.tile([1.0, 0, 0, 0], (count, 1)),
+        log_scales=np.zeros((count, 3)),
+        logit_opacities=np.full(count, -1.0),
+        sh0=np.where((np.arange(count) % 2 == 0)[:, None, None], 1.0, -1.0) * np.ones((count, 1, 3)),
+        shN=np.zeros((count, 15, 3)),
+    )
+    turned = Cameras(names=("turned",), Ks=cameras.Ks[1:], cam_from_world=cameras.cam_from_world[1:], sizes_wh=cameras.sizes_wh[1:])
+    exact, got = (render(splats, turned, name).output.images for name in ("oracle", backend))
+    assert (exact - got.double()).detach().abs().max() <= MAX_ERROR
+
+
+@on_every_native_build
+def test_nothing_to_draw_is_the_background(backend: str) -> None:
+    cameras = gaussians.off_centre_cameras(20, 20)
+    empty = gaussians.regular(3).select(np.zeros(0, dtype=int))
+    rendered = render(empty, cameras, backend)
+    rendered.output.images.sum().backward()
+    torch.testing.assert_close(rendered.output.images[0, 0, 0].detach(), rendered.background.detach())
+    assert (rendered.output.alphas == 0).all() and rendered.leaves.means.grad is not None
+
+
+def test_the_table_of_features_names_every_backend_and_auto_picks_by_type() -> None:
+    assert set(FEATURES) == {"native", "reference"}
+    splats, cameras = gaussians.regular(20), gaussians.off_centre_cameras(16, 16)
+    pose, K = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
+    for dtype in (torch.float32, torch.float64):
+        output = rasterize(SplatTensors.from_splats(splats, dtype), pose, K, 16, 16, sh_degree=3)
+        assert output.images.dtype == dtype
+    exact = SplatTensors.from_splats(splats, torch.float64)
+    with pytest.raises(BadInput, match=r"means is torch.float64 .*native"):
+        rasterize(exact, pose, K, 16, 16, sh_degree=3, backend="native")
+    with pytest.raises(BadInput, match="viewmats requires gradients"):
+        rasterize(SplatTensors.from_splats(splats), pose.requires_grad_(), K, 16, 16, sh_degree=3, backend="native")
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "log_scales", "logit_opacities", "sh0", "shN"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_poison_is_named_before_it_reaches_the_kernels(name: str, value: float) -> None:
+    tensors = SplatTensors.from_splats(gaussians.regular(10))
+    tensors.tensors()[name].view(10, -1)[7, 0] = value
+    cameras = gaussians.off_centre_cameras(16, 16)
+    with pytest.raises(BadInput, match=rf"{name} has 1 values .* index \(7"):
+        rasterize(tensors, torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks), 16, 16, sh_degree=3, backend="native")
+
+
+@on_every_native_build
+def test_changing_a_tensor_between_the_passes_is_refused(backend: str) -> None:
+    rendered = render(gaussians.regular(20), gaussians.off_centre_cameras(16, 16), backend)
+    with torch.no_grad():
+        rendered.leaves.means.add_(1.0)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        rendered.output.images.sum().backward()
+
+
+@on_every_native_build
+def test_a_second_backward_pass_gives_the_same_gradients_again(backend: str) -> None:
+    rendered = render(gaussians.regular(200), gaussians.off_centre_cameras(32, 32, focal_px=30), backend)
+    loss = rendered.output.images.sum()
+    loss.backward(retain_graph=True)
+    once = {name: gradient.clone() for name, gradient in rendered.gradients().items()}
+    loss.backward()
+    for name, gradient in rendered.gradients().items():
+        torch.testing.assert_close(gradient, 2 * once[name], rtol=0, atol=0)
+
+
+@on_every_native_build
+def test_two_renderings_may_live_at_once(backend: str) -> None:
+    cameras = gaussians.off_centre_cameras(32, 32, focal_px=30)
+    models = [gaussians.regular(200, seed=seed) for seed in range(4)]
+    alone = []
+    for model in models:
+        rendered = render(model, cameras, backend)
+        rendered.output.images.sum().backward()
+        alone.append(rendered.gradients()["means"])
+    together = [render(model, cameras, backend) for model in models]
+    torch.stack([rendered.output.images.sum() for rendered in together]).sum().backward()
+    for rendered, gradient in zip(together, alone, strict=True):
+        assert torch.equal(rendered.gradients()["means"], gradient)
