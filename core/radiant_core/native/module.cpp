@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "bind_training.h"
 #include "power_cells.h"
 
 namespace nb = nanobind;
@@ -89,4 +90,5 @@ NB_MODULE(_native, module) {
              "Cell (C,) int32 of each of positions (C,2) m: argmin_e |x - P_e|^2 - w_e over sites P (E,2) m and weights w (E,) m^2.\n\n"
              "Ties go to the smallest index. Raises ValueError naming the array for a wrong shape, for values that are not finite\n"
              "(how many, and the first index), for no site at all, and for positions so far away that squared distances overflow.");
+  bind_training(module);
 }
