@@ -18,12 +18,13 @@ def training_loss(
     num_threads: int = 1,
     instruction_set: str = "",
 ) -> float: ...
+def visible_runs(visible: Tensor, steps: Tensor) -> NDArray[np.int32]: ...
 def adam_step(
     parameters: Tensor,
     gradients: Tensor,
     first_moments: Tensor,
     second_moments: Tensor,
-    visible: Tensor | None,
+    runs: NDArray[np.int32] | None,
     steps: Tensor | None,
     first_factors: Tensor,
     second_factors: Tensor,
@@ -35,4 +36,4 @@ def adam_step(
     num_threads: int = 1,
     instruction_set: str = "",
 ) -> None: ...
-def find_not_finite(values: Tensor, visible: Tensor | None, num_threads: int = 1) -> list[int]: ...
+def find_not_finite(values: Tensor, runs: NDArray[np.int32] | None, num_threads: int = 1) -> list[int]: ...

@@ -8,6 +8,8 @@
 
 #include <cmath>
 #include <cstdint>
+#include <limits>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -25,6 +27,7 @@ template <class Value>
 using Array = nb::ndarray<Value, nb::c_contig, nb::device::cpu>;
 using In = Array<const float>;
 using Out = Array<float>;
+using Runs = Array<const std::int32_t>;
 using Shape = std::vector<std::size_t>;
 
 [[noreturn]] void raise(const std::string& message) { throw nb::value_error(message.c_str()); }
@@ -73,6 +76,37 @@ void check_finite(const float* values, const Shape& shape, const std::string& na
   if (bad.count == 0) return;
   raise(name + " has " + std::to_string(bad.count) + " values that are not finite, the first at index " +
         index_text(static_cast<std::size_t>(bad.first), shape));
+}
+
+// The runs of an (R,2) array, which must ascend and stay within the rows: the kernel follows them blindly.
+const radiant::Run* checked_runs(const std::optional<Runs>& runs, std::size_t num_rows) {
+  if (!runs) return nullptr;
+  if (runs->ndim() != 2 || runs->shape(1) != 2) raise("runs has shape " + listed(shape_of(*runs)) + ", expected (R, 2)");
+  std::int64_t last = 0;
+  for (std::size_t i = 0; i < runs->size(); i += 2) {
+    const std::int64_t begin = runs->data()[i], end = runs->data()[i + 1];
+    if (begin < last || end <= begin || end > static_cast<std::int64_t>(num_rows)) {
+      raise("runs has " + std::to_string(begin) + " to " + std::to_string(end) + " at index " + std::to_string(i / 2) +
+            ", expected ascending rows below " + std::to_string(num_rows));
+    }
+    last = end;
+  }
+  static_assert(sizeof(radiant::Run) == 2 * sizeof(std::int32_t));
+  return reinterpret_cast<const radiant::Run*>(runs->data());
+}
+
+nb::ndarray<nb::numpy, std::int32_t, nb::ndim<2>> visible_runs(const Array<const bool>& visible, const Array<const std::int32_t>& steps) {
+  if (visible.ndim() != 1) raise("visible has shape " + listed(shape_of(visible)) + ", expected (N,)");
+  check_shape(steps, "steps", shape_of(visible));
+  if (visible.size() > static_cast<std::size_t>(std::numeric_limits<std::int32_t>::max())) raise("visible has too many rows");
+  auto runs = std::make_unique<std::vector<radiant::Run>>();
+  {
+    nb::gil_scoped_release unlocked;
+    *runs = radiant::visible_runs(visible.data(), steps.data(), visible.size());
+  }
+  std::vector<radiant::Run>* kept = runs.release();
+  nb::capsule owner(kept, [](void* pointer) noexcept { delete static_cast<std::vector<radiant::Run>*>(pointer); });
+  return {reinterpret_cast<std::int32_t*>(kept->data()), {kept->size(), 2}, owner};
 }
 
 std::vector<std::string> training_instruction_sets() {
@@ -125,7 +159,7 @@ double training_loss(const In& image, const In& target, const In& means, const I
 }
 
 void adam_step(const Out& parameters, const In& gradients, const Out& first_moments, const Out& second_moments,
-               const std::optional<Array<const bool>>& visible, const std::optional<Array<const std::int32_t>>& steps,
+               const std::optional<Runs>& runs, const std::optional<Array<const std::int32_t>>& steps,
                const In& first_factors, const In& second_factors, std::int64_t step, float rate, float beta1, float beta2, float epsilon,
                int num_threads, const std::string& instruction_set) {
   const Shape shape = shape_of(parameters);
@@ -134,19 +168,18 @@ void adam_step(const Out& parameters, const In& gradients, const Out& first_mome
   check_shape(first_moments, "first_moments", shape);
   check_shape(second_moments, "second_moments", shape);
   check_shape(second_factors, "second_factors", {first_factors.size()});
-  if (visible) check_shape(*visible, "visible", {shape[0]});
   if (steps) check_shape(*steps, "steps", {shape[0]});
-  if (visible.has_value() != steps.has_value()) raise("visible and steps go together: give both or none");
+  if (runs.has_value() != steps.has_value()) raise("runs and steps go together: give both or none");
   if (first_factors.size() == 0) raise("first_factors has shape (0,), expected at least one factor");
   if (step < 1) raise("step is " + std::to_string(step) + ", expected at least 1");
-  if (shape[0] == 0) return;
+  if (parameters.size() == 0) return;
 
   radiant::AdamJob job{};
   job.parameters = parameters.data();
   job.gradients = gradients.data();
   job.first_moments = first_moments.data();
   job.second_moments = second_moments.data();
-  job.visible = visible ? visible->data() : nullptr;
+  job.runs = checked_runs(runs, shape[0]);
   job.steps = steps ? steps->data() : nullptr;
   job.first_factors = first_factors.data();
   job.second_factors = second_factors.data();
@@ -159,19 +192,20 @@ void adam_step(const Out& parameters, const In& gradients, const Out& first_mome
   job.epsilon = epsilon;
   const radiant::TrainingKernels& kernels = kernels_named(instruction_set);
   nb::gil_scoped_release unlocked;
-  radiant::adam_step(job, static_cast<std::int64_t>(shape[0]), kernels, num_threads);
+  radiant::adam_step(job, static_cast<std::int64_t>(shape[0]), runs ? static_cast<std::int64_t>(runs->shape(0)) : 0, kernels, num_threads);
 }
 
-std::vector<std::int64_t> find_not_finite(const In& values, const std::optional<Array<const bool>>& visible, int num_threads) {
+std::vector<std::int64_t> find_not_finite(const In& values, const std::optional<Runs>& runs, int num_threads) {
   const Shape shape = shape_of(values);
   if (shape.empty()) raise("values has shape (), expected rows");
-  if (visible) check_shape(*visible, "visible", {shape[0]});
   if (values.size() == 0) return {0};
-  const std::int64_t rows = static_cast<std::int64_t>(shape[0]), columns = static_cast<std::int64_t>(values.size() / shape[0]);
+  const std::int64_t columns = static_cast<std::int64_t>(values.size() / shape[0]);
+  const std::int64_t count = static_cast<std::int64_t>(runs ? runs->shape(0) : shape[0]);
+  const radiant::Run* checked = checked_runs(runs, shape[0]);
   radiant::NotFinite found{};
   {
     nb::gil_scoped_release unlocked;
-    found = radiant::find_not_finite(values.data(), visible ? visible->data() : nullptr, rows, columns, kernels_named(""), num_threads);
+    found = radiant::find_not_finite(values.data(), checked, count, columns, kernels_named(""), num_threads);
   }
   if (found.count == 0) return {0};
   std::vector<std::int64_t> result(1 + shape.size());
@@ -196,13 +230,16 @@ void bind_training(nb::module_& module) {
              "by weights (H,W) or None; `gradient` (H,W,3), where given, receives the derivative by the image.\n\n"
              "`means` and `variances` are the target's, from target_statistics. The same bits for any number of threads.\n"
              "Raises ValueError naming the array for a wrong shape, and for an image or weights that are not finite.");
-  module.def("adam_step", &adam_step, "parameters"_a, "gradients"_a, "first_moments"_a, "second_moments"_a, "visible"_a.none(),
+  module.def("visible_runs", &visible_runs, "visible"_a, "steps"_a,
+             "Runs (R,2) int32, begin and end, of rows where visible (N,) bool and whose count of steps (N,) int32 is equal.");
+  module.def("adam_step", &adam_step, "parameters"_a, "gradients"_a, "first_moments"_a, "second_moments"_a, "runs"_a.none(),
              "steps"_a.none(), "first_factors"_a, "second_factors"_a, "step"_a, "rate"_a, "beta1"_a, "beta2"_a, "epsilon"_a,
              "num_threads"_a = 1, "instruction_set"_a = "",
-             "One step of Adam on parameters (N,...) float32 and their moments, in place: on rows where visible (N,) bool, each with its\n"
-             "own count of steps (N,) int32, or on all rows with the count `step` where both are None.\n\n"
+             "One step of Adam on parameters (N,...) float32 and their moments, in place: on the rows of runs (R,2), each run with the\n"
+             "count steps (N,) int32 of its rows, or on all rows with the count `step` where both are None.\n\n"
              "first_factors[t - 1] is 1 / (1 - beta1^t), second_factors[t - 1] is 1 / sqrt(1 - beta2^t); the last serves all later t.\n"
              "Gradients are not checked here: see find_not_finite. Raises ValueError naming the array for a wrong shape.");
-  module.def("find_not_finite", &find_not_finite, "values"_a, "visible"_a.none(), "num_threads"_a = 1,
-             "[0], or the count of NaN and infinite values (N,...) in visible rows followed by the index of the first.");
+  module.def("find_not_finite", &find_not_finite, "values"_a, "runs"_a.none(), "num_threads"_a = 1,
+             "[0], or the count of NaN and infinite values (N,...) in the rows of runs (R,2), or in all,\n"
+             "followed by the index of the first.");
 }

@@ -28,18 +28,23 @@ struct StatisticsJob {
   int64_t height, width;
 };
 
+// Consecutive visible rows that have been updated equally often.
+struct Run {
+  int32_t begin, end;
+};
+
 // Adam over N rows of `columns` floats.
 struct AdamJob {
   float* parameters;
   const float* gradients;
   float* first_moments;
   float* second_moments;
-  const bool* visible;          // (N), or null for all
-  const int32_t* steps;         // (N) how often each row was updated, this step included; null where visible is
+  const Run* runs;              // the rows to update, ascending; null for all rows
+  const int32_t* steps;         // (N) how often each row was updated, this step included; null where runs is
   const float* first_factors;   // (T) 1 / (1 - beta1^t)
   const float* second_factors;  // (T) 1 / sqrt(1 - beta2^t)
   int64_t num_factors;          // T: later steps take the last factor
-  int64_t step;                 // of all rows, where `steps` is null
+  int64_t step;                 // of all rows, where `runs` is null
   int64_t columns;
   float rate, beta1, beta2, epsilon;
 };
@@ -55,8 +60,9 @@ struct TrainingKernels {
   // Rows begin to end of the gradient and of the row sums.
   void (*loss_rows)(const LossJob& job, int64_t begin, int64_t end, float* scratch);
   void (*statistics_rows)(const StatisticsJob& job, int64_t begin, int64_t end, float* scratch);
+  // Runs begin to end, or rows begin to end where there are no runs.
   void (*adam_rows)(const AdamJob& job, int64_t begin, int64_t end);
-  NotFinite (*not_finite_rows)(const float* values, const bool* visible, int64_t columns, int64_t begin, int64_t end);
+  NotFinite (*not_finite_rows)(const float* values, const Run* runs, int64_t columns, int64_t begin, int64_t end);
 };
 
 }  // namespace radiant

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from radiant_core import _native
@@ -87,26 +88,28 @@ class SelectiveAdam:
             raise BadInput(f"visible is {tuple(visible.shape)} {visible.dtype}, expected {tuple(self._row_steps.shape)} torch.bool.")
         with_gradients = [(name, group, group.tensor.grad) for name, group in self._groups.items() if group.tensor.grad is not None]
         gradients = {name: gradient.contiguous() for name, _, gradient in with_gradients if gradient is not None}
+        row_steps = self._row_steps if visible is None else self._row_steps + visible
+        runs = None
+        if visible is not None and visible.device.type == "cpu":
+            runs = _native.visible_runs(visible.contiguous(), row_steps)
         for name, gradient in gradients.items():
-            _require_finite(name, gradient, visible)
-        self._step += 1
-        if visible is not None:
-            self._row_steps += visible
+            _require_finite(name, gradient, visible, runs)
+        self._step, self._row_steps = self._step + 1, row_steps
         for name, gradient in gradients.items():
             group = self._groups[name]
             if _is_native(group.tensor):
-                self._step_natively(group, gradient, visible)
+                self._step_natively(group, gradient, runs)
             else:
                 self._step_in_torch(group, gradient, visible)
 
-    def _step_natively(self, group: _Group, gradient: Tensor, visible: Tensor | None) -> None:
+    def _step_natively(self, group: _Group, gradient: Tensor, runs: NDArray[np.int32] | None) -> None:
         _native.adam_step(
             group.tensor.detach(),
             gradient,
             group.first_moments,
             group.second_moments,
-            visible,
-            None if visible is None else self._row_steps,
+            runs,
+            None if runs is None else self._row_steps,
             self._first_factors,
             self._second_factors,
             self._step,
@@ -141,9 +144,9 @@ def _bias_factors() -> tuple[Tensor, Tensor]:
     return torch.from_numpy(factors[0].astype(np.float32)), torch.from_numpy(factors[1].astype(np.float32))
 
 
-def _require_finite(name: str, gradient: Tensor, visible: Tensor | None) -> None:
+def _require_finite(name: str, gradient: Tensor, visible: Tensor | None, runs: NDArray[np.int32] | None) -> None:
     if _is_native(gradient):
-        count, *first = _native.find_not_finite(gradient, visible, torch.get_num_threads())
+        count, *first = _native.find_not_finite(gradient, runs, torch.get_num_threads())
     else:
         bad = ~torch.isfinite(gradient)
         if visible is not None:
