@@ -25,10 +25,10 @@ RADIANT_INLINE void adam_values(const AdamJob& job, int64_t begin, int64_t end, 
   float* __restrict second = job.second_moments;
   const float* __restrict gradients = job.gradients;
   // Copies, because a member might be one of the floats written below for all the compiler knows.
-  const float beta2 = job.beta2, keep = 1.0f - job.beta1, keep2 = 1.0f - job.beta2, epsilon = job.epsilon;
+  const float beta2 = job.beta2, first_share = job.first_share, second_share = job.second_share, epsilon = job.epsilon;
   for (int64_t i = begin; i < end; ++i) {
     const float g = gradients[i];
-    const float m = first[i] + keep * (g - first[i]), v = beta2 * second[i] + keep2 * (g * g);
+    const float m = first[i] + first_share * (g - first[i]), v = beta2 * second[i] + second_share * (g * g);
     first[i] = m;
     second[i] = v;
     x[i] -= factors.step * m / (__builtin_sqrtf(v) * factors.second + epsilon);

@@ -160,7 +160,7 @@ double training_loss(const In& image, const In& target, const In& means, const I
 
 void adam_step(const Out& parameters, const In& gradients, const Out& first_moments, const Out& second_moments,
                const std::optional<Runs>& runs, const std::optional<Array<const std::int32_t>>& steps,
-               const In& first_factors, const In& second_factors, std::int64_t step, float rate, float beta1, float beta2, float epsilon,
+               const In& first_factors, const In& second_factors, std::int64_t step, float rate, double beta1, double beta2, float epsilon,
                int num_threads, const std::string& instruction_set) {
   const Shape shape = shape_of(parameters);
   if (shape.empty()) raise("parameters has shape (), expected rows");
@@ -187,8 +187,9 @@ void adam_step(const Out& parameters, const In& gradients, const Out& first_mome
   job.step = step;
   job.columns = static_cast<std::int64_t>(parameters.size() / shape[0]);
   job.rate = rate;
-  job.beta1 = beta1;
-  job.beta2 = beta2;
+  job.beta2 = static_cast<float>(beta2);
+  job.first_share = static_cast<float>(1 - beta1);
+  job.second_share = static_cast<float>(1 - beta2);
   job.epsilon = epsilon;
   const radiant::TrainingKernels& kernels = kernels_named(instruction_set);
   nb::gil_scoped_release unlocked;

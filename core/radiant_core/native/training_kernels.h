@@ -46,7 +46,8 @@ struct AdamJob {
   int64_t num_factors;          // T: later steps take the last factor
   int64_t step;                 // of all rows, where `runs` is null
   int64_t columns;
-  float rate, beta1, beta2, epsilon;
+  float rate, beta2, epsilon;
+  float first_share, second_share;  // 1 - beta1, 1 - beta2, subtracted in double: 1 - 0.999f is 1.3e-5 off
 };
 
 struct NotFinite {

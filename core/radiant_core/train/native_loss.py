@@ -99,7 +99,7 @@ class _NativeLoss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
         (gradient,) = ctx.saved_tensors
         # Training calls backward on the loss itself: a pass over the image saved.
         return gradient if float(grads[0]) == 1.0 else gradient * grads[0], None, None, None
