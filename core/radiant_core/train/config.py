@@ -35,6 +35,8 @@ class TrainConfig:
     """Learning rate of the opacity logits."""
     sh0_lr: float = 2.5e-3
     """Learning rate of the base colour; the higher harmonics get a twentieth."""
+    adam: Literal["visible", "dense"] = "visible"
+    """visible: a step moves the Gaussians that its image shows; dense: all of them by their moments, as 3DGS does."""
     seed: int = 0
     """Seed of the order of images and of every random choice."""
 
@@ -46,6 +48,8 @@ class TrainConfig:
             raise BadInput(f"sh_degree is {self.sh_degree}, expected 0 to 3.")
         if not 0 <= self.ssim_weight <= 1:
             raise BadInput(f"ssim_weight is {self.ssim_weight}, expected 0 to 1.")
+        if self.adam not in ("visible", "dense"):
+            raise BadInput(f"adam is {self.adam!r}, expected 'visible' or 'dense'.")
 
 
 # Short runs have no time for small steps: `draft` and `default` start from rates found on the sample scene's validation images.
@@ -53,8 +57,8 @@ _SHORT = TrainConfig(means_lr=3.2e-4, scales_lr=2e-2, quats_lr=5e-3, opacities_l
 _PRESETS: dict[str, TrainConfig] = {
     "draft": replace(_SHORT, num_steps=2_000, long_side_px=576),
     "default": _SHORT,
-    "standard": TrainConfig(num_steps=30_000, sh_degree=3),
-    "paper": TrainConfig(num_steps=20_000, sh_degree=3),
+    "standard": TrainConfig(num_steps=30_000, sh_degree=3, adam="dense"),
+    "paper": TrainConfig(num_steps=20_000, sh_degree=3, adam="dense"),
 }
 
 

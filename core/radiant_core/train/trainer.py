@@ -1,6 +1,7 @@
 """Fits Gaussians to views by Adam on the rendering loss (Kerbl 2023). The same loop trains devices and retrains edges.
 
-Once per model; the loop body once per step: render one view, loss, backward, one Adam step over all Gaussians.
+Once per model; the loop body once per step: render one view, loss, backward, one Adam step over the
+Gaussians it saw, or over all (`config.adam`).
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -18,7 +20,8 @@ from radiant_core.render.contract import Backend, SplatTensors, rasterize
 from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import camera_extent
-from radiant_core.train.losses import weighted_loss
+from radiant_core.train.native_loss import StatisticsCache, TargetStatistics, target_loss
+from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.views import TrainingViews
 
 
@@ -71,20 +74,21 @@ class FitOptions:
 def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions = FitOptions()) -> TrainResult:
     """Fit a copy of `initial` to `views` in `config.num_steps` steps.
 
-    Raises StageFailed with the step when the loss stops being finite; BadInput from the renderer for inputs that are not.
+    Raises StageFailed with the step when the loss stops being finite, or naming the tensor when a gradient does; BadInput from the
+    renderer for inputs that are not.
     """
     splats = SplatTensors.from_splats(initial)
     optimizer, means_rate = _optimizer(splats, camera_extent(views.cameras), config, options.steps)
     viewmats = torch.tensor(views.cameras.cam_from_world, dtype=torch.float32)
     Ks = torch.tensor(views.cameras.Ks, dtype=torch.float32)
+    statistics = StatisticsCache()
     losses: list[float] = []
     started = last_report = options.clock()
     reported = 0
     for step, view in enumerate(_view_order(len(views), config.num_steps, config.seed)):
-        for group in optimizer.param_groups:
-            if group["name"] == "means":
-                group["lr"] = means_rate * 0.01 ** (step / config.num_steps)
-        loss = _step(splats, optimizer, (viewmats[view : view + 1], Ks[view : view + 1]), _target(views, view), config, options.backend)
+        optimizer.set_rate("means", means_rate * 0.01 ** (step / config.num_steps))
+        target = statistics.get(view, partial(_target, views, view)), _weights(views, view)
+        loss = _step(splats, optimizer, (viewmats[view : view + 1], Ks[view : view + 1]), target, config, options.backend)
         if not np.isfinite(loss):
             raise StageFailed(f"training: the loss became {loss} at step {step + 1}: lower the learning rates or check the photographs.")
         losses.append(loss)
@@ -102,7 +106,7 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
     )
 
 
-def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: Steps) -> tuple[torch.optim.Adam, float]:
+def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: Steps) -> tuple[SelectiveAdam, float]:
     rates = {
         "means": config.means_lr * extent,
         "quats": config.quats_lr,
@@ -111,30 +115,28 @@ def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: 
         "sh0": config.sh0_lr,
         "shN": config.sh0_lr / 20,
     }
-    groups = []
-    for name, tensor in splats.tensors().items():
-        rate = rates[name] * getattr(steps, name)
-        if rate > 0 and tensor.numel():
-            groups.append({"name": name, "params": [tensor.requires_grad_()], "lr": rate})
-    return torch.optim.Adam(groups, eps=1e-15), rates["means"] * steps.means
+    moving = {name: rates[name] * getattr(steps, name) for name, tensor in splats.tensors().items() if tensor.numel()}
+    moving = {name: rate for name, rate in moving.items() if rate > 0}
+    tensors = {name: tensor for name, tensor in splats.tensors().items() if name in moving}
+    return SelectiveAdam(tensors, moving), rates["means"] * steps.means
 
 
 def _step(
     splats: SplatTensors,
-    optimizer: torch.optim.Adam,
+    optimizer: SelectiveAdam,
     camera: tuple[Tensor, Tensor],
-    target: tuple[Tensor, Tensor | None],
+    target: tuple[TargetStatistics, Tensor | None],
     config: TrainConfig,
     backend: Backend,
 ) -> float:
-    image, weights = target
-    height, width = image.shape[:2]
+    statistics, weights = target
+    height, width = statistics.target.shape[:2]
     output = rasterize(splats, *camera, width, height, sh_degree=min(config.sh_degree, _degree(splats)), backend=backend)
-    loss = weighted_loss(output.images[0], image, weights, config.ssim_weight)
+    loss = target_loss(output.images[0], statistics, weights, config.ssim_weight)
     if loss.requires_grad:
-        optimizer.zero_grad(set_to_none=True)
+        optimizer.zero_grad()
         loss.backward()
-        optimizer.step()
+        optimizer.step((output.radii_px > 0).any(0) if config.adam == "visible" else None)
     return float(loss.detach())
 
 
@@ -142,11 +144,12 @@ def _degree(splats: SplatTensors) -> int:
     return SH_BASES.index(splats.shN.shape[1] + 1)
 
 
-def _target(views: TrainingViews, view: int) -> tuple[Tensor, Tensor | None]:
-    image = torch.from_numpy(views.images[view].astype(np.float32) / 255)
-    if views.weights is None:
-        return image, None
-    return image, torch.from_numpy(views.weights[view].astype(np.float32) / 255)
+def _target(views: TrainingViews, view: int) -> Tensor:
+    return torch.from_numpy(views.images[view].astype(np.float32) / 255)
+
+
+def _weights(views: TrainingViews, view: int) -> Tensor | None:
+    return None if views.weights is None else torch.from_numpy(views.weights[view].astype(np.float32) / 255)
 
 
 def _view_order(num_views: int, num_steps: int, seed: int) -> Iterator[int]:

@@ -1,0 +1,6 @@
+// The Python border of the training loss and of Adam.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+void bind_training(nanobind::module_& module);

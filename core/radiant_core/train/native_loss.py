@@ -1,0 +1,114 @@
+"""The training loss in C++ for float32 on the CPU: value and gradient in one pass; `losses.py` in float64 is its plain twin.
+
+    TargetStatistics: blur(y), blur(y²) − blur(y)²     once per target, or once per step for targets beyond the budget
+    target_loss:      (1 − λ) L1 + λ (1 − SSIM)        once per step; the gradient comes with the value and waits for backward
+
+SSIM is computed in differences d = x − y (native/loss_kernels.h), so its relative error stays at float32's rounding also where image
+and target nearly agree; from its usual five moments torch's float32 lost up to four digits of the gradient there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from radiant_core import _native
+from radiant_core.errors import BadInput
+from radiant_core.train.losses import weighted_loss
+
+STATISTICS_BUDGET_BYTES = 1 << 30
+"""Memory for kept statistics, 36 bytes a pixel, the float target's 12 among them; without them the loss takes 1.8 times as long."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TargetStatistics:
+    """A target (H,W,3) float32 in 0..1 with what SSIM needs of it, so that it is not blurred anew at every step."""
+
+    target: Tensor
+    """(H,W,3)."""
+    means: Tensor
+    """(H,W,3) blur(y)."""
+    variances: Tensor
+    """(H,W,3) blur(y²) − blur(y)², rounded once from float64."""
+
+    @staticmethod
+    def of(target: Tensor) -> TargetStatistics:
+        """Statistics of a target on the CPU; BadInput for a shape other than (H,W,3) and for values that are not finite."""
+        target = target.detach().contiguous()
+        means, variances = torch.empty_like(target), torch.empty_like(target)
+        with _as_bad_input():
+            _native.target_statistics(target, means, variances, torch.get_num_threads())
+        return TargetStatistics(target=target, means=means, variances=variances)
+
+    @property
+    def num_bytes(self) -> int:
+        return 3 * self.target.numel() * self.target.element_size()
+
+
+class StatisticsCache:
+    """Statistics by view; the first that fit into the budget stay.
+
+    Views come in a new order every epoch, so dropping the oldest would drop each of them just before its turn.
+    """
+
+    def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES) -> None:
+        self._free_bytes = budget_bytes
+        self._kept: dict[int, TargetStatistics] = {}
+
+    def get(self, view: int, load: Callable[[], Tensor]) -> TargetStatistics:
+        """The statistics of `view`, whose target `load` gives when they are not kept."""
+        if view in self._kept:
+            return self._kept[view]
+        statistics = TargetStatistics.of(load())
+        if statistics.num_bytes <= self._free_bytes:
+            self._free_bytes -= statistics.num_bytes
+            self._kept[view] = statistics
+        return statistics
+
+
+def target_loss(image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float) -> Tensor:
+    """`weighted_loss` of image and `statistics.target`, on the CPU in float32 by the native kernel, else by torch.
+
+    Finite for values up to 1e18. Raises BadInput naming the tensor, the count and the first index of values that are not finite.
+    """
+    if image.device.type == "cpu" and image.dtype == torch.float32:
+        loss: Tensor = _NativeLoss.apply(image, statistics, weights, ssim_weight)
+        return loss
+    return weighted_loss(image, statistics.target.to(image), None if weights is None else weights.to(image), ssim_weight)
+
+
+class _NativeLoss(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float) -> Tensor:
+        image = image.detach().contiguous()
+        gradient = torch.empty_like(image) if ctx.needs_input_grad[0] else None
+        weights = None if weights is None else weights.detach().contiguous()
+        with _as_bad_input():
+            loss = _native.training_loss(
+                image, statistics.target, statistics.means, statistics.variances, weights, gradient, ssim_weight, torch.get_num_threads()
+            )
+        if gradient is not None:
+            ctx.save_for_backward(gradient)
+        return torch.tensor(loss, dtype=image.dtype)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (gradient,) = ctx.saved_tensors
+        # Training calls backward on the loss itself: a pass over the image saved.
+        return gradient if float(grads[0]) == 1.0 else gradient * grads[0], None, None, None
+
+
+@contextmanager
+def _as_bad_input() -> Iterator[None]:
+    """The native module knows no classes of ours: its ValueError becomes BadInput."""
+    try:
+        yield
+    except ValueError as error:
+        raise BadInput(f"{error}: check the photographs and the renderer.") from error

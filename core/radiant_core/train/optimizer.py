@@ -1,0 +1,160 @@
+"""Adam (Kingma & Ba 2015) over the rows of the splats' tensors that a step saw, or over all of them.
+
+    m ← m + (1 − β₁)(g − m)    v ← β₂ v + (1 − β₂) g²    x ← x − rate / (1 − β₁ᵗ) · m / (√v / √(1 − β₂ᵗ) + ε)
+
+Once per step. t counts the steps of a row, not of the run: each Gaussian moves as torch's Adam would move it on the steps that saw it
+alone, and one first seen at step 5,000 starts no faster than one seen at once. Rows that were not seen keep value, moments and count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from radiant_core import _native
+from radiant_core.errors import BadInput, StageFailed
+
+_BETA1, _BETA2 = 0.9, 0.999
+
+
+@dataclass(kw_only=True, eq=False)
+class _Group:
+    tensor: Tensor
+    rate: float
+    first_moments: Tensor
+    second_moments: Tensor
+
+
+class SelectiveAdam:
+    """Adam over tensors (N,…) that share their rows; each with a learning rate of its own, which may be set between steps.
+
+    Float32 on the CPU is stepped by the native kernel, everything else by torch, to the same formula.
+    """
+
+    def __init__(self, tensors: Mapping[str, Tensor], rates: Mapping[str, float], *, eps: float = 1e-15) -> None:
+        """`rates` by name; BadInput where tensors differ in rows, are not contiguous, or a rate is missing or no positive number."""
+        num_rows = {tensor.shape[0] if tensor.ndim else -1 for tensor in tensors.values()}
+        if len(num_rows) > 1 or -1 in num_rows:
+            shapes = ", ".join(f"{name} {tuple(tensor.shape)}" for name, tensor in tensors.items())
+            raise BadInput(f"the tensors differ in rows: {shapes}: give one row per Gaussian.")
+        for name, tensor in tensors.items():
+            if not tensor.is_contiguous():
+                raise BadInput(f"{name} is not contiguous: pass a contiguous copy, which is stepped in place.")
+            if not rates.get(name, 0.0) > 0:
+                raise BadInput(f"the learning rate of {name} is {rates.get(name)}, expected above 0: leave out tensors that keep still.")
+        self._groups = {
+            name: _Group(
+                tensor=tensor.requires_grad_(),
+                rate=rates[name],
+                first_moments=torch.zeros_like(tensor, requires_grad=False),
+                second_moments=torch.zeros_like(tensor, requires_grad=False),
+            )
+            for name, tensor in tensors.items()
+        }
+        self._eps = eps
+        self._step = 0
+        device = next(iter(tensors.values())).device if tensors else torch.device("cpu")
+        self._row_steps = torch.zeros(num_rows.pop() if num_rows else 0, dtype=torch.int32, device=device)
+        self._first_factors, self._second_factors = (factors.to(device) for factors in _bias_factors())
+
+    def set_rate(self, name: str, rate: float) -> None:
+        """Change the learning rate of one tensor; a name that is not optimised is left alone."""
+        if name in self._groups:
+            self._groups[name].rate = rate
+
+    def moments(self, name: str) -> tuple[Tensor, Tensor]:
+        """First and second moments of a tensor, in its shape; changed in place by each step."""
+        return self._groups[name].first_moments, self._groups[name].second_moments
+
+    def zero_grad(self) -> None:
+        """Forget the gradients."""
+        for group in self._groups.values():
+            group.tensor.grad = None
+
+    @torch.no_grad()
+    def step(self, visible: Tensor | None = None) -> None:
+        """Move the rows where `visible` (N,) is True, or all rows for None; a tensor without a gradient keeps still.
+
+        Do not mix both forms in one run: they count steps apart. Raises StageFailed naming the tensor, the count and the first index
+        when a gradient of a row to be moved is NaN or infinite; then nothing was written.
+        """
+        if visible is not None and (visible.shape != self._row_steps.shape or visible.dtype != torch.bool):
+            raise BadInput(f"visible is {tuple(visible.shape)} {visible.dtype}, expected {tuple(self._row_steps.shape)} torch.bool.")
+        with_gradients = [(name, group, group.tensor.grad) for name, group in self._groups.items() if group.tensor.grad is not None]
+        gradients = {name: gradient.contiguous() for name, _, gradient in with_gradients if gradient is not None}
+        row_steps = self._row_steps if visible is None else self._row_steps + visible
+        runs = None
+        if visible is not None and visible.device.type == "cpu":
+            runs = _native.visible_runs(visible.contiguous(), row_steps)
+        for name, gradient in gradients.items():
+            _require_finite(name, gradient, visible, runs)
+        self._step, self._row_steps = self._step + 1, row_steps
+        for name, gradient in gradients.items():
+            group = self._groups[name]
+            if _is_native(group.tensor):
+                self._step_natively(group, gradient, runs)
+            else:
+                self._step_in_torch(group, gradient, visible)
+
+    def _step_natively(self, group: _Group, gradient: Tensor, runs: NDArray[np.int32] | None) -> None:
+        _native.adam_step(
+            group.tensor.detach(),
+            gradient,
+            group.first_moments,
+            group.second_moments,
+            runs,
+            None if runs is None else self._row_steps,
+            self._first_factors,
+            self._second_factors,
+            self._step,
+            group.rate,
+            _BETA1,
+            _BETA2,
+            self._eps,
+            torch.get_num_threads(),
+        )
+
+    def _step_in_torch(self, group: _Group, gradient: Tensor, visible: Tensor | None) -> None:
+        rows = slice(None) if visible is None else visible
+        steps = torch.full_like(self._row_steps, self._step) if visible is None else self._row_steps
+        at = steps[rows].clamp_max(len(self._first_factors)).long() - 1
+        shape = (-1, *(1 for _ in gradient.shape[1:]))
+        g = gradient[rows]
+        m = group.first_moments[rows].lerp(g, 1 - _BETA1)
+        v = _BETA2 * group.second_moments[rows] + (1 - _BETA2) * g * g
+        group.first_moments[rows], group.second_moments[rows] = m, v
+        root = v.sqrt() * self._second_factors[at].view(shape).to(g)
+        group.tensor[rows] -= group.rate * self._first_factors[at].view(shape).to(g) * m / (root + self._eps)
+
+
+def _is_native(tensor: Tensor) -> bool:
+    return tensor.device.type == "cpu" and tensor.dtype == torch.float32
+
+
+def _bias_factors() -> tuple[Tensor, Tensor]:
+    """1 / (1 − β₁ᵗ) and 1 / √(1 − β₂ᵗ) float32 (T,) for t = 1 … T, from where on both are 1 to a float's last bit."""
+    steps = np.arange(1, math.ceil(math.log(2.0**-26) / math.log(_BETA2)) + 1)
+    factors = 1 / (1 - _BETA1**steps), 1 / np.sqrt(1 - _BETA2**steps)
+    return torch.from_numpy(factors[0].astype(np.float32)), torch.from_numpy(factors[1].astype(np.float32))
+
+
+def _require_finite(name: str, gradient: Tensor, visible: Tensor | None, runs: NDArray[np.int32] | None) -> None:
+    if _is_native(gradient):
+        count, *first = _native.find_not_finite(gradient, runs, torch.get_num_threads())
+    else:
+        bad = ~torch.isfinite(gradient)
+        if visible is not None:
+            bad &= visible.view(-1, *(1 for _ in gradient.shape[1:]))
+        count = int(bad.sum())
+        first = bad.nonzero()[0].tolist() if count else []
+    if count:
+        raise StageFailed(
+            f"training: the gradient of {name} has {count} values that are not finite, the first at index {tuple(first)}: nothing was "
+            "changed by this step; lower the learning rates or check the photographs."
+        )
