@@ -9,7 +9,7 @@ from radiant_app.config import RunConfig
 from radiant_core.errors import BadInput
 from radiant_core.train.needs import Overrides
 
-DEMO_SIZE = Overrides(long_side_px=200, num_steps=250, max_num_splats=5_000)
+DEMO_SIZE = Overrides(long_side_px=400, num_steps=800, max_num_splats=20_000)
 
 
 def sample_scenes_folder() -> Path:
