@@ -201,7 +201,12 @@ class _Blend(torch.autograd.Function):
         for index, native in enumerate(ctx.rendering.views):
             by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
             native.blend_backward(
-                images[index].numpy(), by_alphas, by_depths, out_alphas[index].numpy(), out_depths[index].numpy(), means2d[index].numpy(),
+                images[index].numpy(),
+                by_alphas,
+                by_depths,
+                out_alphas[index].numpy(),
+                out_depths[index].numpy(),
+                means2d[index].numpy(),
                 ctx.rendering.threads,
             )
         background = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -25,6 +26,9 @@ class TrainConfig:
     """Degree 0 to 3 of the view dependence of colour."""
     ssim_weight: float = 0.2
     """λ of (1 − λ) L1 + λ (1 − SSIM) (paper Eqn. 4)."""
+    max_scale_per_distance: float = 1 / 3
+    """A Gaussian's axes stay below this share of its distance to the nearest camera: a larger one hangs as haze before views whose
+    cameras it never troubled, because its centre lay behind them. Infinity leaves every size alone."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the cameras' extent; falls to a hundredth over the run."""
     scales_lr: float = 5e-3
@@ -44,6 +48,8 @@ class TrainConfig:
         for name in ("num_steps", "long_side_px", "max_num_splats"):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name} is {getattr(self, name)}, expected at least 1.")
+        if not self.max_scale_per_distance > 0:
+            raise BadInput(f"max_scale_per_distance is {self.max_scale_per_distance}, expected a positive number.")
         if not 0 <= self.sh_degree <= 3:
             raise BadInput(f"sh_degree is {self.sh_degree}, expected 0 to 3.")
         if not 0 <= self.ssim_weight <= 1:
@@ -57,8 +63,8 @@ _SHORT = TrainConfig(means_lr=3.2e-4, scales_lr=2e-2, quats_lr=5e-3, opacities_l
 _PRESETS: dict[str, TrainConfig] = {
     "draft": replace(_SHORT, num_steps=2_000, long_side_px=576),
     "default": _SHORT,
-    "standard": TrainConfig(num_steps=30_000, sh_degree=3, adam="dense"),
-    "paper": TrainConfig(num_steps=20_000, sh_degree=3, adam="dense"),
+    "standard": TrainConfig(num_steps=30_000, sh_degree=3, max_scale_per_distance=math.inf, adam="dense"),
+    "paper": TrainConfig(num_steps=20_000, sh_degree=3, max_scale_per_distance=math.inf, adam="dense"),
 }
 
 

@@ -1,7 +1,7 @@
 """Points where structure from motion found none: woods, water and lawns. Once per model.
 
 Each training image is cut into cells; a cell below the horizon in which no sparse point is seen gets one on the ray through its middle,
-at the depth interpolated from the nearest observed points, in the cell's mean colour. Without it such places start empty, and a
+where it comes down to the height of the nearest observed points, in the cell's mean colour. Without it such places start empty, and a
 short training cannot reach there: on an aerial set the woods stayed black.
 """
 
@@ -23,6 +23,8 @@ CELLS_ACROSS = 20
 MIN_SPACING_CELLS = 0.7
 """A new point nearer than this many cells to a point that is already there is left out."""
 NEIGHBOURS = 4
+FARTHEST = 10.0
+"""A filled-in point is at most this many times as far as the observed ones beside it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,15 +95,28 @@ def _place(cameras: Cameras, index: int, seen: FloatArray, cells: _Cells) -> tup
     them (F,); None when the image sees too few points to tell a depth."""
     pose, K = cameras.cam_from_world[index], cameras.Ks[index]
     in_camera = seen @ pose[:3, :3].T + pose[:3, 3]
-    in_camera = in_camera[in_camera[:, 2] > 0]
+    visible, in_camera = seen[in_camera[:, 2] > 0], in_camera[in_camera[:, 2] > 0]
     if len(in_camera) < NEIGHBOURS:
         return None
     pixels = (in_camera @ K.T)[:, :2] / in_camera[:, 2:]
     distances, nearest = KDTree(pixels).query(cells.middles, k=NEIGHBOURS)
     weights = 1 / np.maximum(distances, 1e-6)
-    depths = (weights * in_camera[nearest, 2]).sum(axis=1) / weights.sum(axis=1)
-    rays = np.concatenate([cells.middles, np.ones((len(cells.middles), 1))], axis=1) @ np.linalg.inv(K).T
-    points = (rays * depths[:, None] - pose[:3, 3]) @ pose[:3, :3]
+    weights /= weights.sum(axis=1, keepdims=True)
+    rays = (np.concatenate([cells.middles, np.ones((len(cells.middles), 1))], axis=1) @ np.linalg.inv(K).T) @ pose[:3, :3]
+    depths = _depths_at_height(rays, cameras.centers[index], (weights * in_camera[nearest, 2]).sum(axis=1), weights, visible[nearest])
+    points = cameras.centers[index] + rays * depths[:, None]
     cell_px = cameras.sizes_wh[index].max() / CELLS_ACROSS
-    empty = (distances[:, 0] > 0.5 * cell_px) & (rays @ pose[:3, 2] < 0)
+    empty = (distances[:, 0] > 0.5 * cell_px) & (rays[:, 2] < 0)
     return points, depths * cell_px / K[0, 0], empty
+
+
+def _depths_at_height(rays: FloatArray, center: FloatArray, nearby: FloatArray, weights: FloatArray, neighbours: FloatArray) -> FloatArray:
+    """Depths (F,) at which the rays (F,3) come down to the mean height of their neighbours (F,K,3); `nearby`, the mean depth of these,
+    where they lie no lower than the camera. At most `FARTHEST` times that: towards the horizon a ray comes down nowhere.
+
+    The mean depth alone would hang the far ground of an oblique view in mid-air.
+    """
+    drops = (weights * neighbours[..., 2]).sum(axis=1) - center[2]
+    downwards = (drops < 0) & (rays[:, 2] < 0)
+    depths = np.divide(drops, rays[:, 2], out=nearby.copy(), where=downwards)
+    return np.minimum(depths, FARTHEST * nearby)

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 import torch
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from radiant_core.errors import StageFailed
@@ -23,6 +24,9 @@ from radiant_core.train.initialize import camera_extent
 from radiant_core.train.native_loss import StatisticsCache, TargetStatistics, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.views import TrainingViews
+
+STEPS_BETWEEN_LIMITS = 50
+"""How often sizes are held below their limit; it follows centres that move slowly."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +92,8 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
     for step, view in enumerate(_view_order(len(views), config.num_steps, config.seed)):
         optimizer.set_rate("means", means_rate * 0.01 ** (step / config.num_steps))
         target = statistics.get(view, partial(_target, views, view)), _weights(views, view)
+        if step % STEPS_BETWEEN_LIMITS == 0:
+            _limit_scales(splats, views, config)
         loss = _step(splats, optimizer, (viewmats[view : view + 1], Ks[view : view + 1]), target, config, options.backend)
         if not np.isfinite(loss):
             raise StageFailed(f"training: the loss became {loss} at step {step + 1}: lower the learning rates or check the photographs.")
@@ -96,6 +102,7 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
         if now - last_report >= options.report_every_s or step + 1 == config.num_steps:
             options.report(TrainProgress(step=step + 1, num_steps=config.num_steps, loss=float(np.mean(losses[reported:]))))
             last_report, reported = now, len(losses)
+    _limit_scales(splats, views, config)
     tenth = max(1, len(losses) // 10)
     return TrainResult(
         splats=splats.to_splats(),
@@ -138,6 +145,15 @@ def _step(
         loss.backward()
         optimizer.step((output.radii_px > 0).any(0) if config.adam == "visible" else None)
     return float(loss.detach())
+
+
+def _limit_scales(splats: SplatTensors, views: TrainingViews, config: TrainConfig) -> None:
+    if config.max_scale_per_distance == np.inf:
+        return
+    distances, _ = KDTree(views.cameras.centers).query(splats.means.detach().numpy().astype(np.float64))
+    limits = np.log(np.maximum(config.max_scale_per_distance * distances, np.finfo(np.float32).tiny))
+    with torch.no_grad():
+        splats.log_scales.clamp_(max=torch.from_numpy(limits).to(splats.log_scales)[:, None])
 
 
 def _degree(splats: SplatTensors) -> int:
