@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from radiant_core.cameras import Cameras
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
@@ -68,3 +69,28 @@ def test_a_camera_that_sees_almost_nothing_adds_nothing() -> None:
     scene, views = flat_scene(half_side_m=0.7)
     blind = SfmScene(cameras=CAMERAS, points=scene.points, colors=scene.colors, observations=np.array([[0, 0], [1, 0]]), frame=scene.frame)
     assert len(fill_in_points(blind, views).points) == 0
+
+
+def oblique_camera() -> Cameras:
+    """6 m above the ground, looking north and 25° down, so that its upper rows see over the horizon."""
+    down = np.radians(25)
+    rotation = np.array([[1.0, 0, 0], [0, -np.sin(down), -np.cos(down)], [0, np.cos(down), -np.sin(down)]])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, rotation @ np.array([0, 0, -6.0])
+    K = np.array([[50.0, 0, 40], [0, 50, 30], [0, 0, 1]])
+    return Cameras(names=("oblique.jpg",), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[80, 60]]))
+
+
+def test_the_far_ground_of_an_oblique_view_comes_down_to_the_ground() -> None:
+    rng = np.random.default_rng(0)
+    near = np.column_stack([rng.uniform(-3, 3, 100), rng.uniform(7, 12, 100), np.zeros(100)])
+    frame = Frame(kind="metric", origin_lat_lon_alt=np.zeros(3))
+    observations = np.column_stack([np.arange(100), np.zeros(100, int)])
+    camera = oblique_camera()
+    scene = SfmScene(cameras=camera, points=near, colors=np.zeros((100, 3), np.uint8), observations=observations, frame=frame)
+    added = fill_in_points(scene, TrainingViews(cameras=camera, images=(np.full((60, 80, 3), 7, np.uint8),))).points
+    far = added[added[:, 1] > 15]
+    assert len(far) > 20, "cells above the sparse points"
+    # Up to 10 times the neighbours' depth of some 12 m rays reach the ground; flatter ones end at that distance, above it.
+    np.testing.assert_allclose(far[far[:, 1] < 90, 2], 0, atol=1e-9)
+    assert np.linalg.norm(added, axis=1).max() < 10 * np.linalg.norm(near, axis=1).max() * 2

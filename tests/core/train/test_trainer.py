@@ -55,6 +55,28 @@ def test_same_seed_gives_the_same_bits_and_another_seed_does_not() -> None:
     assert (first.splats.sh0 != other.splats.sh0).any()
 
 
+@pytest.mark.parametrize("share", [1 / 3, 1e-3])
+def test_no_gaussian_outgrows_its_distance_to_the_nearest_camera(share: float) -> None:
+    start = grey_start()
+    # One at a camera's own centre, one as large as the scene just below another, and an ordinary one.
+    means, log_scales = start.means.copy(), start.log_scales.copy()
+    means[:2] = CAMERAS.centers[:2] - [[0, 0, 0], [0, 0, 0.5]]
+    log_scales[:2] = 3.0
+    start = replace(start, means=means.astype(np.float32), log_scales=log_scales)
+    config = replace(CONFIG, num_steps=3, max_scale_per_distance=share)
+    splats = fit_splats(start, photographs(), config).splats
+    distances = np.linalg.norm(splats.means[:, None].astype(np.float64) - CAMERAS.centers, axis=2).min(axis=1)
+    assert (np.exp(splats.log_scales.astype(np.float64)).max(axis=1) <= share * distances * (1 + 1e-5) + 1e-37).all()
+    free = fit_splats(start, photographs(), replace(config, max_scale_per_distance=np.inf)).splats
+    assert free.log_scales[:2].max() > 2.5
+
+
+@pytest.mark.parametrize("share", [0.0, -1.0, np.nan])
+def test_a_limit_of_sizes_must_be_positive(share: float) -> None:
+    with pytest.raises(BadInput, match="max_scale_per_distance"):
+        TrainConfig(max_scale_per_distance=share)
+
+
 def test_frozen_tensors_keep_their_bits() -> None:
     start = grey_start()
     options = FitOptions(steps=Steps(means=0, quats=0, log_scales=0))

@@ -1,1 +1,0 @@
-"""Geometry on points and meshes through Open3D."""
