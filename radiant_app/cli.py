@@ -229,7 +229,8 @@ def doctor(as_json: AsJson = False) -> None:
 def main() -> NoReturn:
     """Entry point: one sentence for what a user can mend, exit code 2 for bad input, 130 for Ctrl-C."""
     # A polite kill ends like Ctrl-C, through the same clean-up, so that no worker outlives the run.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
+        signal.signal(number, _interrupt)
     try:
         code = app(standalone_mode=False)
     except RadiantError as error:
@@ -241,9 +242,17 @@ def main() -> NoReturn:
     except typer.TyperException as error:
         _say(f"{error} `radiant --help` and `radiant COMMAND --help` say what there is.")
         sys.exit(BadInput.exit_code)
+    signal.setitimer(signal.ITIMER_REAL, 0)
     if code == INTERRUPTED:
-        _say("interrupted; what was finished is kept: go on with the same command and --resume.")
+        resumable = set(sys.argv[1:2]) & {"run", "demo"}
+        _say("interrupted" + ("; what was finished is kept: go on with the same command and --resume." if resumable else "."))
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _interrupt(number: int, frame: Any) -> NoReturn:
+    # Raised inside a finalizer, Python drops it: ask again until somebody hears.
+    signal.setitimer(signal.ITIMER_REAL, 1.0)
+    raise KeyboardInterrupt
 
 
 def _run(config: Any, resume: bool, as_json: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from radiant_app.evaluation import held_out_figures, png_bytes
 from radiant_app.events import StageProgress, StageStarted
 from radiant_app.nodes import load_images, place_of
 from radiant_app.progress import ProgressDisplay
+from radiant_app.run_folder import new_folder
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
@@ -29,9 +31,8 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay) -> dic
     """Structure from motion of `source` into the new folder `out`."""
     from radiant_app.sources import reconstruct_source
 
-    _require_new(out)
     task = {"source": str(source), "sfm": {"matching": matching}}
-    with _stage(display, "sfm") as report:
+    with new_folder(out), _stage(display, "sfm") as report:
         result = reconstruct_source(task, out, lambda progress: report(progress.done, progress.total, progress.phase))
     save_scene(out / "scene.safetensors", result.scene)
     write_json(out / "result.json", {"images": place_of(result.undistorted_folder, out), "unregistered": list(result.unregistered)})
@@ -85,6 +86,7 @@ def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], dis
     from radiant_core.train.trainer import FitOptions, fit_splats
     from radiant_core.train.views import TrainingViews
 
+    _require_file_to_be(out)
     preset, overrides, seed = choice
     config, decisions = fit_to_backend(replace(train_preset(preset), seed=seed), resolve_backend("auto"), overrides)
     scene = training_part(_load_scene(scene_folder))
@@ -111,6 +113,8 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.trainer import FitOptions
 
+    _require_file_to_be(out)
+    require_run(run)
     cloud_plan, _ = load_plan(run / "plan.json")
     config = AggregateConfig(preset=preset, num_epochs=epochs)
     models, rows, seconds = [], [], 0.0
@@ -127,6 +131,8 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
         models.append(result.splats)
         rows.append(row)
         seconds += result.seconds
+    if not models:
+        raise BadInput(f"{run} holds no device models: give a run whose devices/ and edges/ were kept.")
     merged = crop_merge(models, cloud_plan.sites[rows], cloud_plan.weights[rows])
     save_ply(out, merged.splats)
     return {"gaussians": len(merged.splats), "retrain_s": round(seconds, 2), "filled": merged.num_filled, "model": str(out)}
@@ -138,12 +144,13 @@ def render(model: Path, out: Path, cameras_path: Path | None, long_side_px: int 
 
     if cameras_path is None and not model.is_dir():
         raise BadInput(f"{model} is no run folder: give --cameras, a cameras.safetensors, to render a PLY.")
+    if cameras_path is None:
+        require_run(model, "evaluation/cameras.safetensors")
     cameras = load_cameras(cameras_path or model / "evaluation" / "cameras.safetensors")
     if long_side_px is not None:
         cameras = cameras.scaled(long_side_px)
     splats = load_ply(model / "scene.ply" if model.is_dir() else model)
-    _require_new(out)
-    with _stage(display, "render") as report:
+    with new_folder(out), _stage(display, "render") as report:
         for done, view in enumerate(render_views(splats, cameras), 1):
             path = out / Path(view.name).with_suffix(".png")
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -156,16 +163,17 @@ def evaluate(run: Path, ply: Path | None, display: ProgressDisplay) -> dict[str,
     """Score the run's scene, or another PLY, on the run's held-out photographs."""
     from radiant_core.render.rendered_view import render_views
 
+    require_run(run, "evaluation/cameras.safetensors")
     folder = run / "evaluation"
     cameras = load_cameras(folder / "cameras.safetensors")
     photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(folder / "photos", cameras)]
     splats, initial = load_ply(ply or run / "scene.ply"), load_splats(folder / "initial.safetensors")
     with _stage(display, "evaluate") as report:
         views = []
-        for done, view in enumerate(render_views(splats, cameras), 1):
+        for done, view in enumerate(chain(render_views(splats, cameras), render_views(initial, cameras)), 1):
             views.append(view)
-            report(done, len(cameras), view.name)
-        figures = held_out_figures(views, list(render_views(initial, cameras)), photographs)
+            report(done, 2 * len(cameras) + 1, view.name)
+        figures = held_out_figures(views[: len(cameras)], views[len(cameras) :], photographs)
     return {**figures, "num_gaussians": len(splats)}
 
 
@@ -182,6 +190,10 @@ def export(model: Path, out: Path) -> str:
     """Write the scene of a run, or a model.safetensors, as PLY; an existing file is not overwritten."""
     if out.exists():
         raise BadInput(f"{out} exists: choose another name.")
+    if model.is_dir():
+        require_run(model, "scene.ply")
+    elif model.suffix != ".safetensors":
+        raise BadInput(f"{model} is neither a run folder nor a model.safetensors: give one of these.")
     splats = load_ply(model / "scene.ply") if model.is_dir() else load_splats(model)
     save_ply(out, splats)
     return f"written: {out} ({len(splats):,} Gaussians)"
@@ -192,20 +204,32 @@ def training_part(scene: SfmScene) -> SfmScene:
     return scene.restricted_to(np.flatnonzero(~held_out_mask(scene.cameras.names)))
 
 
+def require_run(folder: Path, name: str = "plan.json") -> None:
+    """Raise BadInput unless `folder` holds the file `name` of a run."""
+    if not (folder / name).is_file():
+        raise BadInput(f"{folder} holds no {name}: give the folder of a run that went that far, made by 'radiant run --out'.")
+
+
 def _load_scene(folder: Path) -> SfmScene:
     inner = folder / "sfm" / "scene.safetensors"
-    return load_scene(inner if inner.is_file() else folder / "scene.safetensors")
+    path = inner if inner.is_file() else folder / "scene.safetensors"
+    if not path.is_file():
+        raise BadInput(f"{folder} holds no scene.safetensors: give the folder of 'radiant sfm' or of a run.")
+    return load_scene(path)
 
 
 def _images_folder(folder: Path) -> Path:
     owner = folder / "sfm" if (folder / "sfm" / "result.json").is_file() else folder
+    if not (owner / "result.json").is_file():
+        raise BadInput(f"{owner} holds no result.json that names its photographs: give the folder of 'radiant sfm' or of a run.")
     return owner / read_json(owner / "result.json")["images"]
 
 
-def _require_new(out: Path) -> None:
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise BadInput(f"{out} exists and is not empty: choose another folder.")
-    out.mkdir(parents=True, exist_ok=True)
+def _require_file_to_be(out: Path) -> None:
+    if out.exists():
+        raise BadInput(f"{out} exists: choose another name.")
+    if not out.parent.is_dir():
+        raise BadInput(f"there is no folder {out.parent} to write {out.name} into: make it first.")
 
 
 @contextmanager

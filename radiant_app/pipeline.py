@@ -96,7 +96,7 @@ def run(
     detect_source(config.source)
     system = even_system(2, 2) if config.system is None else load_system(config.system)
     with opened_run(config, resume) as manifest:
-        progress = _Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock())
+        progress = _Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
         scene, images = _sfm_stage(config, progress)
         held_out = held_out_mask(scene.cameras.names)
         training = scene.restricted_to(np.flatnonzero(~held_out))
@@ -130,8 +130,7 @@ def _sfm_stage(config: RunConfig, progress: _Progress) -> tuple[SfmScene, Path]:
     folder.mkdir(exist_ok=True)
     sfm = {"matching": config.matching, "seed": config.seed}
     write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm})
-    files = sorted((str(path.relative_to(config.source)), path.stat().st_size) for path in config.source.rglob("*") if path.is_file())
-    key = content_key(__version__, sfm, files)
+    key = content_key(__version__, sfm, _source_files(config))
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
     scene = load_scene(folder / "scene.safetensors")
     if len(scene.cameras) < 3:
@@ -140,6 +139,13 @@ def _sfm_stage(config: RunConfig, progress: _Progress) -> tuple[SfmScene, Path]:
         message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
         progress.listen(Warned(stage="sfm", message=message))
     return scene, folder / read_json(folder / "result.json")["images"]
+
+
+def _source_files(config: RunConfig) -> list[tuple[str, int, int]]:
+    """Name, size and time of change of every file of the source, without the run itself where that lies inside."""
+    own = config.out.resolve()
+    files = [path for path in config.source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(own)]
+    return sorted((str(path.relative_to(config.source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
 def _plan_stage(
@@ -153,7 +159,7 @@ def _plan_stage(
         progress.listen(Decided(decision=decision))
     cloud_plan = plan_regions(positions, system, method=method)
     if isinstance(cloud_plan, PlanInfeasible):
-        raise BadInput(f"plan: {cloud_plan.reason}")
+        raise BadInput(f"plan: {cloud_plan.reason} Structure from motion is kept: change {config.system} and add --resume.")
     edge_plans = split_edges(positions, cloud_plan, system)
     save_plan(config.out / "plan.json", cloud_plan, edge_plans)
     return system, cloud_plan, edge_plans

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -10,12 +12,18 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from radiant_app.events import Decided, Event, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 
+SECONDS_BETWEEN_LINES = 10.0
+"""How often a stage tells a log file where it stands."""
+
 
 class ProgressDisplay:
-    """A listener that draws; used as a context manager. Without a terminal it prints one line per finished stage."""
+    """A listener that draws; used as a context manager. Without a terminal it prints a line every `SECONDS_BETWEEN_LINES` and one
+    per finished stage."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console = console
+        self._clock = clock
+        self._line_due_s: dict[str, float] = {}
         self._progress = Progress(
             SpinnerColumn(),
             TextColumn("{task.description:<22}"),
@@ -40,8 +48,10 @@ class ProgressDisplay:
     def __call__(self, event: Event) -> None:
         if isinstance(event, StageStarted):
             self._tasks[event.stage] = self._progress.add_task(event.stage, total=None, note="")
+            self._line_due_s[event.stage] = self._clock() + SECONDS_BETWEEN_LINES
         elif isinstance(event, StageProgress) and event.stage in self._tasks:
             self._progress.update(self._tasks[event.stage], completed=event.done, total=event.total, note=event.note)
+            self._print_line(event)
         elif isinstance(event, StageDone):
             self._remove(event.stage)
             self._console.print(f"[green]done[/] {event.stage} in {event.seconds:.1f} s")
@@ -53,6 +63,16 @@ class ProgressDisplay:
             decision = event.decision
             line = f"decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})"
             self._console.print(line, style="dim", highlight=False, markup=False)
+
+    def _print_line(self, event: StageProgress) -> None:
+        now_s = self._clock()
+        if self._console.is_terminal or now_s < self._line_due_s[event.stage]:
+            return
+        self._line_due_s[event.stage] = now_s + SECONDS_BETWEEN_LINES
+        left_s = self._progress.tasks[self._progress.task_ids.index(self._tasks[event.stage])].time_remaining
+        left = "" if left_s is None else f", {left_s:.0f} s left"
+        share = "" if not event.total else f" {100 * event.done / event.total:.0f} %"
+        self._console.print(f"{event.stage}{share}{left} {event.note}", highlight=False, markup=False)
 
     def _remove(self, stage: str) -> None:
         if stage in self._tasks:

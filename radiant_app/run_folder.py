@@ -11,17 +11,19 @@ from __future__ import annotations
 import platform
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from radiant_app.config import RunConfig
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import RunLock, read_json, write_json
+from radiant_core.io.run_store import RunLock, write_json
 
 MANIFEST_VERSION = 1
 
@@ -42,6 +44,7 @@ class Manifest:
     def note(self, event: Event, now_s: float) -> None:
         """Take from the stream what the record keeps."""
         if isinstance(event, StageStarted):
+            self._forget(event.stage)
             self.stages[event.stage] = {"started_s": now_s, "ended_s": now_s}
         elif isinstance(event, StageDone):
             self.stages[event.stage]["ended_s"] = now_s
@@ -57,6 +60,16 @@ class Manifest:
             if message not in self.warnings:
                 self.warnings.append(message)
 
+    def _forget(self, stage: str) -> None:
+        """What an earlier try of this stage decided and warned of."""
+        self.decisions = [decision for decision in self.decisions if decision["stage"] != stage]
+        self.warnings = [warning for warning in self.warnings if not warning.startswith(f"{stage}: ")]
+
+    @property
+    def ended_s(self) -> float:
+        """When the last stage so far ended; 0 at first. A resumed run goes on from there."""
+        return max((times["ended_s"] for times in self.stages.values()), default=0.0)
+
     def save(self) -> None:
         """Write manifest.json."""
         record = {key: getattr(self, key) for key in ("config", "status", "stages", "decisions", "warnings", "ledger")}
@@ -71,17 +84,52 @@ def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
     the input turns out to be unusable, a folder made here goes away again: nothing half-written stays behind.
     """
     settings = recorded_config(config)
-    made_here = _make_folder(config.out, resume)
-    try:
-        with RunLock(config.out):
-            manifest = _reopened(config.out, settings) if not made_here else Manifest(folder=config.out, config=settings)
-            manifest.save()
+    if resume and config.out.is_dir() and any(config.out.iterdir()):
+        with RunLock(config.out), _ending(_reopened(config.out, settings)) as manifest:
             yield manifest
-            manifest.status = "done"
+        return
+    fresh = Manifest(folder=config.out, config=settings)
+    with new_folder(config.out, keep=Path("sfm", "done.json")), RunLock(config.out), _ending(fresh) as manifest:
+        yield manifest
+
+
+@contextmanager
+def _ending(manifest: Manifest) -> Iterator[Manifest]:
+    """Save the record before and after the work, with how that ended."""
+    manifest.status = "running"
+    manifest.save()
+    try:
+        yield manifest
+    except BaseException as error:
+        manifest.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        # The disk may be what failed; the error that brought us here is the one to tell.
+        with suppress(BadInput):
             manifest.save()
+        raise
+    manifest.status = "done"
+    manifest.save()
+
+
+@contextmanager
+def new_folder(out: Path, keep: Path | None = None) -> Iterator[None]:
+    """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot be made.
+
+    After a BadInput within, everything that was made here goes again, unless the file `keep` (relative to it) stands by then.
+    """
+    if out.exists() and not out.is_dir():
+        raise BadInput(f"{out} is a file, expected a folder: choose another name.")
+    if out.is_dir() and any(out.iterdir()):
+        raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with a run there by --resume.")
+    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
     except BadInput:
-        if made_here and not (config.out / "sfm" / "done.json").exists():
-            shutil.rmtree(config.out)
+        if keep is None or not (out / keep).exists():
+            for inner in list(out.iterdir()):
+                shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
+            for folder in missing:
+                folder.rmdir()
         raise
 
 
@@ -106,25 +154,29 @@ def software_versions() -> dict[str, str]:
     return found
 
 
-def _make_folder(out: Path, resume: bool) -> bool:
-    """Whether the folder was made here or was empty."""
-    if out.exists() and not out.is_dir():
-        raise BadInput(f"{out} is a file, expected a folder for the run: choose another name.")
-    if out.is_dir() and any(out.iterdir()):
-        if resume:
-            return False
-        raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with that run by --resume.")
-    out.mkdir(parents=True, exist_ok=True)
-    return True
+class _Record(BaseModel):
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+    version: Literal[1]
+    config: dict[str, Any]
+    stages: dict[str, dict[str, float]]
+    decisions: list[dict[str, Any]]
+    warnings: list[str]
 
 
 def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
-    if not (out / "manifest.json").is_file():
+    path = out / "manifest.json"
+    if not path.is_file():
         raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
-    record = read_json(out / "manifest.json")
-    if not isinstance(record, dict) or record.get("version") != MANIFEST_VERSION:
-        raise BadInput(f"{out / 'manifest.json'} is not of version {MANIFEST_VERSION}: run again into another folder.")
-    differing = sorted(key for key in settings if record["config"].get(key) != settings[key])
+    try:
+        record = _Record.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "the whole"
+        raise BadInput(f"{path} is damaged or of another version ({place}: {first['msg']}): run again into another folder.") from error
+    differing = sorted(key for key in settings if record.config.get(key) != settings[key])
     if differing:
-        raise BadInput(f"{out} was begun with another {', '.join(differing)}: repeat those settings to resume, or choose another folder.")
-    return Manifest(folder=out, config=settings, stages=record["stages"], decisions=record["decisions"], warnings=record["warnings"])
+        raise BadInput(
+            f"{out} was begun with another {', '.join(differing)}: repeat those settings to resume, remove it, or choose another folder."
+        )
+    return Manifest(folder=out, config=settings, stages=record.stages, decisions=record.decisions, warnings=record.warnings)

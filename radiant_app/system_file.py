@@ -108,8 +108,9 @@ class _File(_Strict):
 
 def load_system(path: Path) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected."""
+    text = _text(path)
     try:
-        tables = tomllib.loads(_text(path))
+        tables = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: also integers of thousands of digits
         raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
     try:

@@ -74,7 +74,9 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
         names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
     names = [name for name in names if (folder / name).is_file()]
     if not names:
-        raise BadInput(f"{folder} contains no photographs (.jpg, .jpeg, .png): give the folder that holds the image files.")
+        inner = next((path.parent for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()), None)
+        where = "give the folder that holds the image files" if inner is None else f"there are some in {inner}: give that folder"
+        raise BadInput(f"{folder} itself contains no photographs (.jpg, .jpeg, .png): {where}.")
     photographs: list[Photograph] = []
     skipped: list[Skipped] = []
     for done, found in enumerate(_inspected(folder, names), start=1):
