@@ -14,7 +14,7 @@ stress: check  ## minutes of random and huge input
 bench:  ## every benchmark that has a quick form, as JSON in build/bench
 	./setup.sh
 	mkdir -p build/bench
-	for name in sfm plan; do .venv/bin/radiant bench $$name --quick --json build/bench/$$name.json || exit 1; done
+	for name in sfm plan raster; do .venv/bin/radiant bench $$name --quick --json build/bench/$$name.json || exit 1; done
 
 docs:  ## docs/cli.md from the command line itself
 	./setup.sh

@@ -118,10 +118,10 @@ def rasterize_native(
 def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> int:
     """Pixel–Gaussian pairs that a rendering of one camera goes through: 16 for each block of 4 × 4 px that a Gaussian reaches."""
     shape, count, native = (height, width), len(splats), _native.RenderedView()
-    pictures = [np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)]
+    image, alpha, depth = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
     native.forward(
         "", _arrays(list(splats.tensors().values())), viewmat, K, width, height, 0, 0.01, 1e10, False, np.zeros(3, np.float32),
-        *pictures, np.empty((count, 2), np.float32), np.empty(count, np.float32), False, torch.get_num_threads(),
+        image, alpha, depth, np.empty((count, 2), np.float32), np.empty(count, np.float32), False, torch.get_num_threads(),
     )  # fmt: skip
     return 16 * native.num_block_pairs
 
@@ -195,16 +195,21 @@ class _Blend(torch.autograd.Function):
         ctx: Any, images: Tensor | None, alphas: Tensor | None, depths: Tensor | None
     ) -> tuple[Tensor | None, ...]:
         out_alphas, out_depths = ctx.saved_tensors
-        images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
+        by_images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
         alphas, depths = (None if part is None else part.contiguous() for part in (alphas, depths))
         means2d = torch.empty(ctx.shape)
         for index, native in enumerate(ctx.rendering.views):
             by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
             native.blend_backward(
-                images[index].numpy(), by_alphas, by_depths, out_alphas[index].numpy(), out_depths[index].numpy(), means2d[index].numpy(),
+                by_images[index].numpy(),
+                by_alphas,
+                by_depths,
+                out_alphas[index].numpy(),
+                out_depths[index].numpy(),
+                means2d[index].numpy(),
                 ctx.rendering.threads,
             )
         background = None
         if ctx.needs_input_grad[3]:
-            background = ((1 - out_alphas)[..., None] * images).sum((0, 1, 2)).to(ctx.background_like.dtype)
+            background = ((1 - out_alphas)[..., None] * by_images).sum((0, 1, 2)).to(ctx.background_like.dtype)
         return None, means2d, means2d.new_zeros(()), background
