@@ -24,12 +24,21 @@ RADIANT_INLINE void load_fields(const float* rows, int64_t first, int lanes, F o
   for (int field = 0; field < kFields; ++field) out[field] = load(columns[field]);
 }
 
+// How rows of gradients are written.
+enum class Write { replace, add, stream };
+
 template <int kFields>
-RADIANT_INLINE void store_fields(float* rows, int64_t first, int lanes, const F in[kFields], bool add) {
+RADIANT_INLINE void store_fields(float* rows, int64_t first, int lanes, const F in[kFields], Write write) {
   alignas(64) float columns[kFields][kLanes];
   for (int field = 0; field < kFields; ++field) store(columns[field], in[field]);
   float* to = rows + first * kFields;
-  if (add) {
+  if (write == Write::stream && lanes == kLanes) {
+    // 16 rows are whole lines of 64 bytes for any number of fields.
+    alignas(64) float lines[kFields * kLanes];
+    for (int lane = 0; lane < kLanes; ++lane)
+      for (int field = 0; field < kFields; ++field) lines[lane * kFields + field] = columns[field][lane];
+    for (int line = 0; line < kFields; ++line) stream(to + line * kLanes, load(lines + line * kLanes));
+  } else if (write == Write::add) {
     for (int lane = 0; lane < lanes; ++lane)
       for (int field = 0; field < kFields; ++field) to[lane * kFields + field] += columns[field][lane];
   } else {

@@ -279,4 +279,24 @@ RADIANT_INLINE F sums_of_rows(F rows[kLanes]) {
 #endif
 }
 
+// To 64 aligned bytes, past the caches: the line is not read first, and what is in the caches stays there.
+RADIANT_INLINE void stream(float* to, const F& a) {
+#if defined(__AVX512F__)
+  _mm512_stream_ps(to, a.p[0]);
+#elif defined(__AVX__)
+  RADIANT_PARTS _mm256_stream_ps(to + i * kNative, (__m256)a.p[i]);
+#elif defined(__SSE2__)
+  RADIANT_PARTS _mm_stream_ps(to + i * kNative, (__m128)a.p[i]);
+#else
+  store(to, a);
+#endif
+}
+
+// Waits until what was streamed can be seen by other threads.
+RADIANT_INLINE void finish_streams() {
+#if defined(__SSE2__)
+  _mm_sfence();
+#endif
+}
+
 }  // namespace radiant::RADIANT_ISA
