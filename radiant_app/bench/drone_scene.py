@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from radiant_core.cameras import Cameras
 from radiant_core.numerics import FloatArray
-from radiant_core.splats import Splats
+from radiant_core.splats import SH_C0, Splats
 
 SHARE_IN_FRUSTUM = 0.84
 _HEIGHT_M, _PITCH_DEG, _NUM_BOXES = 60.0, 20.0, 40
@@ -76,7 +76,12 @@ def drone_camera(size: SceneSize) -> Cameras:
     cam_from_world[:3, 3] = -cam_from_world[:3, :3] @ np.array([0, -_HEIGHT_M * np.tan(np.radians(_PITCH_DEG)), _HEIGHT_M])
     focal_px = 0.9 * size.width
     K = [[focal_px, 0, size.width / 2], [0, focal_px, size.height / 2], [0, 0, 1]]
-    return Cameras(names=("drone",), Ks=[K], cam_from_world=[cam_from_world], sizes_wh=[[size.width, size.height]])
+    return Cameras(
+        names=("drone",),
+        Ks=np.array([K]),
+        cam_from_world=cam_from_world[None],
+        sizes_wh=np.array([[size.width, size.height]], dtype=np.int64),
+    )
 
 
 def _surface(places: FloatArray, boxes: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
@@ -116,11 +121,12 @@ def _splats(points: FloatArray, normals: FloatArray, spacing_m: float, rng: np.r
     xyzw = (tilt * turn).as_quat()
     scales = spacing_m * 0.7 * np.exp(rng.normal(0, 0.4, (count, 3))) * [1, 1, 0.2]
     color = 0.5 + 0.3 * np.sin(points * [0.4, 0.3, 0.9] + [0, 2, 4]) + rng.normal(0, 0.08, (count, 3))
-    return Splats(
-        means=points,
-        quats=xyzw[:, [3, 0, 1, 2]],
-        log_scales=np.log(scales),
-        logit_opacities=rng.normal(1.0, 1.5, count),
-        sh0=((color - 0.5) / 0.28209479177387814)[:, None],
-        shN=rng.normal(0, 0.05, (count, 15, 3)),
-    )
+    arrays = {
+        "means": points,
+        "quats": xyzw[:, [3, 0, 1, 2]],
+        "log_scales": np.log(scales),
+        "logit_opacities": rng.normal(1.0, 1.5, count),
+        "sh0": ((color - 0.5) / SH_C0)[:, None],
+        "shN": rng.normal(0, 0.05, (count, 15, 3)),
+    }
+    return Splats(**{name: array.astype(np.float32) for name, array in arrays.items()})

@@ -170,7 +170,8 @@ def tile_errors(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> 
     decided = keep & ~jumps
     leaves = SplatTensors.from_splats(chosen)
     images = []
-    for tensors, name in ((leaves, backend), (exact, "reference")):
+    renderings: tuple[tuple[SplatTensors, Backend], ...] = ((leaves, backend), (exact, "reference"))
+    for tensors, name in renderings:
         for leaf in tensors.tensors().values():
             leaf.requires_grad_()
         output = render(tensors, cameras, name)
@@ -214,6 +215,6 @@ def peak_rss_bytes(splats: Splats, key: str) -> int:
     """Memory above what the imports take, model included, of a fresh process that renders forward and backward three times."""
     with TemporaryDirectory(prefix="radiant-bench-raster-") as folder:
         file = Path(folder) / "model.npz"
-        np.savez(file, **splats.arrays())
+        np.savez(file, allow_pickle=False, **splats.arrays())
         command = [sys.executable, "-m", "radiant_app.bench.raster_memory", str(file), key.split(".")[1], str(torch.get_num_threads())]
         return int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)

@@ -12,7 +12,7 @@ namespace radiant {
 namespace {
 
 constexpr std::size_t kHugePage = std::size_t{2} << 20;
-constexpr std::size_t kMaxFreeBlocks = 12;  // two sets of six gradients
+constexpr std::size_t kMaxFreeBlocks = 24;  // two sets of six gradients and six outputs
 
 struct Block {
   void* memory;

@@ -15,7 +15,7 @@ void free_pages(void* memory) noexcept;
 void* pool_take(std::size_t bytes);
 void pool_return(void* memory) noexcept;
 
-// An array that grows and never shrinks; growing loses the contents.
+// An array that grows and never shrinks; growing loses the contents. Never null once reserved, even for no elements.
 template <class T>
 class Buffer {
  public:
@@ -27,7 +27,7 @@ class Buffer {
   ~Buffer() { free_pages(data_); }
 
   T* reserve(std::size_t count) {
-    if (count > capacity_) {
+    if (count > capacity_ || !data_) {
       // A quarter more than asked for, since the next view needs about as much.
       const std::size_t capacity = count + count / 4 + 64;
       free_pages(std::exchange(data_, nullptr));

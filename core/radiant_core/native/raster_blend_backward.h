@@ -16,6 +16,7 @@ struct BlockState {
   F final_transmittance, final_behind, picture_depth;
   F x, y;                                            // pixels from the tile's centre
   int32_t last[kLanes];
+  int32_t end;    // the largest `last`
   int32_t next;   // the block's pixels with `last` over the entry at hand wait for their start at `next`
 };
 
@@ -49,12 +50,13 @@ RADIANT_INLINE void start_block(const View& view, int tile, int block, int64_t c
     b.depth = read_block(view, left, top, gradients.depths, 1) / max(read_block(view, left, top, gradients.out_alphas, 1), broadcast(1e-10f));
   }
   b.final_transmittance = load(state.transmittance + place);
-  b.next = 0;
+  b.next = b.end = 0;
   alignas(64) int32_t started[kLanes];
   for (int lane = 0; lane < kLanes; ++lane) {
     b.last[lane] = state.last[place + lane];
     started[lane] = b.last[lane] == count;
     if (b.last[lane] < count && b.last[lane] > b.next) b.next = b.last[lane];
+    if (b.last[lane] > b.end) b.end = b.last[lane];
   }
   b.behind = b.final_behind;
   b.transmittance = keep(broadcast(int32_t{0}) < load(started), b.final_transmittance);
@@ -73,8 +75,18 @@ static __attribute__((noinline)) void start_pixels(BlockState& b, int32_t entry)
   b.next = next;
 }
 
-// Moments of one Gaussian over its blocks.
-template <bool kDepth>
+RADIANT_INLINE void store_moments(float* out, const F& sums) {
+#if defined(__AVX512F__)
+  _mm512_mask_storeu_ps(out, (1u << sizeof(Moments) / sizeof(float)) - 1, sums.p[0]);
+#else
+  alignas(64) float total[kLanes];
+  store(total, sums);
+  __builtin_memcpy(out, total, sizeof(Moments));
+#endif
+}
+
+// Moments of one Gaussian over its blocks. kCapped: its opacity is over the cap, so that α may be cut off.
+template <bool kDepth, bool kCapped>
 RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t entry, BlockState* blocks, float* out) {
   const F zero = broadcast(0.0f);
   F sums[kLanes];
@@ -84,14 +96,15 @@ RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t e
     if (__builtin_expect(entry < b.next, 0)) start_pixels(b, entry);
     const F u = row.l11 * b.x + (row.l12 * b.y + row.u), v = row.l22 * b.y + row.v;
     const F t = row.log2_opacity - u * u - v * v;
-    const F alpha = alpha_of(t);
+    const F alpha = kCapped ? alpha_of(t) : keep(broadcast(kLog2AlphaMin) <= t, exp2_of_negative<true>(t));
     const F transmittance = b.transmittance * reciprocal(1.0f - alpha), weight = alpha * transmittance;
     F difference = row.red * b.red + row.green * b.green + row.blue * b.blue - b.behind;
     if (kDepth) difference += (row.depth_m - b.picture_depth) * b.depth;
     b.transmittance = transmittance;
     b.behind += alpha * difference;
+    F h = weight * difference;
     // At the cap α does not move.
-    const F h = keep(t <= broadcast(kLog2AlphaMax), weight * difference);
+    if (kCapped) h = keep(t <= broadcast(kLog2AlphaMax), h);
     const F hu = h * u, hv = h * v;
     sums[0] += h;
     sums[1] += hu;
@@ -104,24 +117,30 @@ RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t e
     sums[8] += weight * b.blue;
     if (kDepth) sums[9] += weight * b.depth;
   }
-  alignas(64) float total[kLanes];
-  store(total, sums_of_rows(sums));
-  __builtin_memcpy(out, total, sizeof(Moments));
+  store_moments(out, sums_of_rows(sums));
 }
+
+// Blocks that have a pixel which still goes on at entry `first`.
+RADIANT_INLINE uint32_t blocks_alive(const int32_t* ends, int64_t first) { return bits_of(broadcast(static_cast<int32_t>(first)) < load(ends)); }
 
 template <bool kDepth>
 static void walk_back(const View& view, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState& state,
                       BlockState* blocks, Row* rows, Moments* moments) {
   const int left = tile % view.tiles_x * kTilePx, top = tile / view.tiles_x * kTilePx;
+  alignas(64) int32_t ends[kBlocksPerTile];
+  for (int block = 0; block < kBlocksPerTile; ++block) ends[block] = blocks[block].end;
   for (int64_t first = padded(count) - kLanes; first >= 0; first -= kLanes) {
     const int lanes = count - first < kLanes ? static_cast<int>(count - first) : kLanes;
     for (int64_t next = first - kLanes; next >= 0 && next < first; ++next) __builtin_prefetch(state.footprints + entries[next].owner);
-    load_group(state.footprints, entries + first, lanes, left + kTilePx / 2, top + kTilePx / 2, rows);
+    const uint32_t alive = blocks_alive(ends, first);
+    if (alive) load_group(state.footprints, entries + first, lanes, left + kTilePx / 2, top + kTilePx / 2, rows);
     for (int lane = lanes - 1; lane >= 0; --lane) {
       const int64_t entry = first + lane;
-      Moments* out = moments + entries[entry].instance;
-      const uint32_t reached = state.reached[offset + entry];
-      instance_moments<kDepth>(rows[lane], reached, static_cast<int32_t>(entry), blocks, reinterpret_cast<float*>(out));
+      float* out = reinterpret_cast<float*>(moments + entries[entry].instance);
+      const uint32_t reached = state.reached[offset + entry] & alive;
+      if (!reached) store_moments(out, broadcast(0.0f));
+      else if (rows[lane].log2_opacity <= kLog2AlphaMax) instance_moments<kDepth, false>(rows[lane], reached, static_cast<int32_t>(entry), blocks, out);
+      else instance_moments<kDepth, true>(rows[lane], reached, static_cast<int32_t>(entry), blocks, out);
     }
   }
 }
@@ -132,6 +151,7 @@ static void blend_backward(const View& view, int tile, const Entry* entries, int
   Row rows[kLanes];
   for (int block = 0; block < kBlocksPerTile; ++block) {
     const int left = tile % view.tiles_x * kTilePx + block % 4 * kBlockPx, top = tile / view.tiles_x * kTilePx + block / 4 * kBlockPx;
+    blocks[block].end = 0;
     if (left < view.width && top < view.height) start_block(view, tile, block, count, state, gradients, blocks[block]);
   }
   if (gradients.depths) walk_back<true>(view, tile, entries, offset, count, state, blocks, rows, moments);

@@ -124,7 +124,7 @@ void project_backward(PyRenderedView& self, const std::vector<Floats>& splats, c
                           checked_or_null(gradients[3], n, "logit_opacities"),
                           checked_or_null(gradients[4], 3 * n, "sh0"),
                           checked_or_null(gradients[5], 3 * arrays.num_rest * n, "shN"),
-                          add};
+                          add, false};
   const float* from = checked(means2d, 2 * n, "means2d");
   nb::gil_scoped_release unlocked;
   self.rendered.project_backward(arrays, from, to, threads);

@@ -24,12 +24,21 @@ RADIANT_INLINE void load_fields(const float* rows, int64_t first, int lanes, F o
   for (int field = 0; field < kFields; ++field) out[field] = load(columns[field]);
 }
 
+// How rows of gradients are written.
+enum class Write { replace, add, stream };
+
 template <int kFields>
-RADIANT_INLINE void store_fields(float* rows, int64_t first, int lanes, const F in[kFields], bool add) {
+RADIANT_INLINE void store_fields(float* rows, int64_t first, int lanes, const F in[kFields], Write write) {
   alignas(64) float columns[kFields][kLanes];
   for (int field = 0; field < kFields; ++field) store(columns[field], in[field]);
   float* to = rows + first * kFields;
-  if (add) {
+  if (write == Write::stream && lanes == kLanes) {
+    // 16 rows are whole lines of 64 bytes for any number of fields.
+    alignas(64) float lines[kFields * kLanes];
+    for (int lane = 0; lane < kLanes; ++lane)
+      for (int field = 0; field < kFields; ++field) lines[lane * kFields + field] = columns[field][lane];
+    for (int line = 0; line < kFields; ++line) stream(to + line * kLanes, load(lines + line * kLanes));
+  } else if (write == Write::add) {
     for (int lane = 0; lane < lanes; ++lane)
       for (int field = 0; field < kFields; ++field) to[lane * kFields + field] += columns[field][lane];
   } else {
@@ -65,30 +74,45 @@ RADIANT_INLINE void project_centers(const View& view, const float* means, int64_
     for (int axis = 0; axis < 3; ++axis) world[axis][lane] = row[axis];
   }
   const double *R = view.rotation, *t = view.translation;
+  // Two loops without branches over arrays of their own: so gcc makes vectors of them.
+  alignas(64) double x[kLanes], y[kLanes], z[kLanes], inverse[kLanes];
   for (int lane = 0; lane < kLanes; ++lane) {
-    const double x = R[0] * world[0][lane] + R[1] * world[1][lane] + R[2] * world[2][lane] + t[0];
-    const double y = R[3] * world[0][lane] + R[4] * world[1][lane] + R[5] * world[2][lane] + t[1];
-    const double depth = R[6] * world[0][lane] + R[7] * world[1][lane] + R[8] * world[2][lane] + t[2];
-    const bool inside = depth > view.near_m && depth < view.far_m;
-    const double inverse = 1.0 / (inside ? depth : 1.0);
-    const double mean_x = view.fx * (x * inverse) + view.cx, mean_y = view.fy * (y * inverse) + view.cy;
-    // Far outside the image the whole part may be anything near: such a Gaussian is culled or needs no digits.
-    const double near_x = mean_x < -1e6 ? -1e6 : mean_x > 1e6 ? 1e6 : mean_x, near_y = mean_y < -1e6 ? -1e6 : mean_y > 1e6 ? 1e6 : mean_y;
-    const float whole_x = static_cast<float>(static_cast<int32_t>(near_x)), whole_y = static_cast<float>(static_cast<int32_t>(near_y));
-    in_range[lane] = inside;
-    inverse_z[lane] = static_cast<float>(inverse);
-    ratio_x[lane] = static_cast<float>(x * inverse);
-    ratio_y[lane] = static_cast<float>(y * inverse);
-    g.whole_x[lane] = whole_x;
-    g.whole_y[lane] = whole_y;
-    g.rest_x[lane] = static_cast<float>(mean_x - whole_x);
-    g.rest_y[lane] = static_cast<float>(mean_y - whole_y);
-    const float rounded = static_cast<float>(depth);
-    g.depth[lane] = rounded;
-    g.depth_rest[lane] = static_cast<float>(depth - static_cast<double>(rounded));
-    g.means2d[2 * lane] = static_cast<float>(mean_x);
-    g.means2d[2 * lane + 1] = static_cast<float>(mean_y);
+    x[lane] = R[0] * world[0][lane] + R[1] * world[1][lane] + R[2] * world[2][lane] + t[0];
+    y[lane] = R[3] * world[0][lane] + R[4] * world[1][lane] + R[5] * world[2][lane] + t[1];
+    z[lane] = R[6] * world[0][lane] + R[7] * world[1][lane] + R[8] * world[2][lane] + t[2];
   }
+  const double near_m = view.near_m, far_m = view.far_m;
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const bool inside = (z[lane] > near_m) & (z[lane] < far_m);
+    in_range[lane] = inside ? 1 : 0;
+    inverse[lane] = 1.0 / (inside ? z[lane] : 1.0);
+  }
+  const double fx = view.fx, fy = view.fy, cx = view.cx, cy = view.cy;
+  alignas(64) float whole_x[kLanes], whole_y[kLanes], rest_x[kLanes], rest_y[kLanes], mean_x[kLanes], mean_y[kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const double u = x[lane] * inverse[lane], v = y[lane] * inverse[lane];
+    const double mx = fx * u + cx, my = fy * v + cy;
+    // Far outside the image the whole part may be anything near: such a Gaussian is culled or needs no digits.
+    const double near_x = mx < -1e6 ? -1e6 : mx > 1e6 ? 1e6 : mx, near_y = my < -1e6 ? -1e6 : my > 1e6 ? 1e6 : my;
+    const int32_t int_x = static_cast<int32_t>(near_x), int_y = static_cast<int32_t>(near_y);
+    inverse_z[lane] = static_cast<float>(inverse[lane]);
+    ratio_x[lane] = static_cast<float>(u);
+    ratio_y[lane] = static_cast<float>(v);
+    whole_x[lane] = static_cast<float>(int_x);
+    whole_y[lane] = static_cast<float>(int_y);
+    rest_x[lane] = static_cast<float>(mx - int_x);
+    rest_y[lane] = static_cast<float>(my - int_y);
+    mean_x[lane] = static_cast<float>(mx);
+    mean_y[lane] = static_cast<float>(my);
+  }
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const float rounded = static_cast<float>(z[lane]);
+    g.depth[lane] = rounded;
+    g.depth_rest[lane] = static_cast<float>(z[lane] - static_cast<double>(rounded));
+    g.means2d[2 * lane] = mean_x[lane];
+    g.means2d[2 * lane + 1] = mean_y[lane];
+  }
+  store(g.whole_x, load(whole_x)), store(g.whole_y, load(whole_y)), store(g.rest_x, load(rest_x)), store(g.rest_y, load(rest_y));
   g.ratio_x = load(ratio_x);
   g.ratio_y = load(ratio_y);
   g.inverse_z = load(inverse_z);
@@ -248,6 +272,10 @@ RADIANT_INLINE void shade(const SplatArrays& splats, int64_t first, int lanes, u
   if constexpr (kDegree > 0) {
     alignas(64) float rows[kLanes][kMaxCoefficients];
     const int stride = 3 * splats.num_rest;
+    // The coefficients are most of what is read: those of the next group are asked for before these are worked on.
+    const char* const next = reinterpret_cast<const char*>(splats.shN + (first + kLanes) * stride);
+    if (first + 2 * kLanes <= splats.count)
+      for (int64_t byte = 0; byte < static_cast<int64_t>(kLanes * stride * sizeof(float)); byte += 64) __builtin_prefetch(next + byte);
     for (int lane = 0; lane < lanes; ++lane)
       if (wanted >> lane & 1) __builtin_memcpy(rows[lane], splats.shN + (first + lane) * stride, 3 * kBases * sizeof(float));
       else __builtin_memset(rows[lane], 0, sizeof(rows[lane]));
@@ -256,13 +284,16 @@ RADIANT_INLINE void shade(const SplatArrays& splats, int64_t first, int lanes, u
     basis<kDegree>(direction, value, slopes ? slope : nullptr);
     F sums[9];
     for (int i = 0; i < 9; ++i) sums[i] = broadcast(0.0f);
-    for (int part = 0; part * kLanes < 3 * kBases; ++part) {
+#pragma GCC unroll 3
+    for (int part = 0; part < (3 * kBases + kLanes - 1) / kLanes; ++part) {
       F column[kLanes];
+#pragma GCC unroll 16
       for (int lane = 0; lane < kLanes; ++lane) column[lane] = load(rows[lane] + part * kLanes);
       transpose(column);
+#pragma GCC unroll 16
       for (int i = 0; i < kLanes; ++i) {
         const int k = (part * kLanes + i) / 3, c = (part * kLanes + i) % 3;
-        if (k >= kBases) break;
+        if (k >= kBases) continue;
         color[c] += value[k] * column[i];
         if (slopes)
           for (int axis = 0; axis < 3; ++axis) sums[3 * c + axis] += slope[k][axis] * column[i];

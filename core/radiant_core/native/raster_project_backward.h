@@ -101,46 +101,52 @@ RADIANT_INLINE F finite(Mask visible, const F& a) { return keep(visible, clamp(a
 // Writes ∂loss/∂sh0, ∂loss/∂shN = Y_k ∂loss/∂colour of the lanes.
 template <int kDegree>
 RADIANT_INLINE void harmonics_backward(const SplatArrays& splats, int64_t first, int lanes, const F direction[3], const F color[3],
-                                       const SplatGradients& out) {
+                                       const SplatGradients& out, Write write) {
   constexpr int kBases = (kDegree + 1) * (kDegree + 1) - 1;
   if (out.sh0) {
     const F sh0[3] = {kSh0 * color[0], kSh0 * color[1], kSh0 * color[2]};
-    store_fields<3>(out.sh0, first, lanes, sh0, out.add);
+    store_fields<3>(out.sh0, first, lanes, sh0, write);
   }
   if (!out.shN || splats.num_rest == 0) return;
   const int stride = 3 * splats.num_rest;
-  alignas(64) float rows[kLanes][kMaxCoefficients];
+  // Rows one after another; the last vector of a row reaches into the next, which is written later, hence parts from last to first.
+  constexpr int kParts = (3 * kBases + kLanes - 1) / kLanes;
+  alignas(64) float rows[kLanes * 3 * kBases + kLanes];
   if constexpr (kDegree > 0) {
     F value[15];
     basis<kDegree>(direction, value, nullptr);
-    for (int part = 0; part * kLanes < 3 * kBases; ++part) {
+    for (int part = kParts - 1; part >= 0; --part) {
       F column[kLanes];
       for (int i = 0; i < kLanes; ++i) {
         const int k = (part * kLanes + i) / 3, c = (part * kLanes + i) % 3;
         column[i] = k < kBases ? value[k] * color[c] : broadcast(0.0f);
       }
       transpose(column);
-      for (int lane = 0; lane < kLanes; ++lane) store(rows[lane] + part * kLanes, column[lane]);
+      for (int lane = 0; lane < kLanes; ++lane) store(rows + lane * 3 * kBases + part * kLanes, column[lane]);
     }
+  }
+  if (write == Write::stream && lanes == kLanes && stride == 3 * kBases) {
+    for (int line = 0; line < 3 * kBases; ++line) stream(out.shN + first * stride + line * kLanes, load(rows + line * kLanes));
+    return;
   }
   for (int lane = 0; lane < lanes; ++lane) {
     float* to = out.shN + (first + lane) * stride;
-    if (out.add) {
-      for (int i = 0; i < 3 * kBases; ++i) to[i] += rows[lane][i];
+    if (write == Write::add) {
+      for (int i = 0; i < 3 * kBases; ++i) to[i] += rows[lane * 3 * kBases + i];
     } else {
-      __builtin_memcpy(to, rows[lane], 3 * kBases * sizeof(float));
+      __builtin_memcpy(to, rows + lane * 3 * kBases, 3 * kBases * sizeof(float));
       __builtin_memset(to + 3 * kBases, 0, (stride - 3 * kBases) * sizeof(float));
     }
   }
 }
 
 RADIANT_INLINE void harmonics_backward(const View& view, const SplatArrays& splats, int64_t first, int lanes, const F direction[3],
-                                       const F color[3], const SplatGradients& out) {
+                                       const F color[3], const SplatGradients& out, Write write) {
   switch (view.sh_degree) {
-    case 0: return harmonics_backward<0>(splats, first, lanes, direction, color, out);
-    case 1: return harmonics_backward<1>(splats, first, lanes, direction, color, out);
-    case 2: return harmonics_backward<2>(splats, first, lanes, direction, color, out);
-    default: return harmonics_backward<3>(splats, first, lanes, direction, color, out);
+    case 0: return harmonics_backward<0>(splats, first, lanes, direction, color, out, write);
+    case 1: return harmonics_backward<1>(splats, first, lanes, direction, color, out, write);
+    case 2: return harmonics_backward<2>(splats, first, lanes, direction, color, out, write);
+    default: return harmonics_backward<3>(splats, first, lanes, direction, color, out, write);
   }
 }
 
@@ -154,6 +160,7 @@ RADIANT_INLINE void clear(const SplatArrays& splats, int64_t first, int lanes, c
 
 static void project_backward(const View& view, const SplatArrays& splats, int64_t begin, int64_t end, const Projection& projection,
                              const Moments* sums, const float* means2d_gradient, const SplatGradients& out) {
+  const Write write = out.add ? Write::add : out.stream ? Write::stream : Write::replace;
   for (int64_t first = begin; first < end; first += kLanes) {
     const int lanes = end - first < kLanes ? static_cast<int>(end - first) : kLanes;
     uint32_t touched = 0;
@@ -191,18 +198,19 @@ static void project_backward(const View& view, const SplatArrays& splats, int64_
       at.mean[axis] = finite(moved, at.mean[axis] + keep(drawn, (away[axis] - direction[axis] * radial) * inverse_distance));
     for (int k = 0; k < 3; ++k) log_scales[k] = finite(drawn, log_scales[k]);
     for (int k = 0; k < 4; ++k) quats[k] = finite(drawn, quats[k]);
-    if (out.means) store_fields<3>(out.means, first, lanes, at.mean, out.add);
-    if (out.log_scales) store_fields<3>(out.log_scales, first, lanes, log_scales, out.add);
-    if (out.quats) store_fields<4>(out.quats, first, lanes, quats, out.add);
+    if (out.means) store_fields<3>(out.means, first, lanes, at.mean, write);
+    if (out.log_scales) store_fields<3>(out.log_scales, first, lanes, log_scales, write);
+    if (out.quats) store_fields<4>(out.quats, first, lanes, quats, write);
     if (out.logit_opacities) {
       F logit, positive, negative;
       load_fields<1>(splats.logit_opacities, first, lanes, &logit);
       sigmoids(logit, positive, negative);
       const F gradient = finite(drawn, p.log_opacity * negative);
-      store_fields<1>(out.logit_opacities, first, lanes, &gradient, out.add);
+      store_fields<1>(out.logit_opacities, first, lanes, &gradient, write);
     }
-    harmonics_backward(view, splats, first, lanes, direction, p.color, out);
+    harmonics_backward(view, splats, first, lanes, direction, p.color, out, write);
   }
+  finish_streams();
 }
 
 }  // namespace radiant::RADIANT_ISA

@@ -42,9 +42,10 @@ struct SplatArrays {
 };
 
 // Gradients of the same shapes; a null pointer is not wanted. `add`: to what is there, else it is overwritten.
+// `stream`: past the caches, since they could not hold it; all arrays then start at whole lines of 64 bytes.
 struct SplatGradients {
   float *means, *quats, *log_scales, *logit_opacities, *sh0, *shN;
-  bool add;
+  bool add, stream;
 };
 
 // One cache line per Gaussian. The centre is whole pixels plus a rest: one float32 would be off by 3e-5 px at 500 px.

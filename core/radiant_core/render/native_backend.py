@@ -103,10 +103,10 @@ def rasterize_native(
         view=view,
         background=view.background.detach().to(torch.float32).contiguous().numpy(),
         instruction_set=instruction_set,
-        images=torch.empty(*shape, 3),
-        alphas=torch.empty(shape),
-        depths=torch.empty(shape),
-        radii_px=torch.empty(cameras, count),
+        images=_pooled(*shape, 3),
+        alphas=_pooled(*shape),
+        depths=_pooled(*shape),
+        radii_px=_pooled(cameras, count),
     )
     means2d, link = _Project.apply(call, *splats.tensors().values())
     if means2d.requires_grad:
@@ -118,10 +118,10 @@ def rasterize_native(
 def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> int:
     """Pixel–Gaussian pairs that a rendering of one camera goes through: 16 for each block of 4 × 4 px that a Gaussian reaches."""
     shape, count, native = (height, width), len(splats), _native.RenderedView()
-    pictures = [np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)]
+    image, alpha, depth = np.empty((*shape, 3), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
     native.forward(
         "", _arrays(list(splats.tensors().values())), viewmat, K, width, height, 0, 0.01, 1e10, False, np.zeros(3, np.float32),
-        *pictures, np.empty((count, 2), np.float32), np.empty(count, np.float32), False, torch.get_num_threads(),
+        image, alpha, depth, np.empty((count, 2), np.float32), np.empty(count, np.float32), False, torch.get_num_threads(),
     )  # fmt: skip
     return 16 * native.num_block_pairs
 
@@ -145,6 +145,11 @@ def _float64(tensor: Tensor) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().cpu().to(torch.float64).numpy())
 
 
+def _pooled(*shape: int) -> Tensor:
+    """An uninitialised float32 tensor in memory that was touched before: fresh pages cost more than what is written into them."""
+    return torch.from_numpy(_native.pooled_array(list(shape)))
+
+
 def _arrays(tensors: Sequence[Tensor]) -> list[np.ndarray]:
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
@@ -155,7 +160,7 @@ class _Project(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, call: _Call, *tensors: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
         arrays, view = _arrays(tensors), call.view
-        means2d = torch.empty(len(call.rendering.views), tensors[0].shape[0], 2)
+        means2d = _pooled(len(call.rendering.views), tensors[0].shape[0], 2)
         differentiable = any(ctx.needs_input_grad)
         for index, native in enumerate(call.rendering.views):
             native.forward(
@@ -195,13 +200,13 @@ class _Blend(torch.autograd.Function):
         ctx: Any, images: Tensor | None, alphas: Tensor | None, depths: Tensor | None
     ) -> tuple[Tensor | None, ...]:
         out_alphas, out_depths = ctx.saved_tensors
-        images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
+        by_images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
         alphas, depths = (None if part is None else part.contiguous() for part in (alphas, depths))
-        means2d = torch.empty(ctx.shape)
+        means2d = _pooled(*ctx.shape)
         for index, native in enumerate(ctx.rendering.views):
             by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
             native.blend_backward(
-                images[index].numpy(),
+                by_images[index].numpy(),
                 by_alphas,
                 by_depths,
                 out_alphas[index].numpy(),
@@ -211,5 +216,5 @@ class _Blend(torch.autograd.Function):
             )
         background = None
         if ctx.needs_input_grad[3]:
-            background = ((1 - out_alphas)[..., None] * images).sum((0, 1, 2)).to(ctx.background_like.dtype)
+            background = ((1 - out_alphas)[..., None] * by_images).sum((0, 1, 2)).to(ctx.background_like.dtype)
         return None, means2d, means2d.new_zeros(()), background
