@@ -75,49 +75,43 @@ static __attribute__((noinline)) void start_pixels(BlockState& b, int32_t entry)
   b.next = next;
 }
 
-RADIANT_INLINE void store_moments(float* out, const F& sums) {
-#if defined(__AVX512F__)
-  _mm512_mask_storeu_ps(out, (1u << sizeof(Moments) / sizeof(float)) - 1, sums.p[0]);
-#else
-  alignas(64) float total[kLanes];
-  store(total, sums);
-  __builtin_memcpy(out, total, sizeof(Moments));
-#endif
-}
-
 // Moments of one Gaussian over its blocks. kCapped: its opacity is over the cap, so that α may be cut off.
+// A block's registers are taken one at a time, so that the sums fit beside them on CPUs with 16 registers too.
 template <bool kDepth, bool kCapped>
 RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t entry, BlockState* blocks, float* out) {
-  const F zero = broadcast(0.0f);
-  F sums[kLanes];
-  for (int i = 0; i < kLanes; ++i) sums[i] = zero;
+  Part sums[kMoments];
+  for (int i = 0; i < kMoments; ++i) sums[i] = broadcast<1>(0.0f);
   for (; reached; reached &= reached - 1) {
     BlockState& b = blocks[__builtin_ctz(reached)];
     if (__builtin_expect(entry < b.next, 0)) start_pixels(b, entry);
-    const F u = row.l11 * b.x + (row.l12 * b.y + row.u), v = row.l22 * b.y + row.v;
-    const F t = row.log2_opacity - u * u - v * v;
-    const F alpha = kCapped ? alpha_of(t) : keep(broadcast(kLog2AlphaMin) <= t, exp2_of_negative<true>(t));
-    const F transmittance = b.transmittance * reciprocal(1.0f - alpha), weight = alpha * transmittance;
-    F difference = row.red * b.red + row.green * b.green + row.blue * b.blue - b.behind;
-    if (kDepth) difference += (row.depth_m - b.picture_depth) * b.depth;
-    b.transmittance = transmittance;
-    b.behind += alpha * difference;
-    F h = weight * difference;
-    // At the cap α does not move.
-    if (kCapped) h = keep(t <= broadcast(kLog2AlphaMax), h);
-    const F hu = h * u, hv = h * v;
-    sums[0] += h;
-    sums[1] += hu;
-    sums[2] += hv;
-    sums[3] += hu * u;
-    sums[4] += hu * v;
-    sums[5] += hv * v;
-    sums[6] += weight * b.red;
-    sums[7] += weight * b.green;
-    sums[8] += weight * b.blue;
-    if (kDepth) sums[9] += weight * b.depth;
+    for (int i = 0; i < kParts; ++i) {
+      const Part y = part(b.y, i), u = row.l11 * part(b.x, i) + (row.l12 * y + row.u), v = row.l22 * y + row.v;
+      const Part t = row.log2_opacity - u * u - v * v;
+      const Part free_alpha = keep(broadcast<1>(kLog2AlphaMin) <= t, exp2_of_negative<true>(t));
+      const Part alpha = kCapped ? min(free_alpha, broadcast<1>(kAlphaMax)) : free_alpha;
+      const Part transmittance = part(b.transmittance, i) * reciprocal(1.0f - alpha), weight = alpha * transmittance;
+      const Part red = part(b.red, i), green = part(b.green, i), blue = part(b.blue, i), behind = part(b.behind, i);
+      Part difference = row.red * red + row.green * green + row.blue * blue - behind;
+      if (kDepth) difference += (row.depth_m - part(b.picture_depth, i)) * part(b.depth, i);
+      b.transmittance.p[i] = transmittance.p[0];
+      b.behind.p[i] = (behind + alpha * difference).p[0];
+      Part h = weight * difference;
+      // At the cap α does not move.
+      if (kCapped) h = keep(t <= broadcast<1>(kLog2AlphaMax), h);
+      const Part hu = h * u, hv = h * v;
+      sums[0] += h;
+      sums[1] += hu;
+      sums[2] += hv;
+      sums[3] += hu * u;
+      sums[4] += hu * v;
+      sums[5] += hv * v;
+      sums[6] += weight * red;
+      sums[7] += weight * green;
+      sums[8] += weight * blue;
+      if (kDepth) sums[9] += weight * part(b.depth, i);
+    }
   }
-  store_moments(out, sums_of_rows(sums));
+  sums_of_rows<kMoments>(sums, out);
 }
 
 // Blocks that have a pixel which still goes on at entry `first`.
@@ -138,7 +132,7 @@ static void walk_back(const View& view, int tile, const Entry* entries, int64_t 
       const int64_t entry = first + lane;
       float* out = reinterpret_cast<float*>(moments + entries[entry].instance);
       const uint32_t reached = state.reached[offset + entry] & alive;
-      if (!reached) store_moments(out, broadcast(0.0f));
+      if (!reached) __builtin_memset(out, 0, sizeof(Moments));
       else if (rows[lane].log2_opacity <= kLog2AlphaMax) instance_moments<kDepth, false>(rows[lane], reached, static_cast<int32_t>(entry), blocks, out);
       else instance_moments<kDepth, true>(rows[lane], reached, static_cast<int32_t>(entry), blocks, out);
     }

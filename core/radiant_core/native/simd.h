@@ -29,39 +29,45 @@ typedef int32_t NativeI __attribute__((vector_size(4 * kNative)));
 typedef float LooseF __attribute__((vector_size(4 * kNative), aligned(4), may_alias));
 typedef int32_t LooseI __attribute__((vector_size(4 * kNative), aligned(4), may_alias));
 
-struct F { NativeF p[kParts]; };
-struct I { NativeI p[kParts]; };
+// P registers; F, I and Mask are the 16 lanes, Part is one register of them.
+template <int P> struct Floats { NativeF p[P]; };
+template <int P> struct Ints { NativeI p[P]; };
+using F = Floats<kParts>;
+using I = Ints<kParts>;
+using Part = Floats<1>;
 #if defined(__AVX512F__)
 struct Mask { __mmask16 bits; };
 #else
-struct Mask { NativeI p[kParts]; };
+template <int P> struct Masks { NativeI p[P]; };
+using Mask = Masks<kParts>;
 #endif
 
-#define RADIANT_PARTS _Pragma("GCC unroll 4") for (int i = 0; i < kParts; ++i)
+#define RADIANT_EACH(P) _Pragma("GCC unroll 4") for (int i = 0; i < P; ++i)
+#define RADIANT_PARTS RADIANT_EACH(kParts)
 
-RADIANT_INLINE F broadcast(float x) { F r; RADIANT_PARTS r.p[i] = x - NativeF{}; return r; }
-RADIANT_INLINE I broadcast(int32_t x) { I r; RADIANT_PARTS r.p[i] = x - NativeI{}; return r; }
+template <int P = kParts> RADIANT_INLINE Floats<P> broadcast(float x) { Floats<P> r; RADIANT_EACH(P) r.p[i] = x - NativeF{}; return r; }
+template <int P = kParts> RADIANT_INLINE Ints<P> broadcast(int32_t x) { Ints<P> r; RADIANT_EACH(P) r.p[i] = x - NativeI{}; return r; }
 RADIANT_INLINE F load(const float* from) { F r; RADIANT_PARTS r.p[i] = *reinterpret_cast<const LooseF*>(from + i * kNative); return r; }
 RADIANT_INLINE I load(const int32_t* from) { I r; RADIANT_PARTS r.p[i] = *reinterpret_cast<const LooseI*>(from + i * kNative); return r; }
 RADIANT_INLINE void store(float* to, const F& a) { RADIANT_PARTS *reinterpret_cast<LooseF*>(to + i * kNative) = a.p[i]; }
 RADIANT_INLINE void store(int32_t* to, const I& a) { RADIANT_PARTS *reinterpret_cast<LooseI*>(to + i * kNative) = a.p[i]; }
 
-RADIANT_INLINE F operator+(const F& a, const F& b) { F r; RADIANT_PARTS r.p[i] = a.p[i] + b.p[i]; return r; }
-RADIANT_INLINE F operator-(const F& a, const F& b) { F r; RADIANT_PARTS r.p[i] = a.p[i] - b.p[i]; return r; }
-RADIANT_INLINE F operator*(const F& a, const F& b) { F r; RADIANT_PARTS r.p[i] = a.p[i] * b.p[i]; return r; }
-RADIANT_INLINE F operator/(const F& a, const F& b) { F r; RADIANT_PARTS r.p[i] = a.p[i] / b.p[i]; return r; }
-RADIANT_INLINE F operator-(const F& a) { F r; RADIANT_PARTS r.p[i] = -a.p[i]; return r; }
-RADIANT_INLINE F operator+(const F& a, float b) { return a + broadcast(b); }
-RADIANT_INLINE F operator-(const F& a, float b) { return a - broadcast(b); }
-RADIANT_INLINE F operator*(const F& a, float b) { return a * broadcast(b); }
-RADIANT_INLINE F operator*(float a, const F& b) { return broadcast(a) * b; }
-RADIANT_INLINE F operator-(float a, const F& b) { return broadcast(a) - b; }
-RADIANT_INLINE F operator/(float a, const F& b) { return broadcast(a) / b; }
-RADIANT_INLINE F& operator+=(F& a, const F& b) { return a = a + b; }
-RADIANT_INLINE F& operator-=(F& a, const F& b) { return a = a - b; }
-RADIANT_INLINE F& operator*=(F& a, const F& b) { return a = a * b; }
-RADIANT_INLINE I operator&(const I& a, const I& b) { I r; RADIANT_PARTS r.p[i] = a.p[i] & b.p[i]; return r; }
-RADIANT_INLINE I operator+(const I& a, const I& b) { I r; RADIANT_PARTS r.p[i] = a.p[i] + b.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> operator+(const Floats<P>& a, const Floats<P>& b) { Floats<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] + b.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> operator-(const Floats<P>& a, const Floats<P>& b) { Floats<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] - b.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> operator*(const Floats<P>& a, const Floats<P>& b) { Floats<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] * b.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> operator/(const Floats<P>& a, const Floats<P>& b) { Floats<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] / b.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> operator-(const Floats<P>& a) { Floats<P> r; RADIANT_EACH(P) r.p[i] = -a.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> operator+(const Floats<P>& a, float b) { return a + broadcast<P>(b); }
+template <int P> RADIANT_INLINE Floats<P> operator-(const Floats<P>& a, float b) { return a - broadcast<P>(b); }
+template <int P> RADIANT_INLINE Floats<P> operator*(const Floats<P>& a, float b) { return a * broadcast<P>(b); }
+template <int P> RADIANT_INLINE Floats<P> operator*(float a, const Floats<P>& b) { return broadcast<P>(a) * b; }
+template <int P> RADIANT_INLINE Floats<P> operator-(float a, const Floats<P>& b) { return broadcast<P>(a) - b; }
+template <int P> RADIANT_INLINE Floats<P> operator/(float a, const Floats<P>& b) { return broadcast<P>(a) / b; }
+template <int P> RADIANT_INLINE Floats<P>& operator+=(Floats<P>& a, const Floats<P>& b) { return a = a + b; }
+template <int P> RADIANT_INLINE Floats<P>& operator-=(Floats<P>& a, const Floats<P>& b) { return a = a - b; }
+template <int P> RADIANT_INLINE Floats<P>& operator*=(Floats<P>& a, const Floats<P>& b) { return a = a * b; }
+template <int P> RADIANT_INLINE Ints<P> operator&(const Ints<P>& a, const Ints<P>& b) { Ints<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] & b.p[i]; return r; }
+template <int P> RADIANT_INLINE Ints<P> operator+(const Ints<P>& a, const Ints<P>& b) { Ints<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] + b.p[i]; return r; }
 
 #if defined(__AVX512F__)
 RADIANT_INLINE Mask operator<(const F& a, const F& b) { return {_mm512_cmp_ps_mask(a.p[0], b.p[0], _CMP_LT_OQ)}; }
@@ -87,15 +93,15 @@ RADIANT_INLINE F reciprocal(const F& a) {
   return r + r * (1.0f - a * r);
 }
 #else
-RADIANT_INLINE Mask operator<(const F& a, const F& b) { Mask r; RADIANT_PARTS r.p[i] = a.p[i] < b.p[i]; return r; }
-RADIANT_INLINE Mask operator<=(const F& a, const F& b) { Mask r; RADIANT_PARTS r.p[i] = a.p[i] <= b.p[i]; return r; }
-RADIANT_INLINE Mask operator<(const I& a, const I& b) { Mask r; RADIANT_PARTS r.p[i] = a.p[i] < b.p[i]; return r; }
-RADIANT_INLINE Mask operator&(const Mask& a, const Mask& b) { Mask r; RADIANT_PARTS r.p[i] = a.p[i] & b.p[i]; return r; }
-RADIANT_INLINE Mask operator|(const Mask& a, const Mask& b) { Mask r; RADIANT_PARTS r.p[i] = a.p[i] | b.p[i]; return r; }
-RADIANT_INLINE Mask operator!(const Mask& a) { Mask r; RADIANT_PARTS r.p[i] = ~a.p[i]; return r; }
-RADIANT_INLINE F select(const Mask& m, const F& a, const F& b) { F r; RADIANT_PARTS r.p[i] = m.p[i] ? a.p[i] : b.p[i]; return r; }
-RADIANT_INLINE I select(const Mask& m, const I& a, const I& b) { I r; RADIANT_PARTS r.p[i] = m.p[i] ? a.p[i] : b.p[i]; return r; }
-RADIANT_INLINE F keep(const Mask& m, const F& a) { F r; RADIANT_PARTS r.p[i] = (NativeF)(m.p[i] & (NativeI)a.p[i]); return r; }
+template <int P> RADIANT_INLINE Masks<P> operator<(const Floats<P>& a, const Floats<P>& b) { Masks<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] < b.p[i]; return r; }
+template <int P> RADIANT_INLINE Masks<P> operator<=(const Floats<P>& a, const Floats<P>& b) { Masks<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] <= b.p[i]; return r; }
+template <int P> RADIANT_INLINE Masks<P> operator<(const Ints<P>& a, const Ints<P>& b) { Masks<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] < b.p[i]; return r; }
+template <int P> RADIANT_INLINE Masks<P> operator&(const Masks<P>& a, const Masks<P>& b) { Masks<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] & b.p[i]; return r; }
+template <int P> RADIANT_INLINE Masks<P> operator|(const Masks<P>& a, const Masks<P>& b) { Masks<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] | b.p[i]; return r; }
+template <int P> RADIANT_INLINE Masks<P> operator!(const Masks<P>& a) { Masks<P> r; RADIANT_EACH(P) r.p[i] = ~a.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> select(const Masks<P>& m, const Floats<P>& a, const Floats<P>& b) { Floats<P> r; RADIANT_EACH(P) r.p[i] = m.p[i] ? a.p[i] : b.p[i]; return r; }
+template <int P> RADIANT_INLINE Ints<P> select(const Masks<P>& m, const Ints<P>& a, const Ints<P>& b) { Ints<P> r; RADIANT_EACH(P) r.p[i] = m.p[i] ? a.p[i] : b.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> keep(const Masks<P>& m, const Floats<P>& a) { Floats<P> r; RADIANT_EACH(P) r.p[i] = (NativeF)(m.p[i] & (NativeI)a.p[i]); return r; }
 RADIANT_INLINE uint32_t bits_of(const Mask& m) {
   uint32_t bits = 0;
 #if defined(__AVX__)
@@ -112,8 +118,8 @@ RADIANT_INLINE Mask mask_of(uint32_t bits) {
   RADIANT_PARTS for (int j = 0; j < kNative; ++j) r.p[i][j] = -static_cast<int32_t>(bits >> (kNative * i + j) & 1);
   return r;
 }
-RADIANT_INLINE F min(const F& a, const F& b) { F r; RADIANT_PARTS r.p[i] = a.p[i] < b.p[i] ? a.p[i] : b.p[i]; return r; }
-RADIANT_INLINE F max(const F& a, const F& b) { F r; RADIANT_PARTS r.p[i] = a.p[i] > b.p[i] ? a.p[i] : b.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> min(const Floats<P>& a, const Floats<P>& b) { Floats<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] < b.p[i] ? a.p[i] : b.p[i]; return r; }
+template <int P> RADIANT_INLINE Floats<P> max(const Floats<P>& a, const Floats<P>& b) { Floats<P> r; RADIANT_EACH(P) r.p[i] = a.p[i] > b.p[i] ? a.p[i] : b.p[i]; return r; }
 RADIANT_INLINE F sqrt(const F& a) {
   F r;
 #if defined(__AVX__)
@@ -125,12 +131,12 @@ RADIANT_INLINE F sqrt(const F& a) {
 #endif
   return r;
 }
-RADIANT_INLINE F reciprocal(const F& a) {
+template <int P> RADIANT_INLINE Floats<P> reciprocal(const Floats<P>& a) {
 #if defined(__AVX__)
-  F r;
-  RADIANT_PARTS r.p[i] = (NativeF)_mm256_rcp_ps((__m256)a.p[i]);
+  Floats<P> r;
+  RADIANT_EACH(P) r.p[i] = (NativeF)_mm256_rcp_ps((__m256)a.p[i]);
   // The estimate has 12 bits. A plain Newton step leaves −1e-7, always of one sign: in a product of 40 factors, 5e-6.
-  const F miss = 1.0f - a * r;
+  const Floats<P> miss = 1.0f - a * r;
   return r + r * (miss + miss * miss);
 #else
   return 1.0f / a;
@@ -138,38 +144,39 @@ RADIANT_INLINE F reciprocal(const F& a) {
 }
 #endif
 
-RADIANT_INLINE Mask operator>(const F& a, const F& b) { return b < a; }
-RADIANT_INLINE Mask operator>=(const F& a, const F& b) { return b <= a; }
-RADIANT_INLINE F clamp(const F& a, const F& low, const F& high) { return max(low, min(a, high)); }
-RADIANT_INLINE F abs(const F& a) { F r; RADIANT_PARTS r.p[i] = (NativeF)((NativeI)a.p[i] & 0x7fffffff); return r; }
-RADIANT_INLINE I truncated(const F& a) { I r; RADIANT_PARTS r.p[i] = __builtin_convertvector(a.p[i], NativeI); return r; }
-RADIANT_INLINE F as_float(const I& a) { F r; RADIANT_PARTS r.p[i] = __builtin_convertvector(a.p[i], NativeF); return r; }
+template <int P> RADIANT_INLINE auto operator>(const Floats<P>& a, const Floats<P>& b) { return b < a; }
+template <int P> RADIANT_INLINE auto operator>=(const Floats<P>& a, const Floats<P>& b) { return b <= a; }
+template <int P> RADIANT_INLINE Floats<P> clamp(const Floats<P>& a, const Floats<P>& low, const Floats<P>& high) { return max(low, min(a, high)); }
+template <int P> RADIANT_INLINE Floats<P> abs(const Floats<P>& a) { Floats<P> r; RADIANT_EACH(P) r.p[i] = (NativeF)((NativeI)a.p[i] & 0x7fffffff); return r; }
+template <int P> RADIANT_INLINE Ints<P> truncated(const Floats<P>& a) { Ints<P> r; RADIANT_EACH(P) r.p[i] = __builtin_convertvector(a.p[i], NativeI); return r; }
+template <int P> RADIANT_INLINE Floats<P> as_float(const Ints<P>& a) { Floats<P> r; RADIANT_EACH(P) r.p[i] = __builtin_convertvector(a.p[i], NativeF); return r; }
+RADIANT_INLINE Part part(const F& a, int i) { return {{a.p[i]}}; }
 RADIANT_INLINE Mask all_lanes() { return mask_of(0xffff); }
 
-RADIANT_INLINE F operator+(float a, const F& b) { return broadcast(a) + b; }
+template <int P> RADIANT_INLINE Floats<P> operator+(float a, const Floats<P>& b) { return broadcast<P>(a) + b; }
 
 // 2ᵗ for t ≤ 0, to 9e-8 or else to 2.6e-6, by the polynomial of 2ᶠ on 0 ≤ f < 1 with the least maximal relative error.
 // Far below −126 the result is 0 or next to it.
-template <bool kPrecise>
-RADIANT_INLINE F exp2_of_negative(const F& t) {
+template <bool kPrecise, int P>
+RADIANT_INLINE Floats<P> exp2_of_negative(const Floats<P>& t) {
   constexpr float c4[] = {1.0000026226043701f, 0.6930038332939148f, 0.2414427548646927f, 0.05201146379113197f, 0.013534167781472206f, 0.0f};
   constexpr float c5[] = {0.9999999403953552f,  0.6931530833244324f,   0.24015361070632935f,
                           0.05582631751894951f, 0.008989340625703335f, 0.0018775766948238015f};
   const float* c = kPrecise ? c5 : c4;
 #if defined(__AVX512DQ__)
-  const F f{{_mm512_reduce_ps(t.p[0], _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC)}};
+  const Floats<P> f{{_mm512_reduce_ps(t.p[0], _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC)}};
 #else
-  const F bounded = max(t, broadcast(-126.0f));
-  const I whole = truncated(bounded) + broadcast(int32_t{-1});
-  const F f = bounded - as_float(whole);
+  const Floats<P> bounded = max(t, broadcast<P>(-126.0f));
+  const Ints<P> whole = truncated(bounded) + broadcast<P>(int32_t{-1});
+  const Floats<P> f = bounded - as_float(whole);
 #endif
-  F power = kPrecise ? broadcast(c[4]) + f * c[5] : broadcast(c[4]);
+  Floats<P> power = kPrecise ? broadcast<P>(c[4]) + f * c[5] : broadcast<P>(c[4]);
   power = c[0] + f * (c[1] + f * (c[2] + f * (c[3] + f * power)));
 #if defined(__AVX512DQ__)
   return {{_mm512_scalef_ps(power.p[0], t.p[0])}};
 #else
-  F r;
-  RADIANT_PARTS r.p[i] = (NativeF)((NativeI)power.p[i] + (whole.p[i] << 23));
+  Floats<P> r;
+  RADIANT_EACH(P) r.p[i] = (NativeF)((NativeI)power.p[i] + (whole.p[i] << 23));
   return r;
 #endif
 }
@@ -257,12 +264,14 @@ RADIANT_INLINE void transpose(F rows[kLanes]) {
 #endif
 }
 
-// Lane i of the result is the sum of row i.
-RADIANT_INLINE F sums_of_rows(F rows[kLanes]) {
+// out[i] = sum of all lanes of rows[i], i < kRows ≤ 12.
+template <int kRows>
+RADIANT_INLINE void sums_of_rows(const Part* rows, float* out) {
 #if defined(__AVX512F__)
-  __m512 a[8], b[4];
-  for (int i = 0; i < 8; ++i)
-    a[i] = _mm512_add_ps(_mm512_unpacklo_ps(rows[2 * i].p[0], rows[2 * i + 1].p[0]), _mm512_unpackhi_ps(rows[2 * i].p[0], rows[2 * i + 1].p[0]));
+  const __m512 zero = _mm512_setzero_ps();
+  __m512 r[16], a[8], b[4];
+  for (int i = 0; i < 16; ++i) r[i] = i < kRows ? rows[i].p[0] : zero;
+  for (int i = 0; i < 8; ++i) a[i] = _mm512_add_ps(_mm512_unpacklo_ps(r[2 * i], r[2 * i + 1]), _mm512_unpackhi_ps(r[2 * i], r[2 * i + 1]));
   for (int i = 0; i < 4; ++i) {
     const __m512d low = _mm512_castps_pd(a[2 * i]), high = _mm512_castps_pd(a[2 * i + 1]);
     b[i] = _mm512_add_ps(_mm512_castpd_ps(_mm512_unpacklo_pd(low, high)), _mm512_castpd_ps(_mm512_unpackhi_pd(low, high)));
@@ -270,12 +279,27 @@ RADIANT_INLINE F sums_of_rows(F rows[kLanes]) {
   // Rows 4i … 4i + 3 stand in each quarter of b[i]: what is left is to add the quarters.
   for (int i = 0; i < 2; ++i)
     a[i] = _mm512_add_ps(_mm512_shuffle_f32x4(b[2 * i], b[2 * i + 1], 0x88), _mm512_shuffle_f32x4(b[2 * i], b[2 * i + 1], 0xdd));
-  return {{_mm512_add_ps(_mm512_shuffle_f32x4(a[0], a[1], 0x88), _mm512_shuffle_f32x4(a[0], a[1], 0xdd))}};
+  const __m512 sums = _mm512_add_ps(_mm512_shuffle_f32x4(a[0], a[1], 0x88), _mm512_shuffle_f32x4(a[0], a[1], 0xdd));
+  _mm512_mask_storeu_ps(out, (1u << kRows) - 1, sums);
 #else
-  transpose(rows);
-  F sum = rows[0];
-  for (int i = 1; i < kLanes; ++i) sum += rows[i];
-  return sum;
+  typedef float Quad __attribute__((vector_size(16)));
+  typedef int32_t Pick __attribute__((vector_size(16)));
+  alignas(16) Quad q[12];
+  for (int i = 0; i < 12; ++i) {
+    if (i >= kRows) q[i] = Quad{};
+#if defined(__AVX__)
+    else q[i] = (Quad)_mm_add_ps(_mm256_castps256_ps128((__m256)rows[i].p[0]), _mm256_extractf128_ps((__m256)rows[i].p[0], 1));
+#else
+    else q[i] = rows[i].p[0];
+#endif
+  }
+  alignas(16) float sums[12];
+  for (int i = 0; i < 12; i += 4) {
+    const Quad a = __builtin_shuffle(q[i], q[i + 1], Pick{0, 4, 1, 5}) + __builtin_shuffle(q[i], q[i + 1], Pick{2, 6, 3, 7});
+    const Quad b = __builtin_shuffle(q[i + 2], q[i + 3], Pick{0, 4, 1, 5}) + __builtin_shuffle(q[i + 2], q[i + 3], Pick{2, 6, 3, 7});
+    *reinterpret_cast<Quad*>(sums + i) = __builtin_shuffle(a, b, Pick{0, 1, 4, 5}) + __builtin_shuffle(a, b, Pick{2, 3, 6, 7});
+  }
+  __builtin_memcpy(out, sums, kRows * sizeof(float));
 #endif
 }
 
