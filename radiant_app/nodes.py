@@ -182,14 +182,16 @@ def _sfm_progress(stage: str, progress: Any) -> StageProgress:
 
 
 def _sky_decision(stage: str, share: float) -> Decision:
-    looks_up = share >= 0.005
+    from radiant_core.train.initialize import MIN_SKY_SHARE
+
+    looks_up = share >= MIN_SKY_SHARE
     return Decision(
         stage=stage,
         topic="sky",
         choice="Gaussians on a far half sphere were added" if looks_up else "no sky was added",
         figure=100 * share,
-        unit="% of the image area above the horizon",
-        reason="a sky is modelled from 0.5 % on",
+        unit="% above the horizon in the image that has most",
+        reason=f"a sky is modelled from {100 * MIN_SKY_SHARE:.0f} % of one image on",
     )
 
 

@@ -17,6 +17,8 @@ from radiant_core.train.views import TrainingViews
 
 INITIAL_OPACITY = 0.1
 NUM_SKY = 400
+MIN_SKY_SHARE = 0.03
+"""Less sky than this in every image is a strip that the far ground's Gaussians cover."""
 
 
 def initial_splats(points: FloatArray, colors: NDArray[np.uint8], cameras: Cameras, *, max_num_splats: int, sh_degree: int) -> Splats:
@@ -67,7 +69,7 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
 
 
 def sky_share(cameras: Cameras) -> float:
-    """Share of image area above the horizon (z up), estimated from a 9×9 grid of pixels per camera."""
+    """Share above the horizon (z up) of the image that has most of it, estimated from a 9×9 grid of pixels per camera."""
     if not len(cameras):
         return 0.0
     steps = (np.arange(9) + 0.5) / 9
@@ -76,7 +78,7 @@ def sky_share(cameras: Cameras) -> float:
     rays = np.concatenate([pixels, np.ones((*pixels.shape[:2], 1))], axis=-1)
     in_camera = np.einsum("cij,cpj->cpi", np.linalg.inv(cameras.Ks), rays)
     up = np.einsum("ci,cpi->cp", cameras.cam_from_world[:, :3, 2], in_camera)
-    return float((up > 0).mean())
+    return float((up > 0).mean(axis=1).max())
 
 
 def camera_extent(cameras: Cameras) -> float:
@@ -94,8 +96,8 @@ def _neighbour_distance(points: FloatArray) -> FloatArray:
 
 
 def _sky_points(points: FloatArray, cameras: Cameras) -> FloatArray:
-    """Points (S,3) on a half sphere far around everything; none when under 0.5 % of the image area looks up."""
-    if sky_share(cameras) < 0.005:
+    """Points (S,3) on a half sphere far around everything; none when less than `MIN_SKY_SHARE` of every image looks up."""
+    if sky_share(cameras) < MIN_SKY_SHARE:
         return np.zeros((0, 3))
     everything = np.concatenate([points, cameras.centers])
     low, high = np.quantile(everything, [0.02, 0.98], axis=0)
