@@ -2,8 +2,8 @@
 
     python sample_scenes/make_runs.py
 
-Only what a viewer reads is kept: manifest, plan, figures, model, sparse scene and pictures. The planted seam brightens all Gaussians
-in the first edge's region by 30 of 255 levels, so that its border shows a step of that height.
+Of the tiny run what a viewer reads is kept, and its report. The planted seam brightens all Gaussians in the first edge's region by 30
+of 255 levels, so that its border shows a step of that height; figures and pictures of the model without it are left out there.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from radiant_core.splats import SH_C0, Splats
 from radiant_core.train.needs import Overrides
 
 HERE = Path(__file__).resolve().parent
-KEPT = ("manifest.json", "plan.json", "metrics.json", "scene.ply", "sfm/scene.safetensors", "sfm/result.json")
+PLANNED = ("manifest.json", "plan.json", "scene.ply", "sfm/scene.safetensors", "sfm/result.json")
+KEPT = (*PLANNED, "metrics.json", "report.html")
 KEPT_FOLDERS = ("pictures/photographs", "pictures/renders", "pictures/differences")
 SEAM_LEVELS = 30
 SIZE = Overrides(long_side_px=120, num_steps=120, max_num_splats=2_000)
@@ -44,7 +45,9 @@ def main() -> None:
         for name in KEPT_FOLDERS:
             shutil.copytree(out / name, tiny / name)
     _forget_where_it_was_made(tiny / "manifest.json")
-    shutil.copytree(tiny, planted)
+    for name in PLANNED:
+        (planted / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(tiny / name, planted / name)
     plan, _ = load_plan(planted / "plan.json")
     save_ply(planted / "scene.ply", with_seam(load_ply(planted / "scene.ply"), plan.sites, plan.weights))
 

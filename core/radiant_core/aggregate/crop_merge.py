@@ -17,7 +17,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.splats import Splats, concatenate_splats
 
-BLIND_FACTOR = 3.0
+BLIND_FACTOR = 1.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
