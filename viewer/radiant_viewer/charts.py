@@ -103,7 +103,7 @@ def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: d
     if row.spans:
         stop_s = max(span.stop_s for span in row.spans)
         axes.annotate(
-            duration_text(stop_s),
+            duration_text(sum(span.stop_s - span.start_s for span in row.spans)),
             (stop_s / unit_s, index),
             xytext=(6, 0),
             textcoords="offset points",
