@@ -129,11 +129,12 @@ class TestCropMerge:
         np.testing.assert_array_equal(np.sort(merged.splats.means[:, 0]), np.sort(model.means[:, 0]))
 
     def test_a_weight_moves_the_border_by_the_documented_step(self) -> None:
-        model = ground_splats(2000)
+        west = ground_splats(2000)
+        east = replace(west, logit_opacities=west.logit_opacities + 1)  # the same places, so nobody is blind
         shift_m = 1.0
-        weights = np.array([2 * 4.0 * shift_m, 0.0])
-        merged = crop_merge([model, ground_splats(2000, seed=9)], SITES, weights)
-        from_west = np.isin(merged.splats.means[:, 0], model.means[:, 0])
+        merged = crop_merge([west, east], SITES, np.array([2 * 4.0 * shift_m, 0.0]))
+        from_west = np.isin(merged.splats.logit_opacities, west.logit_opacities)
+        assert merged.num_filled == 0
         assert merged.splats.means[from_west, 0].max() <= shift_m < merged.splats.means[~from_west, 0].min() + 0.05
 
     def test_a_neighbour_fills_where_the_owner_is_blind(self) -> None:
