@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn, track
 
 from radiant_app.events import Decided, Event, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 
+_Item = TypeVar("_Item")
 SECONDS_BETWEEN_LINES = 10.0
 """How often a stage tells a log file where it stands."""
+
+
+def tracked(items: Sequence[_Item], what: str) -> Iterator[_Item]:
+    """The items one after the other with a bar on a terminal's standard error, for a loop whose items take about as long as each other."""
+    console = Console(stderr=True)
+    return iter(track(items, description=what, console=console, disable=not console.is_terminal))
 
 
 class ProgressDisplay:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import product
 from typing import Literal, get_args
 
 import numpy as np
 
+from radiant_app.progress import tracked
 from radiant_core.evaluate.metric import Metric
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.cost_curves import CostCurve
@@ -29,14 +31,14 @@ _REPEATS = 3
 def bench_plan(quick: bool) -> list[Metric]:
     """`plan.<cameras>x<edges>.<kind>.<method>.<makespan_over_bound|time_ms>` for all kinds and methods."""
     metrics: list[Metric] = []
-    for num_cameras, num_edges in _QUICK_SIZES if quick else _SIZES:
-        for kind in get_args(LayoutKind):
-            rng = np.random.default_rng(num_cameras + num_edges)
-            positions = camera_layout(kind, num_cameras, rng)
-            system = place_edges(unequal_system(num_edges, rng), positions, None, seed=0)
-            for method in get_args(PlanMethod):
-                key = f"plan.{num_cameras}x{num_edges}.{kind}.{method}"
-                metrics += _measured(key, lambda p=positions, s=system, m=method: plan_regions(p, s, method=m))
+    cases = list(product(_QUICK_SIZES if quick else _SIZES, get_args(LayoutKind)))
+    for (num_cameras, num_edges), kind in tracked(cases, "bench plan"):
+        rng = np.random.default_rng(num_cameras + num_edges)
+        positions = camera_layout(kind, num_cameras, rng)
+        system = place_edges(unequal_system(num_edges, rng), positions, None, seed=0)
+        for method in get_args(PlanMethod):
+            key = f"plan.{num_cameras}x{num_edges}.{kind}.{method}"
+            metrics += _measured(key, lambda p=positions, s=system, m=method: plan_regions(p, s, method=m))
     return metrics
 
 

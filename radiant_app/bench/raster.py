@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from radiant_app.bench.drone_scene import SIZES, drone_scene, morton_order
+from radiant_app.progress import tracked
 from radiant_core import _native
 from radiant_core.cameras import Cameras
 from radiant_core.evaluate.metric import Direction, Metric
@@ -69,7 +70,7 @@ def _bench_size(size: str) -> list[Metric]:
         for order, model in (("random", splats), ("morton", morton_order(splats)))
     ]
     peaks = []
-    for _ in range(NUM_ROUNDS[size]):
+    for _ in tracked(range(NUM_ROUNDS[size]), f"bench raster {size}"):
         peaks.append(peak_fma_per_s())
         for case in cases:
             _run(case)

@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from radiant_app.progress import tracked
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
@@ -51,9 +52,9 @@ def bench_sfm(scene_folder: Path, quick: bool) -> list[Metric]:
         raise BadInput(f"{scene_folder} has no known/ cameras: give a scene of the generator, sample_scenes/town for example.")
     known = cameras_of(read_model(scene_folder / "known"))
     runs: dict[MatchingKind, list[SfmRun]] = {"spatial": [], "exhaustive": []}
-    for _ in range(1 if quick else NUM_RUNS):
-        for matching, done in runs.items():
-            done.append(_run(scene_folder / "images", matching, known, QUICK_FEATURES if quick else None))
+    turns: list[MatchingKind] = ["spatial", "exhaustive"] * (1 if quick else NUM_RUNS)
+    for matching in tracked(turns, "bench sfm"):
+        runs[matching].append(_run(scene_folder / "images", matching, known, QUICK_FEATURES if quick else None))
     return [metric for matching, done in runs.items() for metric in _metrics(f"sfm.{scene_folder.name}.{matching}", done)]
 
 

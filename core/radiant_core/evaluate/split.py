@@ -1,7 +1,7 @@
 """Which photographs are kept apart. Computed once per scene, from names alone, so that it is the same in every run.
 
-held out: position 0, 8, 16, … by sorted name, used for scoring only; validation: position 0, 8, 16, … of what remains,
-used for choices inside training.
+held out: what the set itself keeps in val/ (Mill 19 does), else position 0, 8, 16, … by sorted name; used for scoring only.
+validation: position 0, 8, 16, … of what remains, used for choices inside training.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ from radiant_core.errors import BadInput
 def held_out_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
     """Mask (C,) of the first, ninth, … of `names` (C) in sorted order; it moves with the names when they are reordered.
 
+    Where some names begin with "train/" and all others with "val/" the set brings its own split, and "val/" is held out.
     Raises BadInput when `every` is below 2 (nothing would be left to train on) or a name comes twice.
     """
-    return _every_nth(names, np.ones(len(names), bool), every)
+    everything = _every_nth(names, np.ones(len(names), bool), every)
+    folders = [name.split("/")[0] for name in names]
+    return np.array([folder == "val" for folder in folders]) if set(folders) == {"train", "val"} else everything
 
 
 def validation_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:

@@ -10,7 +10,6 @@ Source: Turki et al., Mega-NeRF, CVPR 2022, and the layout of its published data
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError  # noqa: TID251 only the error that torch.load raises is wanted
 from typing import Any
@@ -26,18 +25,10 @@ _WORLD_FROM_DRB = np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]])
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Mill19Scene:
-    """Cameras named by their file path in the folder ("train/rgbs/000001.jpg"), z up, middle of the scene near the origin."""
+def read_mill19(folder: Path) -> Cameras:
+    """The posed photographs of a Mill 19 folder, lengths in its own unit (published ones: metres), z up, middle near the origin.
 
-    cameras: Cameras
-    held_out: tuple[str, ...]
-    """Names of the images in val/."""
-
-
-def read_mill19(folder: Path) -> Mill19Scene:
-    """The posed photographs of a Mill 19 folder, lengths in its own unit (published ones: metres).
-
+    Named by their path in the folder ("train/rgbs/000001.jpg"); `held_out_mask` knows those in val/.
     Raises BadInput naming the file when one is missing, is no such file, or holds values that make no camera.
     """
     coordinates_path = folder / "coordinates.pt"
@@ -50,14 +41,12 @@ def read_mill19(folder: Path) -> Mill19Scene:
         raise BadInput(f"{folder} has no train/metadata/*.pt or val/metadata/*.pt: give a folder in the Mega-NeRF layout.")
     names = [_image_name(folder, split, path) for split, path in entries]
     facts = [_camera(path, scale) for _, path in entries]
-    cameras = Cameras(
+    return Cameras(
         names=tuple(names),
         Ks=np.array([K for K, _, _ in facts]),
         cam_from_world=np.array([pose for _, pose, _ in facts]),
         sizes_wh=np.array([size_wh for _, _, size_wh in facts]),
     )
-    held_out = tuple(name for name, (split, _) in zip(names, entries, strict=True) if split == "val")
-    return Mill19Scene(cameras=cameras, held_out=held_out)
 
 
 def _image_name(folder: Path, split: str, metadata_path: Path) -> str:

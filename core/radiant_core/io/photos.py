@@ -70,15 +70,16 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
     """
     if not folder.is_dir():
         raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with JPEG or PNG files.")
+    skipped: list[Skipped] = []
     if names is None:
         names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+        skipped = _subfolders(folder)
     names = [name for name in names if (folder / name).is_file()]
     if not names:
         inner = next((path.parent for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()), None)
         where = "give the folder that holds the image files" if inner is None else f"there are some in {inner}: give that folder"
         raise BadInput(f"{folder} itself contains no photographs (.jpg, .jpeg, .png): {where}.")
     photographs: list[Photograph] = []
-    skipped: list[Skipped] = []
     for done, found in enumerate(_inspected(folder, names), start=1):
         if isinstance(found, Photograph):
             photographs.append(found)
@@ -100,6 +101,14 @@ def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]
     if (image.shape[1], image.shape[0]) != tuple(size_wh):
         image = cv2.resize(image, tuple(size_wh), interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(image[:, :, ::-1], dtype=np.float32) / np.float32(255)
+
+
+def _subfolders(folder: Path) -> list[Skipped]:
+    """The folders in `folder` that hold JPEG files, as a camera starts one when the last is full; they are not read."""
+    inner_folders = [inner for inner in folder.iterdir() if inner.is_dir() and os.access(inner, os.R_OK | os.X_OK)]
+    counts = {inner.name: sum(path.suffix.lower() in SUFFIXES[:2] for path in inner.iterdir()) for inner in inner_folders}
+    told = "is a subfolder with {} photographs (move them beside the others to use them)"
+    return [Skipped(name=f"{name}/", reason=told.format(count)) for name, count in sorted(counts.items()) if count]
 
 
 def _inspected(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]:

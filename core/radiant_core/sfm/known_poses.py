@@ -42,7 +42,7 @@ def scene_from_mill19(folder: Path, work_folder: Path, report: Report, config: S
 
     Raises BadInput when the folder is not in that layout or an image cannot be used.
     """
-    cameras = read_mill19(folder).cameras
+    cameras = read_mill19(folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report)
     decision = Decision(
         stage="sfm",

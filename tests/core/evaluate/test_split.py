@@ -33,6 +33,15 @@ def test_the_order_of_the_list_does_not_matter(mask_of, every: int) -> None:
     assert chosen(shuffled, mask_of(shuffled, every)) == chosen(NAMES, mask_of(NAMES, every))
 
 
+def test_a_set_with_a_split_of_its_own_keeps_it() -> None:
+    names = [f"val/rgbs/{name}" if index in (3, 17) else f"train/rgbs/{name}" for index, name in enumerate(NAMES)]
+    held, validation = held_out_mask(names), validation_mask(names)
+    assert np.flatnonzero(held).tolist() == [3, 17]
+    assert not (held & validation).any() and validation.sum() == 8  # 58 training photographs: ⌈58/8⌉
+    only_train = [name for name in names if name.startswith("train/")]
+    assert held_out_mask(only_train).sum() == 8
+
+
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_small_sets_work(count: int) -> None:
     assert held_out_mask(NAMES[:count]).tolist() == [True, False][:count]

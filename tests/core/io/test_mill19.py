@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.mill19 import read_mill19
 
 SIZE_WH = (64, 48)
@@ -50,10 +51,9 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_axes_scale_and_split(folder: Path) -> None:
-    scene = read_mill19(folder)
-    cameras = scene.cameras
+    cameras = read_mill19(folder)
     assert cameras.names == ("train/rgbs/000000.jpg", "val/rgbs/000001.jpg")
-    assert scene.held_out == ("val/rgbs/000001.jpg",)
+    assert held_out_mask(cameras.names).tolist() == [False, True]
     # down −0.5, right 0.25, back −0.125 times 200: 100 up, 50 to the right, 25 forward.
     assert np.allclose(cameras.centers[0], [50, 25, 100], atol=1e-5)
     nadir, north = cameras.cam_from_world[:, :3, :3]
@@ -69,7 +69,7 @@ def test_poses_are_rotations_to_the_last_digit_though_files_hold_float32(folder:
     angle = 0.3
     turned = metadata((0, np.cos(angle), np.sin(angle)), (0, np.sin(angle), -np.cos(angle)), (-1, 0, 0), (0, 0, 0))
     save(turned, folder / "train" / "metadata" / "000000.pt")
-    rotation = read_mill19(folder).cameras.cam_from_world[0, :3, :3]
+    rotation = read_mill19(folder).cam_from_world[0, :3, :3]
     assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-14
 
 
@@ -111,7 +111,7 @@ def test_missing_and_damaged_files_are_named(folder: Path, tmp_path: Path) -> No
         data[rng.integers(len(data))] ^= 1 << rng.integers(8)
         path.write_bytes(data[: rng.integers(len(data) // 2, len(data) + 1)])
         with contextlib.suppress(BadInput):
-            assert np.isfinite(read_mill19(folder).cameras.centers).all()
+            assert np.isfinite(read_mill19(folder).centers).all()
     path.write_bytes(good)
     (folder / "train" / "rgbs" / "000000.jpg").unlink()
     with pytest.raises(BadInput, match="has no image"):

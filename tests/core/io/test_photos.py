@@ -125,6 +125,16 @@ def test_damaged_files_are_skipped_and_named_and_the_rest_is_used(tmp_path: Path
     assert "pixels" in reasons["bomb.png"]
 
 
+def test_full_folders_of_a_camera_are_named_because_they_are_not_read(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "101MEDIA/c.jpg", "101MEDIA/d.JPG"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write(tmp_path / name, picture(3))
+    (tmp_path / "notes").mkdir()
+    listing = list_photographs(tmp_path)
+    assert [photo.name for photo in listing.photographs] == ["a.jpg", "b.jpg"]
+    assert [(skipped.name, "2 photographs" in skipped.reason) for skipped in listing.skipped] == [("101MEDIA/", True)]
+
+
 def test_an_embedded_thumbnail_does_not_make_a_cut_jpeg_whole() -> None:
     thumbnail = cv2.imencode(".jpg", picture(2, (32, 24)))[1].tobytes()
     jpeg = cv2.imencode(".jpg", picture(3))[1].tobytes()
