@@ -20,6 +20,8 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+MAX_SEED = 2**31 - 1
+"""What numpy, torch and COLMAP all take."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C; what typer returns for it."""
 
@@ -34,7 +36,7 @@ TrainPresetOption = Annotated[TrainPreset, typer.Option(help="draft: quick; stan
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
-Seed = Annotated[int, typer.Option(help="Seed of every random choice.")]
+Seed = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of every random choice.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
 Out = Annotated[Path, typer.Option("--out", help="Where the result is written; must not exist or be empty.", show_default=False)]
 SystemFile = Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; else two edges with two each.")]
@@ -207,7 +209,7 @@ def bench(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
     scene: Annotated[Path | None, typer.Option(help="Scene with known cameras; the sample town without it.")] = None,
-    threads: Annotated[int | None, typer.Option(min=1, help="Threads of the rasterizer; all cores without it.")] = None,
+    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of the rasterizer; all cores without it.")] = None,
 ) -> None:
     """Run time beside error."""
     from radiant_app.bench.runner import BenchOptions, run_bench
@@ -229,7 +231,7 @@ def doctor(as_json: AsJson = False) -> None:
 def main() -> NoReturn:
     """Entry point: one sentence for what a user can mend, exit code 2 for bad input, 130 for Ctrl-C."""
     # A polite kill ends like Ctrl-C, through the same clean-up, so that no worker outlives the run.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         signal.signal(number, _interrupt)
     try:
         code = app(standalone_mode=False)
@@ -240,7 +242,7 @@ def main() -> NoReturn:
         _say(f"{error.strerror or error} ({error.filename}): check the path, the rights and the free space.")
         sys.exit(BadInput.exit_code)
     except typer.TyperException as error:
-        _say(f"{error} `radiant --help` and `radiant COMMAND --help` say what there is.")
+        _say(f"{error.format_message().rstrip('.')}: `radiant --help` and `radiant COMMAND --help` say what there is.")
         sys.exit(BadInput.exit_code)
     signal.setitimer(signal.ITIMER_REAL, 0)
     if code == INTERRUPTED:

@@ -56,6 +56,10 @@ def plan(scene_folder: Path, out: Path, system_path: Path | None, method: PlanMe
     from radiant_viewer.images import save_png
     from radiant_viewer.views import plan_picture
 
+    if out.suffix != ".json":
+        raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
+    for path in (out, out.with_suffix(".png")):
+        _require_file_to_be(path)
     scene = training_part(_load_scene(scene_folder))
     system = even_system(2, 2) if system_path is None else load_system(system_path)
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
@@ -115,13 +119,14 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
 
     _require_file_to_be(out)
     require_run(run)
-    cloud_plan, _ = load_plan(run / "plan.json")
+    cloud_plan, edge_plans = load_plan(run / "plan.json")
     config = AggregateConfig(preset=preset, num_epochs=epochs)
     models, rows, seconds = [], [], 0.0
-    for row, edge in enumerate(cloud_plan.edge_ids):
-        if not (run / "edges" / edge / "task.json").exists():
+    for row, edge_plan in enumerate(edge_plans):
+        if not len(edge_plan.camera_indices):
             continue
-        task = read_json(run / "edges" / edge / "task.json")
+        edge = edge_plan.edge_id
+        task = read_json(run / "edges" / edge / "task.json", ("devices", "train"))
         inbox = [run / "edges" / edge / "inbox" / device for device in task["devices"]]
         with _stage(display, f"edges/{edge}") as report:
             options = FitOptions(report=lambda p, report=report: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
@@ -131,8 +136,6 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
         models.append(result.splats)
         rows.append(row)
         seconds += result.seconds
-    if not models:
-        raise BadInput(f"{run} holds no device models: give a run whose devices/ and edges/ were kept.")
     merged = crop_merge(models, cloud_plan.sites[rows], cloud_plan.weights[rows])
     save_ply(out, merged.splats)
     return {"gaussians": len(merged.splats), "retrain_s": round(seconds, 2), "filled": merged.num_filled, "model": str(out)}
@@ -152,7 +155,7 @@ def render(model: Path, out: Path, cameras_path: Path | None, long_side_px: int 
     splats = load_ply(model / "scene.ply" if model.is_dir() else model)
     with new_folder(out), _stage(display, "render") as report:
         for done, view in enumerate(render_views(splats, cameras), 1):
-            path = out / Path(view.name).with_suffix(".png")
+            path = out / f"{view.name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, png_bytes(view.image_bytes))
             report(done, len(cameras), view.name)
@@ -182,6 +185,8 @@ def screenshot(run: Path, view: Any, path: Path) -> str:
     from radiant_viewer.images import save_png
     from radiant_viewer.views import screenshot as make_screenshot
 
+    if path.suffix.lower() != ".png" or not path.parent.is_dir():
+        raise BadInput(f"cannot write {path}: give a name that ends in .png in a folder that exists.")
     save_png(path, make_screenshot(run, view))
     return f"written: {path}"
 
@@ -222,7 +227,7 @@ def _images_folder(folder: Path) -> Path:
     owner = folder / "sfm" if (folder / "sfm" / "result.json").is_file() else folder
     if not (owner / "result.json").is_file():
         raise BadInput(f"{owner} holds no result.json that names its photographs: give the folder of 'radiant sfm' or of a run.")
-    return owner / read_json(owner / "result.json")["images"]
+    return owner / read_json(owner / "result.json", ("images",))["images"]
 
 
 def _require_file_to_be(out: Path) -> None:

@@ -48,3 +48,16 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.max_workers < 0:
             raise BadInput(f"max_workers is {self.max_workers}, expected 0 (one per core) or more.")
+        if not 0 <= self.seed < 2**31:
+            raise BadInput(f"seed is {self.seed}, expected 0 to {2**31 - 1}.")
+        for path in (self.source, self.out):
+            if not _is_text(path):
+                raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")
+
+
+def _is_text(path: Path) -> bool:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -57,6 +57,7 @@ class Dealer:
 
     def _fill_edge(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
         devices = [_name(child) for child in node.children]
+        shutil.rmtree(folder / "inbox", ignore_errors=True)
         for device in devices:
             place = folder / "inbox" / device
             deal_files(self.run / "devices" / device, ["model.safetensors"], place)
@@ -66,6 +67,7 @@ class Dealer:
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
         edges = [_name(child) for child in node.children]
+        shutil.rmtree(folder / "inbox", ignore_errors=True)
         for edge in edges:
             deal_files(self.run / "edges" / edge, ["model.safetensors"], folder / "inbox" / edge)
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]

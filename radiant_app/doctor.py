@@ -73,10 +73,12 @@ def _package(name: str) -> Finding:
 
 
 def _native() -> Finding:
-    found = importlib.util.find_spec("radiant_core._native")
-    place = "not built" if found is None or found.origin is None else Path(found.origin).name
     advice = "install a C++ compiler (g++) and run ./setup.sh."
-    return Finding(name="native module", ok=found is not None, needed=True, found=place, advice=advice)
+    try:
+        from radiant_core import _native
+    except ImportError as error:
+        return Finding(name="native module", ok=False, needed=True, found=f"not built for this Python ({error})", advice=advice)
+    return Finding(name="native module", ok=True, needed=True, found=f"{_native.compiler()}, {', '.join(_native.instruction_sets())}")
 
 
 def _cuda() -> Finding:
@@ -91,14 +93,24 @@ def _desktop() -> Finding:
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     extra = importlib.util.find_spec("pyvistaqt") is not None
     found = f"display {display or 'none'}, extra {'installed' if extra else 'not installed'}"
-    advice = ".venv/bin/pip install -e '.[desktop]' on a machine with a display; pictures work without."
+    missing = ["on a machine with a display"] if not display else []
+    missing += [] if extra else [".venv/bin/pip install -e '.[desktop]'"]
+    advice = f"{' and '.join(missing)}; pictures work without."
     return Finding(name="desktop window", ok=bool(display) and extra, needed=False, found=found, advice=advice)
 
 
 def _memory() -> Finding:
-    available_bytes = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    gib = available_bytes / 2**30
+    gib = _available_bytes() / 2**30
     return Finding(name="free memory", ok=gib >= 2, needed=False, found=f"{gib:.1f} GiB", advice="2 GiB or more are advised.")
+
+
+def _available_bytes() -> int:
+    """What programs can still take, page cache included; without Linux's own figure what lies wholly unused."""
+    try:
+        rows = dict(row.split(":") for row in Path("/proc/meminfo").read_text(encoding="ascii").splitlines())
+        return int(rows["MemAvailable"].split()[0]) * 1024
+    except (OSError, KeyError, ValueError):
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def _disk() -> Finding:

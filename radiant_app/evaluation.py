@@ -74,7 +74,7 @@ def save_comparison(folder: Path, view: RenderedView, photograph: NDArray[np.flo
     difference = np.clip(3 * np.abs(view.image - photograph), 0, 1)
     names = []
     for kind, image in (("renders", view.image), ("photographs", photograph), ("differences", difference)):
-        name = f"{kind}/{Path(view.name).with_suffix('.png')}"
+        name = f"{kind}/{view.name}.png"
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_atomic(folder / name, png_bytes((image * 255).round().astype(np.uint8)))
         names.append(name)

@@ -54,7 +54,7 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
 def read_notes(folder: Path, stage: str) -> list[Event]:
     """The decisions and warnings that a finished node left behind."""
-    notes = read_json(folder / "notes.json")
+    notes = read_json(folder / "notes.json", ("decisions", "warnings"))
     decided = [Decided(decision=Decision(**fields)) for fields in notes["decisions"]]
     return [*decided, *(Warned(stage=stage, message=message) for message in notes["warnings"])]
 

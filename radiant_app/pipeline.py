@@ -28,6 +28,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import tree_of_plan
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_plan, save_splats
@@ -102,6 +103,7 @@ def run(
         training = scene.restricted_to(np.flatnonzero(~held_out))
         system, cloud_plan, edge_plans = _plan_stage(config, system, training, progress)
         train, aggregate, backend = _training_settings(config, progress)
+        _require_size(scene, train)
         dealer = Dealer(
             run=config.out,
             images=images,
@@ -112,8 +114,10 @@ def run(
             aggregate=aggregate,
             backend=backend,
         )
+        tree = tree_of_plan(cloud_plan, edge_plans)
+        manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
         executor = LocalExecutor(num_workers=config.num_workers, clock=clock)
-        executor.fold(tree_of_plan(cloud_plan, edge_plans), dealer.prepare, progress.listen)
+        executor.fold(tree, dealer.prepare, progress.listen)
         manifest.ledger = dealer.ledger
         _evaluation_stage(config, scene, train, (images, backend), progress)
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
@@ -138,7 +142,7 @@ def _sfm_stage(config: RunConfig, progress: _Progress) -> tuple[SfmScene, Path]:
     if scene.frame.kind == "unscaled":
         message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
         progress.listen(Warned(stage="sfm", message=message))
-    return scene, folder / read_json(folder / "result.json")["images"]
+    return scene, folder / read_json(folder / "result.json", ("images",))["images"]
 
 
 def _source_files(config: RunConfig) -> list[tuple[str, int, int]]:
@@ -178,6 +182,15 @@ def _training_settings(config: RunConfig, progress: _Progress) -> tuple[TrainCon
     return train, aggregate, backend
 
 
+def _require_size(scene: SfmScene, train: TrainConfig) -> None:
+    width, height = min(scene.cameras.scaled(train.long_side_px).sizes_wh.tolist(), key=min)
+    if min(width, height) < SSIM_WINDOW_PX:
+        raise BadInput(
+            f"with a long side of {train.long_side_px} px a photograph is {width} × {height} px, expected {SSIM_WINDOW_PX} or more a side "
+            "for SSIM: raise --long-side-px."
+        )
+
+
 def _evaluation_stage(config: RunConfig, scene: SfmScene, train: TrainConfig, rendering: tuple[Path, str], progress: _Progress) -> None:
     images, backend = rendering
     folder = config.out / "evaluation"
@@ -189,7 +202,7 @@ def _evaluation_stage(config: RunConfig, scene: SfmScene, train: TrainConfig, re
 
 
 def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan) -> dict[str, Any]:
-    result = read_json(run / "evaluation" / "result.json")
+    result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
     metrics = {**result, "seconds": seconds, "planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
     write_json(run / "metrics.json", metrics)

@@ -80,7 +80,7 @@ def _timeline_rows(manifest: Manifest) -> list[Any]:
 def _comparison(run: Path, row: dict[str, Any]) -> dict[str, Any]:
     from radiant_viewer.images import load_image
 
-    name = str(Path(row["name"]).with_suffix(".png"))
+    name = f"{row['name']}.png"
     folder = run / "pictures"
     strip = np.hstack([load_image(folder / kind / name) for kind in ("photographs", "renders", "differences")])
     encoded, data = cv2.imencode(".jpg", strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
@@ -101,7 +101,7 @@ def _node_rows(run: Path, manifest: Manifest, cloud_plan: CloudPlan, edge_plans:
 
 def _node_row(run: Path, manifest: Manifest, node: str, num_cameras: int, planned_s: float) -> dict[str, Any]:
     idle = {"num_splats": 0, "num_steps": 0, "train_s": 0.0, "model_bytes": 0}
-    summary = read_json(run / node / "summary.json") if num_cameras else idle
+    summary = read_json(run / node / "summary.json", tuple(idle)) if num_cameras else idle
     times = manifest.stages.get(node, {"started_s": 0.0, "ended_s": 0.0})
     return {
         "node": node,
@@ -117,7 +117,7 @@ def _frame_facts(run: Path) -> dict[str, Any]:
     from radiant_core.io.records import load_scene
 
     scene = load_scene(run / "sfm" / "scene.safetensors")
-    unregistered = read_json(run / "sfm" / "result.json")["unregistered"]
+    unregistered = read_json(run / "sfm" / "result.json", ("unregistered",))["unregistered"]
     return {
         "kind": scene.frame.kind,
         "unit": scene.frame.unit,

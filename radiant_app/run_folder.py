@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import platform
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -23,7 +23,7 @@ from radiant_app.config import RunConfig
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import RunLock, write_json
+from radiant_core.io.run_store import LOCK_NAME, RunLock, write_json
 
 MANIFEST_VERSION = 1
 
@@ -65,6 +65,12 @@ class Manifest:
         self.decisions = [decision for decision in self.decisions if decision["stage"] != stage]
         self.warnings = [warning for warning in self.warnings if not warning.startswith(f"{stage}: ")]
 
+    def keep_stages(self, stages: Collection[str]) -> None:
+        """Forget all other stages: those of devices and edges that an earlier plan had."""
+        for stage in self.stages.keys() - set(stages):
+            self._forget(stage)
+            del self.stages[stage]
+
     @property
     def ended_s(self) -> float:
         """When the last stage so far ended; 0 at first. A resumed run goes on from there."""
@@ -88,9 +94,13 @@ def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
         with RunLock(config.out), _ending(_reopened(config.out, settings)) as manifest:
             yield manifest
         return
-    fresh = Manifest(folder=config.out, config=settings)
-    with new_folder(config.out, keep=Path("sfm", "done.json")), RunLock(config.out), _ending(fresh) as manifest:
-        yield manifest
+    made = _made_folders(config.out)
+    # A lock that somebody else holds is no reason to clean up: what lies there is that run's work.
+    with RunLock(config.out):
+        _require_empty(config.out)
+        fresh = Manifest(folder=config.out, config=settings)
+        with _undone_after_bad_input(config.out, made, keep=Path("sfm", "done.json")), _ending(fresh) as manifest:
+            yield manifest
 
 
 @contextmanager
@@ -111,25 +121,47 @@ def _ending(manifest: Manifest) -> Iterator[Manifest]:
 
 
 @contextmanager
-def new_folder(out: Path, keep: Path | None = None) -> Iterator[None]:
+def new_folder(out: Path) -> Iterator[None]:
     """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot be made.
 
-    After a BadInput within, everything that was made here goes again, unless the file `keep` (relative to it) stands by then.
+    After a BadInput within, everything that was made here goes again.
     """
+    made = _made_folders(out)
+    with _undone_after_bad_input(out, made):
+        yield
+
+
+def _made_folders(out: Path) -> list[Path]:
+    """`out`, which afterwards is an empty folder, and its parents, as far as they had to be made; innermost first."""
+    if out.is_symlink() and not out.exists():
+        raise BadInput(f"{out} is a link to {out.readlink()}, which does not exist: make that folder or choose another name.")
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file, expected a folder: choose another name.")
-    if out.is_dir() and any(out.iterdir()):
-        raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with a run there by --resume.")
+    if out.is_dir():
+        _require_empty(out)
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
     out.mkdir(parents=True, exist_ok=True)
+    return missing
+
+
+def _require_empty(out: Path) -> None:
+    if any(path.name != LOCK_NAME for path in out.iterdir()):
+        raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with a run there by --resume.")
+
+
+@contextmanager
+def _undone_after_bad_input(out: Path, made: list[Path], keep: Path | None = None) -> Iterator[None]:
+    """After a BadInput within, `out` is emptied and the folders `made` go, unless the file `keep` (relative to it) stands by then."""
     try:
         yield
     except BadInput:
         if keep is None or not (out / keep).exists():
             for inner in list(out.iterdir()):
                 shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
-            for folder in missing:
-                folder.rmdir()
+            for folder in made:
+                # Somebody may have begun another run here in the meantime.
+                with suppress(OSError):
+                    folder.rmdir()
         raise
 
 

@@ -37,8 +37,9 @@ MAX_FILE_BYTES = 1 << 20
 _BYTES_PER_S_PER_MBIT = 1e6 / 8
 _BYTES_PER_MB = 1e6
 
-_NonNegative = Annotated[float, Field(ge=0)]
-_Positive = Annotated[float, Field(gt=0)]
+_NonNegative = Annotated[float, Field(ge=0, le=1e12)]
+_Positive = Annotated[float, Field(gt=0, le=1e12)]
+_Speed = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
@@ -68,7 +69,7 @@ class _Device(_Strict):
     model_mb: _Curve = _Curve(linear=0.5)
     uplink_mbit_per_s: _Positive = 50.0
     max_cameras: Annotated[int, Field(ge=0)] | None = None
-    relative_speed: _Positive = 1.0
+    relative_speed: _Speed = 1.0
 
     def built(self) -> Device:
         return Device(
@@ -92,6 +93,10 @@ class _Edge(_Strict):
     def built(self) -> Edge:
         if self.position_m is not None and self.lat_lon_deg is not None:
             raise BadInput(f"edge {self.id!r} has both position_m and lat_lon_deg: give one of them or neither.")
+        if self.lat_lon_deg is not None and (abs(self.lat_lon_deg[0]) > 90 or abs(self.lat_lon_deg[1]) > 180):
+            raise BadInput(
+                f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
+            )
         return Edge(
             id=self.id,
             position=None if self.position_m is None else (self.position_m[0], self.position_m[1]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class RadiantError(Exception):
-    """Base of all errors that a user may cause and read; `exit_code` is what the command line returns."""
+    """Base of all errors that a user may cause and read; `exit_code` is what the command line returns: 2 where another input helps."""
 
     exit_code = 1
 
@@ -21,3 +21,5 @@ class StageFailed(RadiantError):
 
 class StoreDamaged(RadiantError):
     """A stored file is missing or its bytes are not those that were written."""
+
+    exit_code = 2

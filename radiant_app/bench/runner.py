@@ -28,6 +28,10 @@ class BenchOptions:
 
 def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
     """Run the benchmark `name` and report; BadInput for an unknown name or an unwritable file."""
+    if json_file is not None and not json_file.parent.is_dir():
+        raise BadInput(f"there is no folder {json_file.parent} to write {json_file.name} into: make it first.")
+    if options.scene is not None and name != "sfm":
+        raise BadInput(f"--scene is for the benchmark sfm, not for {name}: leave it out.")
     metrics = measure(name, options)
     typer.echo(table(metrics))
     if json_file is not None:

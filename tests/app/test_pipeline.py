@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageSkipped
 from radiant_app.pipeline import RunResult, run
+from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
@@ -126,6 +128,48 @@ def test_commands_on_a_finished_run(finished: tuple[RunConfig, RunResult, list[E
     assert trained.returncode == 0 and len(load_ply(tmp_path / "all.ply")) > 100, trained.stderr
     shot = radiant("inspect", config.out, "--screenshot", tmp_path / "shot.png", "--view", "cameras")
     assert shot.returncode == 0 and (tmp_path / "shot.png").stat().st_size > 1000, shot.stderr
+
+
+def test_commands_refuse_what_is_damaged_or_taken(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
+    config, _, _ = finished
+    copy = tmp_path / "copy"
+    shutil.copytree(config.out, copy)
+    edge = next((copy / "edges").iterdir())
+    (edge / "task.json").write_text("null")
+    (copy / "sfm" / "result.json").write_text("[]")
+    (tmp_path / "plan.json").write_text("mine")
+    cases = [
+        (("aggregate", copy, "--out", tmp_path / "a.ply"), "task.json is no JSON object"),
+        (("train", copy, "--out", tmp_path / "t.ply", "--steps", 1), "result.json is no JSON object"),
+        (("train", config.out, "--out", tmp_path / "t.ply", "--seed", -1), "seed"),
+        (("plan", config.out, "--out", tmp_path / "plan.png"), "ends in .json"),
+        (("plan", config.out, "--out", tmp_path / "plan.json"), "exists"),
+        (("export", tmp_path / "none.safetensors", tmp_path / "e.ply"), "none.safetensors"),
+        (("inspect", config.out, "--screenshot", tmp_path / "shot.jpg"), "ends in .png"),
+        (("bench", "plan", "--quick", "--json", tmp_path / "none" / "plan.json"), "there is no folder"),
+        (("render", config.out, "--cameras", config.out / "scene.ply", "--out", tmp_path / "r"), "scene.ply"),
+    ]
+    for arguments, told in cases:
+        result = radiant(*arguments)
+        assert result.returncode == 2, (arguments, result.stderr)
+        assert told in result.stderr and "Traceback" not in result.stderr, (arguments, result.stderr)
+    (edge / "task.json").unlink()
+    assert radiant("aggregate", copy, "--out", tmp_path / "a.ply").returncode == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["copy", "plan.json"]
+
+
+def test_photographs_that_would_become_too_narrow_are_refused_before_training(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    copy = tmp_path / "copy"
+    shutil.copytree(config.out, copy)
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["config"]["overrides"]["long_side_px"] = 14
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    narrow = RunConfig(source=config.source, out=copy, overrides=replace(TINY, long_side_px=14))
+    with pytest.raises(BadInput, match="expected 11 or more a side"):
+        run(narrow, resume=True)
 
 
 def _photographs(folder: Path, source: Path, count: int) -> Path:

@@ -48,6 +48,20 @@ def test_strays_among_many_points_do_not_widen_the_picture_but_every_camera_coun
     assert np.abs(drawn_positions([few])).max() == 1e6
 
 
+def test_the_far_sky_of_a_model_does_not_shrink_borders_and_towers_stay_in_the_picture() -> None:
+    directions = np.random.default_rng(0).normal(size=(400, 3))
+    sky = 1000 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    tower = np.column_stack([np.zeros((50, 2)), np.linspace(0, 20, 50)])
+    cloud = np.concatenate([TOWN.scene.points, tower, sky])
+    model = Layer(name="model", points=cloud, point_colors=np.zeros((len(cloud), 3), np.uint8))
+    border = np.array([[[-10.0, 0, 0], [10.0, 0, 0]]])
+    seam = Layer(name="seam", segments=border, segment_colors=np.zeros((1, 3), np.uint8))
+    assert np.abs(drawn_positions([model])[:, :2]).max() <= max(HALF_WH)
+    both = drawn_positions([model, seam])
+    assert np.ptp(both[:, 0]) <= 1.5 * 20
+    assert both[:, 2].max() >= 4.5
+
+
 def test_every_colour_of_a_category_is_its_own_up_to_21_regions() -> None:
     assert len(np.unique(category_colors(21), axis=0)) == 21
 

@@ -42,7 +42,8 @@ def save_png(path: Path, image: Image) -> None:
 
 def load_image(path: Path) -> Image:
     """An image file of the run as (H,W,3) uint8; BadInput when it is missing or no image."""
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    data = np.frombuffer(path.read_bytes() if path.is_file() else b"", np.uint8)
+    pixels = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
     if pixels is None:
         raise BadInput(f"cannot read the picture {path}: it is missing or broken, run the evaluation again.")
     return np.ascontiguousarray(pixels[:, :, ::-1], dtype=np.uint8)

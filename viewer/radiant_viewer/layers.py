@@ -17,6 +17,10 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_viewer.palette import ColorArray
 
+CLOUD_SIZE = 100
+"""From so many points on a layer is a cloud; fewer are markers, as cameras and sites are."""
+MARGIN = 0.25
+"""How far a cloud reaches beyond borders and markers in a picture, as a share of their longest side."""
 Marker = Literal["area", "line", "dot", "ring", "square"]
 """How a legend shows an entry: a filled box, a stroke, a filled dot, a dot or a small square with a dark rim."""
 
@@ -97,23 +101,28 @@ class Layer:
 
 
 def drawn_positions(layers: Sequence[Layer]) -> FloatArray:
-    """All that decides how far a picture reaches (K,3): points, ends and corners; one stray point in 200 per side is left out.
+    """All that decides how far a picture reaches (K,3): ends, corners and markers, and the points of clouds near those.
 
+    Clouds (of 100 points or more) hold strays, far ground and a sky; without anything else they count as far as Tukey's outer fence.
     BadInput when the layers hold no geometry at all.
     """
-    positions = np.concatenate([np.zeros((0, 3)), *(part for layer in layers for part in _layer_positions(layer))])
-    if not len(positions):
+    clouds = [layer.points for layer in layers if len(layer.points) >= CLOUD_SIZE]
+    markers = [layer.points for layer in layers if len(layer.points) < CLOUD_SIZE]
+    lines = [part for layer in layers for part in (layer.segments.reshape(-1, 3), *layer.polygons)]
+    firm = np.concatenate([np.zeros((0, 3)), *markers, *lines])
+    cloud = np.concatenate([np.zeros((0, 3)), *clouds])
+    if not len(firm) + len(cloud):
         raise BadInput("there is nothing to draw: the layers hold no points, segments or polygons.")
-    return positions
-
-
-def _layer_positions(layer: Layer) -> list[FloatArray]:
-    points = layer.points
-    # Sparse points hold strays kilometres away; a handful of markers (cameras, sites) has none to leave out.
-    if len(points) >= 2000:
-        low, high = np.quantile(points, [0.005, 0.995], axis=0)
-        points = points[((points >= low) & (points <= high)).all(axis=1)]
-    return [points, layer.segments.reshape(-1, 3), *layer.polygons]
+    if not len(cloud):
+        return firm
+    if len(firm):
+        low, high = firm.min(axis=0), firm.max(axis=0)
+        reach = MARGIN * (high - low).max()
+    else:
+        low, high = np.quantile(cloud, [0.25, 0.75], axis=0)
+        reach = 3 * (high - low).max()
+    # Equally wide on all axes, so that towers on flat ground stay.
+    return np.concatenate([firm, cloud[((cloud >= low - reach) & (cloud <= high + reach)).all(axis=1)]])
 
 
 def outline_segments(polygons: Sequence[NDArray[np.float64]]) -> FloatArray:

@@ -81,7 +81,7 @@ def required_splats(run: RunView) -> Splats:
 
 def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
     """Photograph, render and difference of one held-out photograph; BadInput when the run keeps no pictures of it."""
-    paths = tuple(run.folder / "pictures" / kind / Path(name).with_suffix(".png") for kind in COMPARISON_KINDS)
+    paths = tuple(run.folder / "pictures" / kind / f"{name}.png" for kind in COMPARISON_KINDS)
     missing = [path for path in paths if not path.is_file()]
     if missing:
         raise BadInput(

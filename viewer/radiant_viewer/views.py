@@ -118,7 +118,8 @@ def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[Lay
         return layer, "too few Gaussians beside the borders to say"
     worst = int(np.nanargmax(whole_borders))
     first, second = (cloud_plan.edge_ids[edge] for edge in pieces.edge_pairs[worst])
-    return layer, f"largest {whole_borders[worst]:.1f} levels, all along the border of {first} and {second}"
+    whole = f"over its whole length the border of {first} and {second} steps by {whole_borders[worst]:.1f} levels"
+    return layer, f"{whole}, single pieces by up to {np.nanmax(steps):.0f}"
 
 
 def seam_band_width(cloud_plan: CloudPlan) -> float:

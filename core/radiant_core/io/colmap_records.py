@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -100,6 +101,13 @@ class ColmapModel:
         image_indices = order[np.searchsorted(ids[order], self.points.tracks[:, 1])]
         return np.unique(np.stack([self.points.tracks[:, 0], image_indices], axis=1), axis=0)
 
+    def without(self, names: Collection[str]) -> ColmapModel:
+        """The model without the images of these names; points stay, also where nobody sees them any more."""
+        images = tuple(image for image in self.images if image.name not in names)
+        tracks = self.points.tracks
+        tracks = tracks[np.isin(tracks[:, 1], [image.image_id for image in images])]
+        return replace(self, images=images, points=replace(self.points, tracks=tracks))
+
 
 def checked_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: ColmapPoints, source: str) -> ColmapModel:
     """The records as one model, after checking that they fit each other; BadInput names `source` and the first misfit."""
@@ -122,6 +130,12 @@ def _require_unique(what: str, values: list, source: str) -> None:
         raise BadInput(f"{source}: {what} {twice!r} comes twice: export the model again.")
 
 
+def is_image_name(name: str) -> bool:
+    """Whether a COLMAP model can name an image so: a relative path of printable characters that stays inside its folder."""
+    path = PurePosixPath(name)
+    return bool(name) and name.isprintable() and "\\" not in name and not path.is_absolute() and ".." not in path.parts
+
+
 def _check_camera(camera: ColmapCamera, source: str) -> None:
     label = f"{source}: camera {camera.camera_id}"
     if not all(0 < side <= MAX_SIDE_PX for side in camera.size_wh):
@@ -133,8 +147,7 @@ def _check_camera(camera: ColmapCamera, source: str) -> None:
 
 def _check_image(image: ColmapImage, cameras: dict[int, ColmapCamera], source: str) -> None:
     label = f"{source}: image {image.image_id} ({image.name!r})"
-    path = PurePosixPath(image.name)
-    if not image.name or path.is_absolute() or ".." in path.parts or "\\" in image.name or not image.name.isprintable():
+    if not is_image_name(image.name):
         raise BadInput(f"{label} has a name that is no relative path inside the image folder: rename the image.")
     if image.camera_id not in cameras:
         raise BadInput(f"{label} names camera {image.camera_id}, which is not in the cameras file: export the model again.")

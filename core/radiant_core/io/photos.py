@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
+from radiant_core.io.colmap_records import is_image_name
 from radiant_core.io.jpeg import ExifFacts, read_jpeg_facts
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -94,10 +95,12 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
 
 
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:
-    """The photograph (H,W,3) float32 RGB in 0..1, area-averaged to `size_wh` px; BadInput when it cannot be decoded."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    """The photograph (H,W,3) float32 RGB in 0..1, area-averaged to `size_wh` px; BadInput when it is not whole or cannot be decoded."""
+    data = path.read_bytes() if path.is_file() else b""
+    _, whole, _ = _facts(data)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if whole else None
     if image is None:
-        raise BadInput(f"the photograph {path} cannot be decoded: remove it or fetch it again.")
+        raise BadInput(f"the photograph {path} is not whole or cannot be decoded: remove it or fetch it again.")
     if (image.shape[1], image.shape[0]) != tuple(size_wh):
         image = cv2.resize(image, tuple(size_wh), interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(image[:, :, ::-1], dtype=np.float32) / np.float32(255)
@@ -118,10 +121,12 @@ def _inspected(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]
 
 
 def _inspect(path: Path, name: str) -> Photograph | Skipped:
+    if not is_image_name(name):
+        return Skipped(name=repr(name), reason="has characters in its name that COLMAP cannot keep (rename it)")
     if path.stat().st_size > MAX_FILE_BYTES:
         return Skipped(name=name, reason=f"is larger than {MAX_FILE_BYTES >> 20} MiB")
     data = path.read_bytes()
-    size_wh, whole, exif = _png_facts(data) if data.startswith(_PNG_SIGNATURE) else _jpeg_facts(data)
+    size_wh, whole, exif = _facts(data)
     if size_wh is None:
         return Skipped(name=name, reason="is not a JPEG or PNG image")
     if size_wh[0] * size_wh[1] > MAX_PIXELS:
@@ -132,6 +137,11 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
         return Skipped(name=name, reason="cannot be decoded")
     camera = CameraKey(make=exif.make, model=exif.model, focal_mm=exif.focal_mm, size_wh=size_wh)
     return Photograph(name=name, path=path, size_wh=size_wh, lat_lon_alt=exif.lat_lon_alt, camera=camera)
+
+
+def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
+    """Size in px (None for neither JPEG nor PNG), whether the file has its end, and its EXIF."""
+    return _png_facts(data) if data.startswith(_PNG_SIGNATURE) else _jpeg_facts(data)
 
 
 def _jpeg_facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:

@@ -25,6 +25,7 @@ from radiant_core.errors import BadInput, RadiantError, StoreDamaged
 
 SEAL_NAME = "done.json"
 SEAL_VERSION = 1
+LOCK_NAME = ".lock"
 MAX_JSON_BYTES = 64 * 2**20
 """Default limit of a JSON file: a plan of 100,000 cameras takes some 2 MB."""
 
@@ -88,16 +89,19 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
     return data
 
 
-def read_json(path: Path, max_bytes: int = MAX_JSON_BYTES) -> Any:
-    """The value of a JSON file of at most `max_bytes`.
+def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BYTES) -> Any:
+    """The value of a JSON file of at most `max_bytes`; an object that has all `keys` where some are named.
 
-    Raises StoreDamaged when it is missing, larger, malformed, has a number that is not finite, or a key twice.
+    Raises StoreDamaged when it is missing, larger, malformed, has a number that is not finite, a key twice or one too few.
     """
     data = read_bounded(path, max_bytes)
     try:
-        return json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
+        value = json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
     except (ValueError, RecursionError) as error:
-        raise StoreDamaged(f"{path} is not valid JSON: {error}: restore it or run the stage that writes it again.") from error
+        raise StoreDamaged(f"{path} is not valid JSON ({error}): restore it or run the stage that writes it again.") from error
+    if keys and not (isinstance(value, dict) and value.keys() >= set(keys)):
+        raise StoreDamaged(f"{path} is no JSON object with {', '.join(keys)}: restore it or run the stage that writes it again.")
+    return value
 
 
 def file_sha256(path: Path) -> str:
@@ -171,7 +175,7 @@ class RunLock:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.path = Path(folder) / ".lock"
+        self.path = Path(folder) / LOCK_NAME
         self._file: IO[str] | None = None
 
     def __enter__(self) -> Self:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import ColmapModel, read_model
+from radiant_core.io.colmap import ColmapModel, read_model, write_model
 from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
@@ -73,32 +73,41 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
     """The scene of an existing COLMAP model, binary or text, and its images.
 
     Pinhole images are used where they are; others are undistorted into `work_folder`. The frame comes from the images' GPS
-    where they have it. Raises BadInput when the model cannot be read or an image is missing or cannot be decoded.
+    where they have it; images that cannot be decoded are skipped and named. Raises BadInput when the model cannot be read or an image
+    is missing or has another shape than its camera.
     """
     model = read_model(model_folder)
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
+    model = model.without({skipped.name for skipped in listing.skipped})
     _require_images(model, listing, image_folder)
     images_to_use = image_folder
     if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):
         start_clean(work_folder)
+        if listing.skipped:
+            model_folder = work_folder / "sparse"
+            write_model(model_folder, model)
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     scene, decisions, warnings = scene_in_world(model, listing.photographs, seed=0)
-    return SfmResult(scene=scene, undistorted_folder=images_to_use, unregistered=(), decisions=decisions, warnings=warnings)
+    return SfmResult(
+        scene=scene, undistorted_folder=images_to_use, unregistered=(), decisions=decisions, warnings=(*_skip_warnings(listing), *warnings)
+    )
 
 
 def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Path) -> None:
-    """BadInput unless every image of the model is there, whole, and, where it has to be undistorted, of its camera's size."""
+    """BadInput unless every image of the model is there, in the shape of its camera, and in its size where it has to be undistorted."""
     sizes = {photo.name: photo.size_wh for photo in listing.photographs}
     lost = [image.name for image in model.images if image.name not in sizes]
     if lost:
-        why = {skipped.name: skipped.reason for skipped in listing.skipped}.get(lost[0], "is not there")
-        raise BadInput(f"image {lost[0]!r} of the model {why} in {image_folder} ({len(lost)} in all): give the folder of its images.")
+        raise BadInput(f"image {lost[0]!r} of the model is not in {image_folder} ({len(lost)} in all): give the folder of its images.")
     for image in model.images:
         camera = model.cameras[image.camera_id]
-        if not camera.is_pinhole and sizes[image.name] != camera.size_wh:
+        width, height = (side / of_camera for side, of_camera in zip(sizes[image.name], camera.size_wh, strict=True))
+        # A reduced pinhole image may be off by a pixel of rounding; points of a distorted one are undistorted in its own pixels.
+        fits = abs(width - height) <= 0.01 * max(width, height) if camera.is_pinhole else width == height == 1
+        if not fits:
             raise BadInput(
-                f"image {image.name!r} has {sizes[image.name]} px and its distorted camera {camera.size_wh}: "
+                f"image {image.name!r} has {sizes[image.name]} px and its camera {camera.size_wh}: "
                 "give the images that the model was made from."
             )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
@@ -17,34 +17,47 @@ from radiant_core.train.views import TrainingViews
 
 INITIAL_OPACITY = 0.1
 NUM_SKY = 400
+SKY_OPACITY = 0.9
+"""The sky hides nothing, and where no photograph of a device looks it stays as it begins: a thin one would be a dark one there."""
+SKY_RGB = (0.75, 0.75, 0.75)
+"""Colour of a sky that no photograph is given for."""
 MIN_SKY_SHARE = 0.03
 """Less sky than this in every image is a strip that the far ground's Gaussians cover."""
 
 
-def initial_splats(points: FloatArray, colors: NDArray[np.uint8], cameras: Cameras, *, max_num_splats: int, sh_degree: int) -> Splats:
-    """Gaussians from points (P,3) m and colours (P,3), at most `max_num_splats`, and a sky where cameras look above the horizon.
+def initial_splats(
+    points: FloatArray,
+    colors: NDArray[np.uint8],
+    cameras: Cameras,
+    *,
+    max_num_splats: int,
+    sh_degree: int,
+    sky_rgb: ArrayLike = SKY_RGB,
+) -> Splats:
+    """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour where cameras look above the horizon.
 
-    Duplicate points are merged; when there are too many, they are thinned out evenly along x, their sorted order.
-    Raises BadInput with fewer than 4 different points.
+    At most `max_num_splats`, a quarter of them sky. Duplicate points are merged; when there are too many, they are thinned out evenly
+    along x, their sorted order. Raises BadInput with fewer than 4 different points.
     """
     points, first = np.unique(np.asarray(points, np.float64), axis=0, return_index=True)
     colors = np.asarray(colors)[first]
     if len(points) < 4:
         raise BadInput(f"only {len(points)} different sparse points, expected at least 4: take more overlapping photographs.")
-    sky = _sky_points(points, cameras)
+    sky = _sky_points(points, cameras, min(NUM_SKY, max_num_splats // 4))
     kept = np.unique(np.linspace(0, len(points) - 1, max(4, min(len(points), max_num_splats - len(sky)))).astype(np.int64))
     points, colors = points[kept], colors[kept]
     spacing = _neighbour_distance(points)
     sky_radius = np.linalg.norm(sky - sky.mean(0), axis=1).max() if len(sky) else 0.0
-    scales = np.concatenate([spacing, np.full(len(sky), 1.5 * sky_radius / np.sqrt(NUM_SKY))])
-    rgb = np.concatenate([colors / 255.0, np.full((len(sky), 3), 0.75)])
+    scales = np.concatenate([spacing, np.full(len(sky), 1.5 * sky_radius / np.sqrt(max(1, len(sky))))])
+    rgb = np.concatenate([colors / 255.0, np.broadcast_to(sky_rgb, (len(sky), 3))])
+    opacities = np.repeat([INITIAL_OPACITY, SKY_OPACITY], [len(points), len(sky)])
     means = np.concatenate([points, sky]).astype(np.float32)
     count = len(means)
     return Splats(
         means=means,
         quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         log_scales=np.log(np.repeat(scales[:, None], 3, axis=1)).astype(np.float32),
-        logit_opacities=np.full(count, np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)), np.float32),
+        logit_opacities=np.log(opacities / (1 - opacities)).astype(np.float32),
         sh0=((rgb - 0.5) / SH_C0)[:, None].astype(np.float32),
         shN=np.zeros((count, SH_BASES[sh_degree] - 1, 3), np.float32),
     )
@@ -64,21 +77,34 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
         views.cameras,
         max_num_splats=limit,
         sh_degree=config.sh_degree,
+        sky_rgb=_sky_rgb(views),
     )
     return initial, len(fill.points)
 
 
 def sky_share(cameras: Cameras) -> float:
     """Share above the horizon (z up) of the image that has most of it, estimated from a 9×9 grid of pixels per camera."""
-    if not len(cameras):
-        return 0.0
+    return float(_above_horizon(cameras)[1].mean(axis=1).max(initial=0.0))
+
+
+def _above_horizon(cameras: Cameras) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """A 9×9 grid of pixels per camera (C,81,2) px and whether each looks above the horizon (C,81)."""
     steps = (np.arange(9) + 0.5) / 9
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     pixels = grid[None] * cameras.sizes_wh[:, None]
     rays = np.concatenate([pixels, np.ones((*pixels.shape[:2], 1))], axis=-1)
     in_camera = np.einsum("cij,cpj->cpi", np.linalg.inv(cameras.Ks), rays)
-    up = np.einsum("ci,cpi->cp", cameras.cam_from_world[:, :3, 2], in_camera)
-    return float((up > 0).mean(axis=1).max())
+    return pixels, np.einsum("ci,cpi->cp", cameras.cam_from_world[:, :3, 2], in_camera) > 0
+
+
+def _sky_rgb(views: TrainingViews) -> FloatArray:
+    """Median colour (3,) in 0..1 of the pixels above the horizon, of a 9×9 grid per photograph; `SKY_RGB` without any."""
+    pixels, above = _above_horizon(views.cameras)
+    found = np.zeros((0, 3), np.uint8)
+    for image, grid, up in zip(views.images, pixels.astype(np.int64), above, strict=True):
+        columns, rows = grid[up].T
+        found = np.concatenate([found, image[rows, columns]])
+    return np.median(found, axis=0) / 255 if len(found) else np.array(SKY_RGB)
 
 
 def camera_extent(cameras: Cameras) -> float:
@@ -95,16 +121,16 @@ def _neighbour_distance(points: FloatArray) -> FloatArray:
     return np.clip(spacing, 1e-7, 3 * np.quantile(spacing, 0.9))
 
 
-def _sky_points(points: FloatArray, cameras: Cameras) -> FloatArray:
-    """Points (S,3) on a half sphere far around everything; none when less than `MIN_SKY_SHARE` of every image looks up."""
+def _sky_points(points: FloatArray, cameras: Cameras, count: int) -> FloatArray:
+    """Points (count,3) on a half sphere far around everything; none when less than `MIN_SKY_SHARE` of every image looks up."""
     if sky_share(cameras) < MIN_SKY_SHARE:
         return np.zeros((0, 3))
     everything = np.concatenate([points, cameras.centers])
     low, high = np.quantile(everything, [0.02, 0.98], axis=0)
     radius = 4 * float(np.linalg.norm(high - low))
     # Fibonacci lattice: even area per point; from 3° below the horizon, where distant ground ends.
-    index = np.arange(NUM_SKY) + 0.5
-    z = np.sin(np.radians(-3)) + (1 - np.sin(np.radians(-3))) * index / NUM_SKY
+    index = np.arange(count) + 0.5
+    z = np.sin(np.radians(-3)) + (1 - np.sin(np.radians(-3))) * index / count
     angle = np.pi * (1 + np.sqrt(5)) * index
     shell = np.stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z], axis=1)
     return (low + high) / 2 + radius * shell

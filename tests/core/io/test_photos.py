@@ -135,6 +135,21 @@ def test_full_folders_of_a_camera_are_named_because_they_are_not_read(tmp_path: 
     assert [(skipped.name, "2 photographs" in skipped.reason) for skipped in listing.skipped] == [("101MEDIA/", True)]
 
 
+def test_names_that_colmap_cannot_keep_are_skipped_and_named(tmp_path: Path) -> None:
+    for name in ("a.jpg", "b.jpg", "c\\d.jpg", "e\nf.jpg", "g\udcff.jpg"):
+        (tmp_path / name).write_bytes(write(tmp_path / "a.jpg", picture(3)))
+    listing = list_photographs(tmp_path)
+    assert [photo.name for photo in listing.photographs] == ["a.jpg", "b.jpg"]
+    assert len(listing.skipped) == 3 and all("name" in skipped.reason and skipped.name.isprintable() for skipped in listing.skipped)
+
+
+def test_a_photograph_cut_off_after_it_was_listed_is_refused(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.jpg", picture(3))
+    (tmp_path / "a.jpg").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(BadInput, match="not whole"):
+        load_photograph(tmp_path / "a.jpg", (48, 32))
+
+
 def test_an_embedded_thumbnail_does_not_make_a_cut_jpeg_whole() -> None:
     thumbnail = cv2.imencode(".jpg", picture(2, (32, 24)))[1].tobytes()
     jpeg = cv2.imencode(".jpg", picture(3))[1].tobytes()

@@ -10,10 +10,12 @@ import pytest
 from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.frames import Frame
 from radiant_core.render.rendered_view import render_views
-from radiant_core.splats import Splats
+from radiant_core.scene import SfmScene
+from radiant_core.splats import SH_C0, Splats
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.initialize import camera_extent, initial_splats, sky_share
+from radiant_core.train.initialize import camera_extent, first_splats, initial_splats, sky_share
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.trainer import FitOptions, Steps, TrainProgress, fit_splats
 from radiant_core.train.views import TrainingViews
@@ -151,6 +153,26 @@ class TestInitialSplats:
         assert sky_share(looking_up) == 1.0 and sky_share(CAMERAS) == 0.0
         splats = initial_splats(self.points, self.colors, looking_up, max_num_splats=1000, sh_degree=0)
         assert len(splats) > 500 and splats.means[500:, 2].min() > -10
+        limited = initial_splats(self.points, self.colors, looking_up, max_num_splats=100, sh_degree=0)
+        assert len(limited) <= 100 and 10 < (limited.means[:, 2] > 1).sum() <= 25
+
+    def test_a_sky_begins_opaque_in_the_colour_of_the_photographs_upper_part(self) -> None:
+        pose = CAMERAS.select([0]).cam_from_world.copy()
+        pose[0, :3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # looks level, to the north
+        level = replace(CAMERAS.select([0]), cam_from_world=pose)
+        width, height = level.sizes_wh[0]
+        photograph = np.zeros((height, width, 3), np.uint8)
+        photograph[: height // 2] = (40, 120, 240)
+        count = len(self.points)
+        scene = SfmScene(
+            cameras=level, points=self.points, colors=self.colors, observations=np.column_stack([np.arange(count), np.zeros(count, int)]),
+            frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
+        )  # fmt: skip
+        splats, _ = first_splats(scene, TrainingViews(cameras=level, images=(photograph,)), train_preset("draft"))
+        far = splats.means[:, 2] > 10
+        assert far.sum() > 100
+        np.testing.assert_allclose(0.5 + SH_C0 * splats.sh0[far, 0], np.tile(np.array([40, 120, 240]) / 255, (far.sum(), 1)), atol=1e-5)
+        assert (splats.logit_opacities[far] > 2).all()
 
 
 def test_camera_extent_of_one_camera_is_positive() -> None:

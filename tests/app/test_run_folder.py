@@ -1,0 +1,107 @@
+"""The run's folder: what lies there already is never touched, and what a bad input began goes away again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from radiant_app import run_folder
+from radiant_app.config import RunConfig
+from radiant_app.events import StageDone, StageStarted, Warned
+from radiant_app.run_folder import Manifest, new_folder, opened_run
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import RunLock
+
+
+def config(out: Path) -> RunConfig:
+    return RunConfig(source=out.parent, out=out)
+
+
+def begin_and_fail(out: Path, reason: str, left: str) -> None:
+    with opened_run(config(out), resume=False):
+        (out / "sfm").mkdir()
+        (out / "sfm" / left).write_text("{}")
+        raise BadInput(reason)
+
+
+def test_a_run_that_loses_the_race_for_the_lock_leaves_the_winners_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "run"
+    winner = RunLock(out)
+
+    class Late(RunLock):
+        """The other run locks between this run's look at the folder and its lock."""
+
+        def __enter__(self) -> RunLock:
+            winner.__enter__()
+            (out / "sfm").mkdir()
+            (out / "sfm" / "work.txt").write_text("hours")
+            return super().__enter__()
+
+    monkeypatch.setattr(run_folder, "RunLock", Late)
+    try:
+        with pytest.raises(BadInput, match="another process"), opened_run(config(out), resume=False):
+            pass
+    finally:
+        winner.__exit__()
+    assert (out / "sfm" / "work.txt").read_text() == "hours"
+
+
+def test_a_run_that_finds_work_after_the_lock_leaves_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "run"
+
+    class Late(RunLock):
+        def __enter__(self) -> RunLock:
+            (out / "scene.ply").write_text("done")
+            return super().__enter__()
+
+    monkeypatch.setattr(run_folder, "RunLock", Late)
+    with pytest.raises(BadInput, match="not empty"), opened_run(config(out), resume=False):
+        pass
+    assert (out / "scene.ply").read_text() == "done"
+
+
+def test_after_bad_input_the_folders_made_are_gone_and_an_empty_one_stays(tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    for out, left in ((tmp_path / "a" / "b", ["mine"]), (tmp_path / "mine", ["mine"])):
+        with pytest.raises(BadInput, match="unusable"):
+            begin_and_fail(out, "unusable", "task.json")
+        assert [path.name for path in tmp_path.iterdir()] == left
+    assert list((tmp_path / "mine").iterdir()) == []
+
+
+def test_a_run_is_kept_once_structure_from_motion_is_done(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    with pytest.raises(BadInput, match="plan"):
+        begin_and_fail(out, "plan", "done.json")
+    assert (out / "sfm" / "done.json").exists() and (out / "manifest.json").exists()
+
+
+def test_a_link_to_nowhere_and_a_file_are_no_folders(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "gone")
+    (tmp_path / "file").write_text("")
+    for name, told in (("link", "which does not exist"), ("file", "is a file")):
+        with pytest.raises(BadInput, match=told), new_folder(tmp_path / name):
+            pass
+    assert not (tmp_path / "gone").exists()
+
+
+def test_stages_of_an_earlier_plan_are_forgotten_with_what_they_said(tmp_path: Path) -> None:
+    manifest = Manifest(folder=tmp_path, config={})
+    for stage in ("sfm", "devices/a", "devices/b"):
+        manifest.note(StageStarted(stage=stage), 0.0)
+        manifest.note(Warned(stage=stage, message="dark"), 1.0)
+        manifest.note(StageDone(stage=stage, seconds=2.0), 2.0)
+    manifest.keep_stages(["sfm", "devices/b"])
+    assert list(manifest.stages) == ["sfm", "devices/b"]
+    assert manifest.warnings == ["sfm: dark", "devices/b: dark"]
+
+
+@pytest.mark.parametrize("field", ["source", "out"])
+def test_a_path_that_is_no_text_and_a_seed_out_of_range_are_refused(field: str, tmp_path: Path) -> None:
+    paths = {"source": tmp_path, "out": tmp_path / "out", field: tmp_path / "b\udcff"}
+    with pytest.raises(BadInput, match="not valid UTF-8"):
+        RunConfig(**paths)
+    for seed in (-1, 2**31):
+        with pytest.raises(BadInput, match="seed is"):
+            RunConfig(source=tmp_path, out=tmp_path / "out", seed=seed)
