@@ -14,7 +14,6 @@ from radiant_core.errors import BadInput, RadiantError
 
 app = typer.Typer(
     help="Photographs of a large scene into one 3D Gaussian model, planned and trained over unequal machines.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -234,7 +233,7 @@ def main() -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         signal.signal(number, _interrupt)
     try:
-        code = app(standalone_mode=False)
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except RadiantError as error:
         _say(str(error))
         sys.exit(error.exit_code)

@@ -69,7 +69,7 @@ def save_run(folder: Path, town: Town) -> dict[str, float]:
     write_json(folder / "metrics.json", {"images": [{"name": name, "psnr_db": value} for name, value in psnr_db.items()]})
     for kind, level in (("photographs", 200), ("renders", 180), ("differences", 60)):
         for name in town.held_out:
-            cv2.imwrite(str(folder / "pictures" / kind / Path(name).with_suffix(".png")), np.full((60, 80, 3), level, np.uint8))
+            cv2.imwrite(str(folder / "pictures" / kind / f"{name}.png"), np.full((60, 80, 3), level, np.uint8))
     return psnr_db
 
 

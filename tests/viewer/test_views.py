@@ -60,7 +60,7 @@ def test_an_unknown_view_names_the_known_ones(run_folder: Path) -> None:
         ("scene.ply", "splats", r"no scene\.ply.*--resume"),
         ("scene.ply", "seams", r"no scene\.ply.*--resume"),
         ("metrics.json", "compare", "no figures.*--resume"),
-        ("pictures/renders/DJI_0000.*png", "compare", "DJI_0000.*--resume"),
+        ("pictures/renders/DJI_0000.JPG.png", "compare", "DJI_0000.*--resume"),
     ],
 )
 def test_a_run_that_is_not_finished_says_what_is_missing_and_how_to_finish(

@@ -206,11 +206,31 @@ def test_images_of_another_size_are_not_undistorted_with_the_wrong_camera(hamlet
         pixels = cv2.imread(str(hamlet / "images" / image.name))
         assert pixels is not None
         cv2.imwrite(str(tmp_path / "images" / image.name), pixels[::2, ::2])
-    with pytest.raises(BadInput, match=r"\(160, 120\) px and its distorted camera \(320, 240\)"):
+    with pytest.raises(BadInput, match=r"\(160, 120\) px and its camera \(320, 240\)"):
         scene_from_colmap(tmp_path / "model", tmp_path / "images", tmp_path / "work", quiet)
     result = scene_from_colmap(tmp_path / "model", hamlet / "images", tmp_path / "work", quiet)
     assert result.undistorted_folder == tmp_path / "work" / "undistorted" / "images"
     assert len(list(result.undistorted_folder.iterdir())) == len(result.scene.cameras) == len(model.images)
+
+
+@pytest.mark.parametrize("distortion", ["PINHOLE 320 240 {f} {f} {cx} {cy}", "SIMPLE_RADIAL 320 240 {f} {cx} {cy} -0.05"])
+def test_a_truncated_image_of_a_model_is_skipped_and_named(distortion: str, hamlet: Path, tmp_path: Path) -> None:
+    model = read_model(hamlet / "known")
+    write_model(tmp_path / "model", model)
+    f, _, cx, cy = model.cameras[min(model.cameras)].params
+    camera = distortion.format(f=f, cx=cx, cy=cy)
+    (tmp_path / "model" / "cameras.txt").write_text("".join(f"{number} {camera}\n" for number in model.cameras))
+    shutil.copytree(hamlet / "images", tmp_path / "images")
+    cut = tmp_path / "images" / model.images[3].name
+    cut.write_bytes(cut.read_bytes()[:5000])
+    result = scene_from_colmap(tmp_path / "model", tmp_path / "images", tmp_path / "work", quiet)
+    assert len(result.scene.cameras) == len(model.images) - 1
+    assert any(warning.startswith(f"{cut.name} is truncated") for warning in result.warnings)
+    pixels = cv2.imread(str(hamlet / "images" / cut.name))
+    assert pixels is not None
+    cv2.imwrite(str(cut), pixels[:, :120])
+    with pytest.raises(BadInput, match=r"has \(120, 240\) px and its camera \(320, 240\)"):
+        scene_from_colmap(tmp_path / "model", tmp_path / "images", tmp_path / "work2", quiet)
 
 
 def test_each_size_and_camera_gets_intrinsics_of_its_own(hamlet: Path, tmp_path: Path) -> None:
