@@ -180,7 +180,8 @@ def _interrupts_later() -> Iterator[None]:
         yield
         return
     held: list[int] = []
-    before = {number: signal.signal(number, lambda caught, frame: held.append(caught)) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda caught, frame: held.append(caught)) for number in numbers}
     try:
         yield
     finally:
