@@ -38,36 +38,60 @@ RADIANT_INLINE PlaneGradients plane_gradients(const View& view, const Geometry& 
   p.log_opacity = m[0];
   for (int c = 0; c < 3; ++c) p.color[c] = m[6 + c];
   p.depth = m[9];
-  if (view.antialiased) {
-    // ln compensation = ½ (ln det Σ − ln det Σ'), constant under its floor. With det Σ' = det Σ + s tr Σ + s² written out, the
-    // differences of nearly equal quotients turn into sums, for example yy/det Σ − yy'/det Σ' = s (yy² + xy² + s yy) / (det Σ det Σ').
-    constexpr float d = kDilationPx2;
-    const Mask above = broadcast(1e-12f) < g.determinant / g.dilated_determinant;
-    const F factor = keep(above, 0.5f * d * p.log_opacity) / select(above, g.determinant, broadcast(1.0f)) / g.dilated_determinant;
-    p.xx += factor * (g.yy * g.yy + g.xy * g.xy + d * g.yy);
-    p.yy += factor * (g.xx * g.xx + g.xy * g.xy + d * g.xx);
-    p.xy -= 2.0f * factor * g.xy * (g.xx + g.yy + d);
-  }
   return p;
 }
 
+// ln compensation = ½ (ln det Σ − ln det Σ'), constant under its floor, with det Σ' = det Σ + s tr Σ + s². What hangs on tr Σ joins the
+// covariance's gradient; ∂loss/∂ln det Σ is returned and goes through the sum of squares that det Σ is: as a gradient of xx, xy and yy
+// it would cancel along a needle.
+RADIANT_INLINE F compensation_backward(const Geometry& g, PlaneGradients& p) {
+  constexpr float s = kDilationPx2;
+  const Mask above = broadcast(1e-12f) < g.determinant / g.dilated_determinant;
+  const F factor = keep(above, 0.5f * s * p.log_opacity) / g.dilated_determinant;
+  p.xx -= factor;
+  p.yy -= factor;
+  return factor * (g.xx + g.yy + s);
+}
+
+// ∂loss/∂ln det Σ to the lengths and axes, and to where the Jacobian is taken. det Σ = Σ_k minor_k², as in `project_covariance`.
+RADIANT_INLINE void determinant_backward(const Geometry& g, const F& area, const F& log_determinant, F log_scales[3], F axes[9], F& clamped_x, F& clamped_y) {
+  F over_along[3], squares[3];
+  const F factor = 2.0f * log_determinant / select(broadcast(0.0f) < g.determinant, g.determinant, broadcast(1.0f));
+  for (int k = 0; k < 3; ++k) {
+    const F along = g.clamped_x * g.axes[k] + g.clamped_y * g.axes[3 + k] + g.axes[6 + k];
+    const F size = g.scales[(k + 1) % 3] * (g.scales[(k + 2) % 3] * area), minor = size * along;
+    squares[k] = factor * minor * minor;
+    over_along[k] = factor * minor * size;
+  }
+  for (int k = 0; k < 3; ++k) {
+    log_scales[k] += squares[(k + 1) % 3] + squares[(k + 2) % 3];
+    axes[k] += g.clamped_x * over_along[k];
+    axes[3 + k] += g.clamped_y * over_along[k];
+    axes[6 + k] += over_along[k];
+    clamped_x += g.axes[k] * over_along[k];
+    clamped_y += g.axes[3 + k] * over_along[k];
+  }
+}
+
 // Through the covariance to the lengths and axes of the Gaussian and to where it stands.
-RADIANT_INLINE void covariance_backward(const View& view, const Geometry& g, const PlaneGradients& p, F log_scales[3], F axes[9], PointGradients& at) {
+RADIANT_INLINE void covariance_backward(const View& view, const Geometry& g, PlaneGradients& p, F log_scales[3], F axes[9], PointGradients& at) {
+  const F log_determinant = view.antialiased ? compensation_backward(g, p) : broadcast(0.0f);
   const F scale_x = static_cast<float>(view.fx) * g.inverse_z, scale_y = static_cast<float>(view.fy) * g.inverse_z;
-  F along_z = broadcast(0.0f), clamped_x = broadcast(0.0f), clamped_y = broadcast(0.0f);
+  F clamped_x = broadcast(0.0f), clamped_y = broadcast(0.0f);
   for (int k = 0; k < 3; ++k) {
     const F half_x = 2.0f * p.xx * g.half_x[k] + p.xy * g.half_y[k], half_y = 2.0f * p.yy * g.half_y[k] + p.xy * g.half_x[k];
     log_scales[k] = half_x * g.half_x[k] + half_y * g.half_y[k];
-    along_z += log_scales[k];
     axes[k] = half_x * g.scales[k] * scale_x;
     axes[3 + k] = half_y * g.scales[k] * scale_y;
     axes[6 + k] = -(g.clamped_x * axes[k] + g.clamped_y * axes[3 + k]);
     clamped_x -= axes[k] * g.axes[6 + k];
     clamped_y -= axes[3 + k] * g.axes[6 + k];
   }
+  if (view.antialiased) determinant_backward(g, scale_x * scale_y, log_determinant, log_scales, axes, clamped_x, clamped_y);
   at.ratio_x = static_cast<float>(view.fx) * p.mean_x + keep(g.free_x, clamped_x);
   at.ratio_y = static_cast<float>(view.fy) * p.mean_y + keep(g.free_y, clamped_y);
-  at.z = p.depth - along_z * g.inverse_z;
+  // Each half axis is a length over the depth.
+  at.z = p.depth - (log_scales[0] + log_scales[1] + log_scales[2]) * g.inverse_z;
 }
 
 RADIANT_INLINE void center_backward(const View& view, const Geometry& g, PointGradients& at) {
