@@ -8,9 +8,9 @@
 
 namespace radiant::RADIANT_ISA {
 
-// ∂loss by the quantities of the image plane, per lane.
+// ∂loss by the quantities of the image plane, per lane; L̂ and the sums of hû², hûv̂, hv̂².
 struct PlaneGradients {
-  F mean_x, mean_y, xx, xy, yy, log_opacity, depth, color[3];
+  F mean_x, mean_y, l11, l12, l22, uu, uv, vv, log_opacity, depth, color[3];
 };
 
 struct PointGradients {
@@ -22,75 +22,67 @@ RADIANT_INLINE void load_moments(const Moments* sums, int64_t first, int lanes, 
 }
 
 // L scaled to natural logarithms: û = u / √(½ log₂e).
-RADIANT_INLINE PlaneGradients plane_gradients(const View& view, const Geometry& g, const F m[kMoments], const float* means2d_gradient,
-                                              int64_t first, int lanes) {
-  constexpr float s = 0.84932180f;
+RADIANT_INLINE PlaneGradients plane_gradients(const Geometry& g, const F m[kMoments], const float* means2d_gradient, int64_t first, int lanes) {
   const F root_det = sqrt(g.dilated_determinant), root_yy = sqrt(g.dilated_yy);
-  const F l11 = root_yy / root_det, l12 = -(g.xy / root_yy) / root_det, l22 = 1.0f / root_yy;
-  const F uu = m[3] * (1.0f / (s * s)), uv = m[4] * (1.0f / (s * s)), vv = m[5] * (1.0f / (s * s));
   PlaneGradients p;
   F means[2];
   load_fields<2>(means2d_gradient, first, lanes, means);
   p.mean_x = means[0], p.mean_y = means[1];
-  p.xx = 0.5f * (l11 * l11 * uu);
-  p.xy = l11 * (l12 * uu + l22 * uv);
-  p.yy = 0.5f * (l12 * (l12 * uu + 2.0f * l22 * uv) + l22 * l22 * vv);
+  p.l11 = root_yy / root_det, p.l12 = -(g.xy / root_yy) / root_det, p.l22 = 1.0f / root_yy;
+  p.uu = m[3] * (1.0f / kHalfLog2e), p.uv = m[4] * (1.0f / kHalfLog2e), p.vv = m[5] * (1.0f / kHalfLog2e);
   p.log_opacity = m[0];
   for (int c = 0; c < 3; ++c) p.color[c] = m[6 + c];
   p.depth = m[9];
   return p;
 }
 
-// ln compensation = ½ (ln det Σ − ln det Σ'), constant under its floor, with det Σ' = det Σ + s tr Σ + s². What hangs on tr Σ joins the
-// covariance's gradient; ∂loss/∂ln det Σ is returned and goes through the sum of squares that det Σ is: as a gradient of xx, xy and yy
-// it would cancel along a needle.
-RADIANT_INLINE F compensation_backward(const Geometry& g, PlaneGradients& p) {
+// ∂loss/∂ln opacity through ln √(det Σ / det Σ') to lengths, axes and the Jacobian; constant under the floor of `compensation`.
+// With det Σ' = det Σ + s tr Σ + s², tr Σ = Σ_k |half_k|² and det Σ = Σ_k minor_k² a needle's gradient is a sum of small things, where a
+// gradient of xx, xy and yy would cancel.
+RADIANT_INLINE void compensation_backward(const Geometry& g, const F& scale_x, const F& scale_y, const F& log_opacity, F log_scales[3], F axes[9],
+                                          F& clamped_x, F& clamped_y) {
   constexpr float s = kDilationPx2;
   const Mask above = broadcast(1e-12f) < g.determinant / g.dilated_determinant;
-  const F factor = keep(above, 0.5f * s * p.log_opacity) / g.dilated_determinant;
-  p.xx -= factor;
-  p.yy -= factor;
-  return factor * (g.xx + g.yy + s);
-}
-
-// ∂loss/∂ln det Σ to the lengths and axes, and to where the Jacobian is taken. det Σ = Σ_k minor_k², as in `project_covariance`.
-RADIANT_INLINE void determinant_backward(const Geometry& g, const F& area, const F& log_determinant, F log_scales[3], F axes[9], F& clamped_x, F& clamped_y) {
-  F over_along[3], squares[3];
-  const F factor = 2.0f * log_determinant / select(broadcast(0.0f) < g.determinant, g.determinant, broadcast(1.0f));
+  const F by_trace = keep(above, s * log_opacity) / g.dilated_determinant;
+  const F trace = g.xx + g.yy, by_share = by_trace * (trace + s), inverse_det = 1.0f / select(above, g.determinant, broadcast(1.0f));
+  F share[3], length2[3];
   for (int k = 0; k < 3; ++k) {
     const F along = g.clamped_x * g.axes[k] + g.clamped_y * g.axes[3 + k] + g.axes[6 + k];
-    const F size = g.scales[(k + 1) % 3] * (g.scales[(k + 2) % 3] * area), minor = size * along;
-    squares[k] = factor * minor * minor;
-    over_along[k] = factor * minor * size;
+    const F size = g.scales[(k + 1) % 3] * (g.scales[(k + 2) % 3] * (scale_x * scale_y)), over_det = size * along * inverse_det;
+    share[k] = over_det * (size * along);
+    length2[k] = g.half_x[k] * g.half_x[k] + g.half_y[k] * g.half_y[k];
+    const F by_along = by_share * (over_det * size), x = by_trace * g.half_x[k] * g.scales[k] * scale_x, y = by_trace * g.half_y[k] * g.scales[k] * scale_y;
+    axes[k] += by_along * g.clamped_x - x;
+    axes[3 + k] += by_along * g.clamped_y - y;
+    axes[6 + k] += by_along + (g.clamped_x * x + g.clamped_y * y);
+    clamped_x += by_along * g.axes[k] + x * g.axes[6 + k];
+    clamped_y += by_along * g.axes[3 + k] + y * g.axes[6 + k];
   }
   for (int k = 0; k < 3; ++k) {
-    log_scales[k] += squares[(k + 1) % 3] + squares[(k + 2) % 3];
-    axes[k] += g.clamped_x * over_along[k];
-    axes[3 + k] += g.clamped_y * over_along[k];
-    axes[6 + k] += over_along[k];
-    clamped_x += g.axes[k] * over_along[k];
-    clamped_y += g.axes[3 + k] * over_along[k];
+    const int i = (k + 1) % 3, j = (k + 2) % 3;
+    log_scales[k] += by_trace * (s * (share[i] + share[j]) + (length2[i] + length2[j]) - trace * share[k]);
   }
 }
 
-// Through the covariance to the lengths and axes of the Gaussian and to where it stands.
-RADIANT_INLINE void covariance_backward(const View& view, const Geometry& g, PlaneGradients& p, F log_scales[3], F axes[9], PointGradients& at) {
-  const F log_determinant = view.antialiased ? compensation_backward(g, p) : broadcast(0.0f);
+// Through the covariance to the lengths and axes of the Gaussian and to where it stands. A half axis h gets L̂ᵀ M L̂ h: whitened first, so
+// that it is of length 1 or less, along a needle too.
+RADIANT_INLINE void covariance_backward(const View& view, const Geometry& g, const PlaneGradients& p, F log_scales[3], F axes[9], PointGradients& at) {
   const F scale_x = static_cast<float>(view.fx) * g.inverse_z, scale_y = static_cast<float>(view.fy) * g.inverse_z;
   F clamped_x = broadcast(0.0f), clamped_y = broadcast(0.0f);
   for (int k = 0; k < 3; ++k) {
-    const F half_x = 2.0f * p.xx * g.half_x[k] + p.xy * g.half_y[k], half_y = 2.0f * p.yy * g.half_y[k] + p.xy * g.half_x[k];
-    log_scales[k] = half_x * g.half_x[k] + half_y * g.half_y[k];
-    axes[k] = half_x * g.scales[k] * scale_x;
-    axes[3 + k] = half_y * g.scales[k] * scale_y;
+    const F u = p.l11 * g.half_x[k] + p.l12 * g.half_y[k], v = p.l22 * g.half_y[k];
+    const F by_u = p.uu * u + p.uv * v, by_v = p.uv * u + p.vv * v;
+    log_scales[k] = u * by_u + v * by_v;
+    axes[k] = p.l11 * by_u * g.scales[k] * scale_x;
+    axes[3 + k] = (p.l12 * by_u + p.l22 * by_v) * g.scales[k] * scale_y;
     axes[6 + k] = -(g.clamped_x * axes[k] + g.clamped_y * axes[3 + k]);
     clamped_x -= axes[k] * g.axes[6 + k];
     clamped_y -= axes[3 + k] * g.axes[6 + k];
   }
-  if (view.antialiased) determinant_backward(g, scale_x * scale_y, log_determinant, log_scales, axes, clamped_x, clamped_y);
+  if (view.antialiased) compensation_backward(g, scale_x, scale_y, p.log_opacity, log_scales, axes, clamped_x, clamped_y);
   at.ratio_x = static_cast<float>(view.fx) * p.mean_x + keep(g.free_x, clamped_x);
   at.ratio_y = static_cast<float>(view.fy) * p.mean_y + keep(g.free_y, clamped_y);
-  // Each half axis is a length over the depth.
+  // Every half axis is a length over the depth.
   at.z = p.depth - (log_scales[0] + log_scales[1] + log_scales[2]) * g.inverse_z;
 }
 
@@ -121,58 +113,6 @@ RADIANT_INLINE void rotation_backward(const View& view, const Geometry& g, const
 
 // A gradient that leaves float32 (a quaternion of length 1e-36, say) is held at the largest number, where the reference holds inf.
 RADIANT_INLINE F finite(Mask visible, const F& a) { return keep(visible, clamp(a, broadcast(-1e37f), broadcast(1e37f))); }
-
-// Writes ∂loss/∂sh0, ∂loss/∂shN = Y_k ∂loss/∂colour of the lanes.
-template <int kDegree>
-RADIANT_INLINE void harmonics_backward(const SplatArrays& splats, int64_t first, int lanes, const F direction[3], const F color[3],
-                                       const SplatGradients& out, Write write) {
-  constexpr int kBases = (kDegree + 1) * (kDegree + 1) - 1;
-  if (out.sh0) {
-    const F sh0[3] = {kSh0 * color[0], kSh0 * color[1], kSh0 * color[2]};
-    store_fields<3>(out.sh0, first, lanes, sh0, write);
-  }
-  if (!out.shN || splats.num_rest == 0) return;
-  const int stride = 3 * splats.num_rest;
-  // Rows one after another; the last vector of a row reaches into the next, which is written later, hence parts from last to first.
-  constexpr int kParts = (3 * kBases + kLanes - 1) / kLanes;
-  alignas(64) float rows[kLanes * 3 * kBases + kLanes];
-  if constexpr (kDegree > 0) {
-    F value[15];
-    basis<kDegree>(direction, value, nullptr);
-    for (int part = kParts - 1; part >= 0; --part) {
-      F column[kLanes];
-      for (int i = 0; i < kLanes; ++i) {
-        const int k = (part * kLanes + i) / 3, c = (part * kLanes + i) % 3;
-        column[i] = k < kBases ? value[k] * color[c] : broadcast(0.0f);
-      }
-      transpose(column);
-      for (int lane = 0; lane < kLanes; ++lane) store(rows + lane * 3 * kBases + part * kLanes, column[lane]);
-    }
-  }
-  if (write == Write::stream && lanes == kLanes && stride == 3 * kBases) {
-    for (int line = 0; line < 3 * kBases; ++line) stream(out.shN + first * stride + line * kLanes, load(rows + line * kLanes));
-    return;
-  }
-  for (int lane = 0; lane < lanes; ++lane) {
-    float* to = out.shN + (first + lane) * stride;
-    if (write == Write::add) {
-      for (int i = 0; i < 3 * kBases; ++i) to[i] += rows[lane * 3 * kBases + i];
-    } else {
-      __builtin_memcpy(to, rows + lane * 3 * kBases, 3 * kBases * sizeof(float));
-      __builtin_memset(to + 3 * kBases, 0, (stride - 3 * kBases) * sizeof(float));
-    }
-  }
-}
-
-RADIANT_INLINE void harmonics_backward(const View& view, const SplatArrays& splats, int64_t first, int lanes, const F direction[3],
-                                       const F color[3], const SplatGradients& out, Write write) {
-  switch (view.sh_degree) {
-    case 0: return harmonics_backward<0>(splats, first, lanes, direction, color, out, write);
-    case 1: return harmonics_backward<1>(splats, first, lanes, direction, color, out, write);
-    case 2: return harmonics_backward<2>(splats, first, lanes, direction, color, out, write);
-    default: return harmonics_backward<3>(splats, first, lanes, direction, color, out, write);
-  }
-}
 
 RADIANT_INLINE void clear(const SplatArrays& splats, int64_t first, int lanes, const SplatGradients& out) {
   if (out.add) return;
@@ -205,7 +145,7 @@ static void project_backward(const View& view, const SplatArrays& splats, int64_
     F m[kMoments];
     load_moments(sums, first, lanes, m);
     for (int k = 0; k < kMoments; ++k) m[k] = keep(drawn, m[k]);
-    PlaneGradients p = plane_gradients(view, g, m, means2d_gradient, first, lanes);
+    const PlaneGradients p = plane_gradients(g, m, means2d_gradient, first, lanes);
 
     F direction[3], slopes[9], away[3];
     const F inverse_distance = view_directions(view, splats.means, first, lanes, direction);

@@ -2,7 +2,8 @@
 #pragma once
 
 #include "raster_types.h"
-#include "simd.h"
+#include "simd_math.h"
+#include "simd_rows.h"
 
 namespace radiant::RADIANT_ISA {
 
