@@ -21,7 +21,7 @@ struct Geometry {
   F quat[4], inverse_norm;                  // unit quaternion, 1/|q| (0 for a zero one)
   F rotation[9];                            // of the Gaussian
   F axes[9];                                // W R: axes in the camera, column k = axis k
-  F scales[3];
+  F log_scales[3], scales[3];
   F half_x[3], half_y[3];                   // rows of J W R S
   F xx, xy, yy, determinant;                // before dilation
   F dilated_xx, dilated_yy, dilated_determinant;
@@ -118,12 +118,11 @@ RADIANT_INLINE void project_covariance(const View& view, const float* log_scales
   g.clamped_y = clamp(g.ratio_y, low_y, high_y);
   g.free_x = (low_x <= g.ratio_x) & (g.ratio_x <= high_x);
   g.free_y = (low_y <= g.ratio_y) & (g.ratio_y <= high_y);
-  F log_scale[3];
-  load_fields<3>(log_scales, first, lanes, log_scale);
+  load_fields<3>(log_scales, first, lanes, g.log_scales);
   const F scale_x = fx * g.inverse_z, scale_y = fy * g.inverse_z;
   F largest = broadcast(0.0f);
   for (int k = 0; k < 3; ++k) {
-    g.scales[k] = exp(log_scale[k]);
+    g.scales[k] = exp(g.log_scales[k]);
     g.half_x[k] = g.scales[k] * scale_x * (g.axes[k] - g.clamped_x * g.axes[6 + k]);
     g.half_y[k] = g.scales[k] * scale_y * (g.axes[3 + k] - g.clamped_y * g.axes[6 + k]);
     largest = max(largest, max(abs(g.half_x[k]), abs(g.half_y[k])));
