@@ -116,8 +116,9 @@ RADIANT_INLINE void rotation_backward(const Geometry& g, const F turns[3], F qua
   quats[3] = x * t[1] - y * t[0] + w * t[2];
 }
 
-// A gradient that leaves float32 (a quaternion of length 1e-36, say) is held at the largest number, where the reference holds inf.
-RADIANT_INLINE F finite(Mask visible, const F& a) { return keep(visible, clamp(a, broadcast(-1e37f), broadcast(1e37f))); }
+// A gradient that leaves float32 (a quaternion of length 1e-36, say) is held at the largest number, where the reference holds inf. No number
+// stays none: it is the second of two that min and max hand on.
+RADIANT_INLINE F finite(Mask visible, const F& a) { return keep(visible, max(broadcast(-1e37f), min(broadcast(1e37f), a))); }
 
 RADIANT_INLINE void clear(const SplatArrays& splats, int64_t first, int lanes, const SplatGradients& out) {
   if (out.add) return;
