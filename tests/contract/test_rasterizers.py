@@ -6,6 +6,8 @@ Gaussian), RMS 1e-5; gradients 1e-4 for regular Gaussians, 5e-2 for needles, fin
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import torch
@@ -16,7 +18,7 @@ from radiant_core.render.contract import FEATURES, SplatTensors, rasterize
 from radiant_core.splats import Splats
 
 from . import gaussians
-from .backends import BACKENDS, NATIVE, random_loss, relative_errors, render, undecided_pixels
+from .backends import BACKENDS, NATIVE, opacity_rounding, random_loss, relative_errors, render, undecided_pixels
 
 MAX_ERROR, MAX_ERROR_UNDECIDED, MAX_RMS = 1e-4, 5e-3, 1e-5
 
@@ -26,7 +28,7 @@ on_every_native_build = pytest.mark.parametrize("backend", NATIVE)
 
 def assert_pictures_agree(splats: Splats, cameras: Cameras, backend: str, **options) -> None:
     exact, got = (render(splats, cameras, name, **options).output for name in ("oracle", backend))
-    undecided = undecided_pixels(splats, cameras)
+    undecided = undecided_pixels(splats, cameras, **options)
     for part, unit in (("images", 1.0), ("alphas", 1.0), ("depths", 12.0)):
         error = (getattr(got, part).double() - getattr(exact, part)).detach().abs() / unit
         error = error.amax(-1) if part == "images" else error
@@ -89,38 +91,38 @@ def test_gradients_of_2000_regular_gaussians(backend: str, antialiased: bool) ->
 
 
 @on_every_native_build
-def test_gradients_of_400_needles(backend: str) -> None:
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_gradients_of_400_needles(backend: str, antialiased: bool) -> None:
     splats, cameras = gaussians.needles(400, seed=6), gaussians.off_centre_cameras(64, 48, focal_px=220)
-    assert_gradients_agree(splats, cameras, backend, limit=5e-2)
+    assert_gradients_agree(splats, cameras, backend, antialiased=antialiased, limit=5e-2)
 
 
 @on_every_native_build
 @pytest.mark.parametrize("focal_px", [15.0, 40.0])
-def test_gradients_at_the_frustum_edge_and_under_the_clamped_jacobian(backend: str, focal_px: float) -> None:
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_gradients_at_the_frustum_edge_and_under_the_clamped_jacobian(backend: str, focal_px: float, antialiased: bool) -> None:
     splats, cameras = gaussians.frustum_edge(150, seed=7), gaussians.off_centre_cameras(40, 30, focal_px=focal_px)
-    assert_gradients_agree(splats, cameras, backend, limit=1e-3)
+    output = render(splats, cameras, backend, antialiased=antialiased).output
+    beyond = (output.means2d < -0.15 * torch.tensor([40, 30])) | (output.means2d > 1.15 * torch.tensor([40, 30]))
+    assert (beyond.any(-1) & (output.radii_px > 0)).sum() >= 15
+    assert_gradients_agree(splats, cameras, backend, antialiased=antialiased, limit=1e-4)
 
 
 def assert_gradients_agree(splats: Splats, cameras: Cameras, backend: str, *, limit: float, antialiased: bool = False) -> None:
-    """All gradients but the opacities' to `limit` per Gaussian; those to `limit` of the median.
+    """All gradients to `limit` per Gaussian, but for what opacities lose to float32.
 
-    An opacity has one number, a sum of both signs: in some Gaussians of a thousand it nearly cancels, and no float32 sum is
-    exact relative to what is left. The others are vectors, whose parts do not cancel all at once.
+    Float32 PyTorch itself has centres 1e-5 px coarse, which costs it 20 times as much; it is the oracle in float64 only.
     """
-    keep = ~undecided_pixels(splats, cameras)
+    slack = 20 if backend == "reference" else 1
+    keep = ~undecided_pixels(splats, cameras, antialiased=antialiased)
     exact, got = (render(splats, cameras, name, antialiased=antialiased) for name in ("oracle", backend))
     for rendered in (exact, got):
         random_loss(rendered.output, ("images",), keep).backward()
     truth = exact.gradients()
     for name, gradient in got.gradients().items():
-        if name == "logit_opacities":
-            error = (gradient - truth[name]).abs()
-            assert error.max() <= limit * float(truth[name][truth[name] != 0].abs().median()), name
-        else:
-            errors = relative_errors(gradient, truth[name])
-            # float32 PyTorch itself exceeds the limit in one Gaussian of a thousand; it is the oracle in float64 only.
-            assert torch.quantile(errors, 0.99) <= limit, (name, float(torch.quantile(errors, 0.99)))
-            assert errors.max() <= (10 * limit if backend == "reference" else 3 * limit), (name, float(errors.max()))
+        rounding = slack * opacity_rounding(splats, truth) if name == "logit_opacities" else 0.0
+        errors = relative_errors(gradient, truth[name], rounding)
+        assert errors.max() <= slack * limit, (name, float(errors.max()))
     assert exact.background.grad is not None and got.background.grad is not None
     torch.testing.assert_close(got.background.grad.double(), exact.background.grad, rtol=1e-5, atol=1e-5)
 
@@ -161,6 +163,18 @@ def test_degenerate_gaussians_leave_pictures_and_gradients_finite(backend: str) 
 
 
 @on_every_native_build
+def test_a_gradient_that_is_no_number_stays_none(backend: str) -> None:
+    # Held within float32 like an overflow it would reach the optimiser as an ordinary, huge number.
+    rendered = render(gaussians.regular(200), gaussians.off_centre_cameras(32, 32, focal_px=30), backend)
+    poison = torch.ones_like(rendered.output.images)
+    poison[0, 10, 10, 0] = torch.nan
+    rendered.output.images.backward(poison)
+    lost = [gradient.isnan().any(1) for gradient in rendered.gradients().values()]
+    assert lost[0].any() and not lost[0].all()
+    assert all(torch.equal(where, lost[0]) for where in lost)
+
+
+@on_every_native_build
 def test_the_same_bits_for_1_2_and_16_threads_and_from_run_to_run(backend: str) -> None:
     # More than 4 chunks of 1,024 Gaussians, so that the threads have something to disagree about.
     splats, cameras = gaussians.regular(5000, seed=9), gaussians.off_centre_cameras(150, 100, count=2, focal_px=130)
@@ -182,10 +196,13 @@ def test_the_order_of_the_gaussians_does_not_matter(backend: str) -> None:
     straight, shuffled = (render(model, cameras, backend) for model in (splats, splats.select(permutation)))
     for rendered in (straight, shuffled):
         random_loss(rendered.output, ("images",)).backward()
-    # Blending follows depth, not storage, so pictures have the same bits natively; the reference pads its lists differently.
-    torch.testing.assert_close(straight.output.images, shuffled.output.images, rtol=0, atol=1e-5 if backend == "reference" else 0)
+    # Blending follows depth, not storage, and each Gaussian's sums have an order of their own: natively the same bits. The reference pads
+    # its lists differently.
+    slack = 1 if backend == "reference" else 0
+    torch.testing.assert_close(straight.output.images, shuffled.output.images, rtol=0, atol=slack * 1e-5)
     for name, gradient in straight.gradients().items():
-        torch.testing.assert_close(gradient[permutation], shuffled.gradients()[name], rtol=1e-3, atol=1e-5 * float(gradient.abs().max()))
+        limits = {"rtol": slack * 1e-3, "atol": slack * 1e-5 * float(gradient.abs().max())}
+        torch.testing.assert_close(gradient[permutation], shuffled.gradients()[name], **limits)
 
 
 @on_every_native_build
@@ -265,14 +282,61 @@ def test_the_table_of_features_names_every_backend_and_auto_picks_by_type() -> N
         rasterize(SplatTensors.from_splats(splats), pose.requires_grad_(), K, 16, 16, sh_degree=3, backend="native")
 
 
-@pytest.mark.parametrize("name", ["means", "quats", "log_scales", "logit_opacities", "sh0", "shN"])
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_poison_is_named_before_it_reaches_the_kernels(name: str, value: float) -> None:
-    tensors = SplatTensors.from_splats(gaussians.regular(10))
-    tensors.tensors()[name].view(10, -1)[7, 0] = value
-    cameras = gaussians.off_centre_cameras(16, 16)
-    with pytest.raises(BadInput, match=rf"{name} has 1 values .* index \(7"):
-        rasterize(tensors, torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks), 16, 16, sh_degree=3, backend="native")
+INPUTS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN", "viewmats", "Ks", "background")
+
+
+def valid_inputs() -> dict[str, torch.Tensor]:
+    """10 Gaussians and 2 cameras."""
+    cameras = gaussians.off_centre_cameras(16, 16, count=2)
+    views = {"viewmats": torch.tensor(cameras.cam_from_world), "Ks": torch.tensor(cameras.Ks), "background": torch.zeros(3)}
+    return {**SplatTensors.from_splats(gaussians.regular(10)).tensors(), **views}
+
+
+def rasterize_changed(name: str, tensor: torch.Tensor, **options):
+    """`rasterize` of `valid_inputs` with one of them replaced."""
+    inputs = valid_inputs()
+    viewmats, Ks, background = (tensor if name == view else inputs.pop(view) for view in ("viewmats", "Ks", "background"))
+    splats = SplatTensors(**{key: inputs[key] for key in SplatTensors.__dataclass_fields__})
+    if name in SplatTensors.__dataclass_fields__:
+        # Set afterwards: the tests check the shapes of every product when it is made.
+        object.__setattr__(splats, name, tensor)
+    return rasterize(splats, viewmats, Ks, 16, 16, **{"sh_degree": 3, "background": background, "backend": "native", **options})
+
+
+@pytest.mark.parametrize("backend", ["native", "reference"])
+@pytest.mark.parametrize("name", INPUTS)
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_poison_is_named_counted_and_located_in_every_input(name: str, value: float, backend: str) -> None:
+    tensor = valid_inputs()[name]
+    tensor.view(-1)[[1, -1]] = value
+    first = tuple(int(i) for i in np.unravel_index(1, tensor.shape))
+    with pytest.raises(BadInput, match=rf"^{name} has 2 values that are not finite, the first at index {re.escape(str(first))}"):
+        rasterize_changed(name, tensor, backend=backend)
+
+
+@pytest.mark.parametrize("backend", ["native", "reference"])
+@pytest.mark.parametrize("name", INPUTS)
+def test_a_wrong_shape_or_type_of_every_input_is_named(name: str, backend: str) -> None:
+    tensor = valid_inputs()[name]
+    # means and viewmats say how many Gaussians and cameras there are, so another one is blamed when they have too few rows.
+    fewer = [] if name in ("means", "viewmats") else [tensor[:-1]]
+    for wrong in (tensor[None], tensor[..., :-1], tensor.reshape(-1)[0], *fewer):
+        with pytest.raises(BadInput, match=rf"^{name} has shape {re.escape(str(tuple(wrong.shape)))}, expected \("):
+            rasterize_changed(name, wrong, backend=backend)
+    with pytest.raises(BadInput, match=rf"^{name} is torch.int32"):
+        rasterize_changed(name, tensor.int(), backend=backend)
+
+
+@pytest.mark.parametrize("backend", ["native", "reference"])
+def test_values_no_camera_has_are_refused(backend: str) -> None:
+    for near_m, far_m in ((-1.0, 10.0), (2.0, 1.0), (float("nan"), 10.0), (0.1, float("nan"))):
+        with pytest.raises(BadInput, match="near_m is"):
+            rasterize_changed("Ks", valid_inputs()["Ks"], near_m=near_m, far_m=far_m, backend=backend)
+    for place, value in (((0, 0, 0), 0.0), ((1, 1, 1), -220.0), ((0, 0, 1), 3.0), ((1, 2, 2), 2.0)):
+        Ks = valid_inputs()["Ks"]
+        Ks[place] = value
+        with pytest.raises(BadInput, match="Ks has another form"):
+            rasterize_changed("Ks", Ks, backend=backend)
 
 
 @on_every_native_build

@@ -1,11 +1,14 @@
-"""The native module against its plain numpy twin: which cell of a power diagram each position lies in."""
+"""The native module: cells of a power diagram against a plain numpy twin, what importing it leaves alone, and building it."""
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,3 +140,19 @@ def test_importing_the_module_leaves_denormals_alone_in_the_whole_process() -> N
     code = "import radiant_core._native, numpy as np; print((np.full(9, 1e-310) / 2).tolist() == [5e-311] * 9, 5e-324 / 1.0 > 0)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.split() == ["True", "True"]
+
+
+def test_building_without_a_compiler_says_in_one_sentence_what_to_install(tmp_path: Path) -> None:
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    cmake, ninja = shutil.which("cmake", path=path), shutil.which("ninja", path=path)
+    if cmake is None or ninja is None:
+        pytest.skip("needs cmake and ninja, which pip brings only while it builds")
+    root = str(Path(__file__).parents[2])
+    configure = [cmake, "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={ninja}", "-S", root, "-B", str(tmp_path)]
+    for _ in range(2):  # what was not found is looked for again
+        result = subprocess.run(configure, env={**os.environ, "CXX": "no-such-compiler"}, capture_output=True, text=True, check=False)
+        if "or higher is required" in result.stderr:
+            pytest.skip("this cmake is too old for the project, pip brings a newer one")
+        assert result.returncode == 1
+        assert "No C++ compiler was found" in result.stderr and "apt-get install g++" in result.stderr
+        assert "CMAKE_CXX_COMPILER:" not in (tmp_path / "CMakeCache.txt").read_text()

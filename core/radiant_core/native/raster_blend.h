@@ -34,7 +34,7 @@ struct Pixels {
 
 // α at 16 pixels, 0 where it is under α_min or no number; t = log₂ of it before the cap.
 RADIANT_INLINE F alpha_of(const F& t) {
-  return keep(broadcast(kLog2AlphaMin) <= t, min(exp2_of_negative<true>(t), broadcast(kAlphaMax)));
+  return keep(broadcast(kLog2AlphaMin) <= t, min(exp2_of_negative(t), broadcast(kAlphaMax)));
 }
 
 // Blends the Gaussians of `list` into the 16 pixels at (x, y) from the tile's centre. `last` keeps what it holds for pixels that no

@@ -87,7 +87,7 @@ RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t e
     for (int i = 0; i < kParts; ++i) {
       const Part y = part(b.y, i), u = row.l11 * part(b.x, i) + (row.l12 * y + row.u), v = row.l22 * y + row.v;
       const Part t = row.log2_opacity - u * u - v * v;
-      const Part free_alpha = keep(broadcast<1>(kLog2AlphaMin) <= t, exp2_of_negative<true>(t));
+      const Part free_alpha = keep(broadcast<1>(kLog2AlphaMin) <= t, exp2_of_negative(t));
       const Part alpha = kCapped ? min(free_alpha, broadcast<1>(kAlphaMax)) : free_alpha;
       const Part transmittance = part(b.transmittance, i) * reciprocal(1.0f - alpha), weight = alpha * transmittance;
       const Part red = part(b.red, i), green = part(b.green, i), blue = part(b.blue, i), behind = part(b.behind, i);

@@ -106,18 +106,20 @@ def rasterize(
     antialiased: bool = False,
     backend: Backend = "auto",
 ) -> RenderOutput:
-    """Render C cameras: viewmats (C,4,4) cam_from_world, Ks (C,3,3) px, background (3) or None for black.
+    """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background (3) or None for black.
 
-    Raises BadInput naming the tensor when a shape is wrong or a value is not finite.
+    Gaussians between near_m and far_m are drawn, with harmonics up to sh_degree; antialiased scales opacities by √(det Σ / det Σ'), Σ
+    before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). Tensors and pictures are of one
+    floating type, viewmats and Ks may be of a finer one.
+
+    Raises BadInput that names the tensor, how many values and the first index where one is not finite, and for a wrong shape or type, for
+    cameras that are not pinholes, for a degree without bases, for near_m and far_m out of order, and for what `backend` cannot do.
     """
     from radiant_core.render.native_backend import rasterize_native
     from radiant_core.render.torch_reference import rasterize_reference
 
     if backend not in get_args(Backend):
         raise BadInput(f"backend {backend!r} is unknown: use {', '.join(map(repr, get_args(Backend)))}.")
-    _check(splats, viewmats, Ks, sh_degree)
-    if width < 1 or height < 1:
-        raise BadInput(f"the image is {width} × {height} px, expected at least 1 × 1.")
     view = ViewOptions(
         width=width,
         height=height,
@@ -125,8 +127,9 @@ def rasterize(
         near_m=near_m,
         far_m=far_m,
         antialiased=antialiased,
-        background=torch.zeros(3, dtype=splats.means.dtype) if background is None else background,
+        background=torch.zeros(3) if background is None else background,
     )
+    _check(splats, viewmats, Ks, view)
     if backend == "native" or (backend == "auto" and _fits_native(splats, viewmats, Ks)):
         return rasterize_native(splats, viewmats, Ks, view)
     return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
@@ -155,25 +158,41 @@ def _fits_native(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> bool:
     return on_cpu and not viewmats.requires_grad and not Ks.requires_grad
 
 
-def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, sh_degree: int) -> None:
-    count, cameras = len(splats), viewmats.shape[0]
+def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> None:
+    count, cameras = (tensor.shape[0] if tensor.ndim else 0 for tensor in (splats.means, viewmats))
+    bases = splats.shN.shape[1] if splats.shN.ndim == 3 else 0
     shapes = {
         "means": (count, 3),
         "quats": (count, 4),
         "log_scales": (count, 3),
         "logit_opacities": (count,),
         "sh0": (count, 1, 3),
-        "shN": (count, splats.shN.shape[1] if splats.shN.ndim == 3 else -1, 3),
+        "shN": (count, bases, 3),
+        "viewmats": (cameras, 4, 4),
+        "Ks": (cameras, 3, 3),
+        "background": (3,),
     }
-    checks = [(name, tensor, shapes[name]) for name, tensor in splats.tensors().items()]
-    for name, tensor, shape in [*checks, ("viewmats", viewmats, (cameras, 4, 4)), ("Ks", Ks, (cameras, 3, 3))]:
-        if tuple(tensor.shape) != shape:
-            raise BadInput(f"{name} has shape {tuple(tensor.shape)}, expected {shape}: check which tensor was passed.")
-        # One sum finds a NaN or Inf at a tenth of the cost of isfinite; the exact index is searched only then.
-        if not torch.isfinite(tensor.detach().sum()):
-            bad = ~torch.isfinite(tensor.detach())
-            if bad.any():
-                first = tuple(bad.nonzero()[0].tolist())
-                raise BadInput(f"{name} has {int(bad.sum())} values that are not finite, the first at index {first}: remove them first.")
-    if not 0 <= sh_degree <= 3 or SH_BASES[sh_degree] > splats.shN.shape[1] + 1:
-        raise BadInput(f"sh_degree is {sh_degree} but shN has {splats.shN.shape[1]} bases: use a degree these bases can hold.")
+    for name, tensor in {**splats.tensors(), "viewmats": viewmats, "Ks": Ks, "background": view.background}.items():
+        _check_tensor(name, tensor, shapes[name])
+    if not 0 <= view.sh_degree <= 3 or SH_BASES[view.sh_degree] > bases + 1:
+        raise BadInput(f"sh_degree is {view.sh_degree} but shN has {bases} bases: use a degree these bases can hold.")
+    if view.width < 1 or view.height < 1:
+        raise BadInput(f"the image is {view.width} × {view.height} px, expected at least 1 × 1.")
+    if not 0 <= view.near_m < view.far_m:
+        raise BadInput(f"near_m is {view.near_m} and far_m {view.far_m}, expected 0 ≤ near_m < far_m: only what is in front is drawn.")
+    K = Ks.detach()
+    if (K[:, [0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or (K[:, 2, 2] != 1).any() or (K[:, [0, 1], [0, 1]] <= 0).any():
+        raise BadInput("Ks has another form than [fx 0 cx; 0 fy cy; 0 0 1] with fx, fy > 0: undistort to pinhole cameras first.")
+
+
+def _check_tensor(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
+    if tuple(tensor.shape) != shape:
+        raise BadInput(f"{name} has shape {tuple(tensor.shape)}, expected {shape}: check which tensor was passed.")
+    if not tensor.is_floating_point():
+        raise BadInput(f"{name} is {tensor.dtype}, expected float32 or float64: convert it.")
+    # One sum finds a NaN or Inf at a tenth of the cost of isfinite; the exact index is searched only then.
+    if not torch.isfinite(tensor.detach().sum()):
+        bad = ~torch.isfinite(tensor.detach())
+        if bad.any():
+            first = tuple(bad.nonzero()[0].tolist())
+            raise BadInput(f"{name} has {int(bad.sum())} values that are not finite, the first at index {first}: remove them first.")

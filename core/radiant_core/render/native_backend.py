@@ -93,7 +93,7 @@ def rasterize_native(
     `instruction_set` is one of `instruction_sets()`, the fastest by default; `threads` is torch.get_num_threads() by default.
     Raises BadInput for another type or device, and where the cameras ask for gradients.
     """
-    _check_native(splats, viewmats, Ks, view, instruction_set)
+    _check_native(splats, viewmats, Ks, instruction_set)
     cameras, count = viewmats.shape[0], len(splats)
     shape = (cameras, view.height, view.width)
     call = _Call(
@@ -126,7 +126,7 @@ def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width:
     return 16 * native.num_block_pairs
 
 
-def _check_native(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions, instruction_set: str) -> None:
+def _check_native(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, instruction_set: str) -> None:
     for name, tensor in splats.tensors().items():
         if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
             raise BadInput(
@@ -135,8 +135,6 @@ def _check_native(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: View
     for name, tensor in (("viewmats", viewmats), ("Ks", Ks)):
         if tensor.requires_grad:
             raise BadInput(f"{name} requires gradients, which backend 'native' has none for: use backend='reference'.")
-    if view.near_m < 0:
-        raise BadInput(f"near_m is {view.near_m}, expected 0 or more: nothing behind the camera can be drawn.")
     if instruction_set and instruction_set not in instruction_sets():
         raise BadInput(f"instruction set {instruction_set!r} is not one of this CPU's: use {', '.join(instruction_sets())}.")
 

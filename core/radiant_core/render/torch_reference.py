@@ -71,8 +71,7 @@ def _shade(splats: SplatTensors, viewmat: Tensor, projection: _Projection, view:
 
 
 def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions) -> _Projection:
-    """EWA projection. The Jacobian is taken at a point clamped to 0.3 image widths outside the frustum, as 3DGS does, and
-    differentiated as it is computed: no gradient flows into a clamped coordinate."""
+    """EWA projection (Zwicker 2002). Where the Jacobian is clamped it is differentiated as it is computed: see `_jacobians`."""
     in_camera = splats.means @ viewmat[:3, :3].T + viewmat[:3, 3]
     depths = in_camera[:, 2]
     in_range = (depths > view.near_m) & (depths < view.far_m)
@@ -93,7 +92,12 @@ def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions
 
 
 def _jacobians(K: Tensor, x_over_z: Tensor, y_over_z: Tensor, z: Tensor, view: ViewOptions) -> Tensor:
-    """Jacobians (N,2,3) of the projection at points clamped to a window 1.3 times the image."""
+    """Jacobians (N,2,3) px/m of the projection at points clamped to a window 1.3 times the image, K of any principal point.
+
+    Beyond it the linear projection of EWA is far from the true one and would smear a Gaussian over the picture. Clamped are x/z and y/z,
+    not x and y: J_xz = −fx clamp(x/z) / z still depends on z, and autograd follows it. The kernel of 3DGS holds the clamped x fixed there,
+    so that its gradient of J_xz by z is twice the picture's; and its window lies evenly about the optical axis for any principal point.
+    """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     margin_x, margin_y = 0.15 * view.width / fx, 0.15 * view.height / fy
     x = torch.clamp(x_over_z, -cx / fx - margin_x, (view.width - cx) / fx + margin_x)

@@ -63,26 +63,49 @@ def test_float32_stays_near_float64() -> None:
     assert difference.square().mean().sqrt() < 1e-5
 
 
-def test_gradients_agree_with_finite_differences() -> None:
-    # Kept away from α_min and clamps: those decisions have no derivative. 4 Gaussians that cover the image.
-    rng = np.random.default_rng(3)
+# x/z, y/z of Gaussians as shares of the half image from its centre: inside; between the image's edge and where the Jacobian is clamped
+# (1.3 of the half image); beyond that in one coordinate, and in both.
+PLACES = {
+    "inside the image": [(-0.8, 0.5), (0.6, 0.7), (0.0, -0.4), (0.3, 0.1)],
+    "at the frustum's edge": [(-1.15, 0.5), (1.1, 0.2), (0.3, -1.2), (1.2, 1.15)],
+    "under the clamp": [(-2.0, 0.5), (1.6, 0.2), (0.3, -1.8), (1.7, 1.9)],
+}
+
+
+@pytest.mark.parametrize(
+    ("place", "offset_px", "antialiased"),
+    [
+        ("inside the image", 0.0, False),
+        ("inside the image", 3.0, True),
+        ("at the frustum's edge", 3.0, False),
+        ("under the clamp", 0.0, False),
+        ("under the clamp", 3.0, True),
+    ],
+)
+def test_gradients_agree_with_finite_differences(place: str, offset_px: float, antialiased: bool) -> None:
+    # Four Gaussians so wide that all of the image lies well above α_min: decisions have no derivative.
+    rng, cameras = np.random.default_rng(3), camera(9, 8, offset_px=offset_px)
+    degree, bases = (3, 16) if place == "inside the image" else (1, 4)
+    pixels = np.array([4.5, 4.0]) * (1 + np.array(PLACES[place]))
+    depths = rng.uniform(3.6, 4.4, 4)
+    means = np.column_stack([(pixels - cameras.Ks[0, :2, 2]) / cameras.Ks[0, [0, 1], [0, 1]] * depths[:, None], depths - 4.0])
     splats = Splats(
-        means=rng.uniform([-0.5, -0.4, -0.3], [0.5, 0.4, 0.3], (4, 3)),
+        means=means,
         quats=rng.normal(size=(4, 4)),
         log_scales=rng.uniform(0.0, 0.5, (4, 3)),
         logit_opacities=rng.uniform(-1, 0, 4),
         sh0=rng.uniform(0, 1, (4, 1, 3)),
-        shN=rng.normal(0, 0.05, (4, 15, 3)),
+        shN=rng.normal(0, 0.05, (4, bases - 1, 3)),
     )
     tensors = SplatTensors.from_splats(splats, torch.float64)
     for tensor in tensors.tensors().values():
         tensor.requires_grad_()
-    cameras = camera(9, 8)
     weights = torch.rand(1, 8, 9, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    viewmats, Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
 
     def loss(*values: torch.Tensor) -> torch.Tensor:
         current = SplatTensors(**dict(zip(tensors.tensors(), values, strict=True)))
-        output = rasterize(current, torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks), 9, 8, sh_degree=3)
+        output = rasterize(current, viewmats, Ks, 9, 8, sh_degree=degree, antialiased=antialiased)
         return (output.images * weights).sum() + output.depths.sum() + output.alphas.square().sum()
 
     assert torch.autograd.gradcheck(loss, tuple(tensors.tensors().values()), eps=1e-6, atol=1e-6, rtol=1e-4)
