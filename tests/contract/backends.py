@@ -9,12 +9,14 @@ import torch
 from torch import Tensor
 
 from radiant_core.cameras import Cameras
-from radiant_core.render.contract import RenderOutput, SplatTensors, ViewOptions, rasterize
+from radiant_core.render.contract import Backend, RenderOutput, SplatTensors, ViewOptions, device_of, rasterize
+from radiant_core.render.gsplat_backend import missing_for_gsplat
 from radiant_core.render.native_backend import instruction_sets, rasterize_native
 from radiant_core.splats import SH_C0, Splats
 
 NATIVE = tuple(f"native-{name}" for name in instruction_sets())
-BACKENDS = (*NATIVE, "reference")
+GSPLAT = () if missing_for_gsplat() else ("gsplat",)
+BACKENDS = (*GSPLAT, *NATIVE, "reference")
 BACKGROUND = (0.1, 0.4, 0.7)
 
 
@@ -29,7 +31,7 @@ class Rendered:
     def gradients(self) -> dict[str, Tensor]:
         """(N, …) as float64 (N, D) per tensor that has elements; zeros where autograd gave none."""
         return {
-            name: (torch.zeros_like(leaf) if leaf.grad is None else leaf.grad).double().reshape(len(leaf), -1)
+            name: (torch.zeros_like(leaf) if leaf.grad is None else leaf.grad).cpu().double().reshape(len(leaf), -1)
             for name, leaf in self.leaves.tensors().items()
             if leaf.numel()
         }
@@ -38,7 +40,8 @@ class Rendered:
 def render(splats: Splats | SplatTensors, cameras: Cameras, backend: str, *, threads: int | None = None, **options) -> Rendered:
     """Render in float32, or in float64 for the backend "oracle"; options as those of `rasterize`."""
     dtype = torch.float64 if backend == "oracle" else torch.float32
-    leaves = SplatTensors.from_splats(splats, dtype) if isinstance(splats, Splats) else splats
+    device = device_of(backend)
+    leaves = SplatTensors.from_splats(splats, dtype, device) if isinstance(splats, Splats) else splats
     for leaf in leaves.tensors().values():
         leaf.requires_grad_()
     width, height = (int(side) for side in cameras.sizes_wh[0])
@@ -49,8 +52,14 @@ def render(splats: Splats | SplatTensors, cameras: Cameras, backend: str, *, thr
         view = ViewOptions(width=width, height=height, background=background, **options)
         output = rasterize_native(leaves, viewmats, Ks, view, instruction_set=backend.removeprefix("native-"), threads=threads)
     else:
-        output = rasterize(leaves, viewmats, Ks, width, height, background=background, backend="reference", **options)
-    return Rendered(output=output, leaves=leaves, background=background)
+        name: Backend = "gsplat" if backend in GSPLAT else "reference"
+        output = rasterize(leaves, viewmats, Ks, width, height, background=background, backend=name, **options)
+    return Rendered(output=_on_cpu(output), leaves=leaves, background=background)
+
+
+def _on_cpu(output: RenderOutput) -> RenderOutput:
+    """The pictures on the CPU, where they are compared; `means2d` stays, for it holds the gradient."""
+    return replace(output, **{part: getattr(output, part).cpu() for part in ("images", "alphas", "depths", "radii_px")})
 
 
 def random_loss(output: RenderOutput, parts: Sequence[str] = ("images", "alphas", "depths"), keep: Tensor | None = None) -> Tensor:

@@ -27,8 +27,9 @@ DILATION_PX2 = 0.3
 TRANSMITTANCE_CUT = 1e-4
 """A Gaussian that would bring a pixel's transmittance to this or below is not blended, nor is any behind it."""
 
-Backend = Literal["auto", "native", "reference"]
-"""auto: native where it can be used, else reference; native: C++ for float32 on the CPU; reference: plain PyTorch, the oracle."""
+Backend = Literal["auto", "gsplat", "native", "reference"]
+"""auto: gsplat for tensors on CUDA, native on the CPU, reference where neither can be used. gsplat: CUDA kernels, an optional extra;
+native: C++ for float32 on the CPU; reference: plain PyTorch on any device in any type, the oracle."""
 
 Feature = Literal[
     "colour, alpha, depth",
@@ -42,6 +43,7 @@ Feature = Literal[
     "camera gradients",
 ]
 FEATURES: dict[str, frozenset[Feature]] = {
+    "gsplat": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
     "native": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
     "reference": frozenset(get_args(Feature)),
 }
@@ -67,9 +69,9 @@ class SplatTensors:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @staticmethod
-    def from_splats(splats: Splats, dtype: torch.dtype = torch.float32) -> SplatTensors:
-        """Copies of the arrays as tensors of `dtype`."""
-        return SplatTensors(**{name: torch.from_numpy(np.array(array)).to(dtype) for name, array in splats.arrays().items()})
+    def from_splats(splats: Splats, dtype: torch.dtype = torch.float32, device: str = "cpu") -> SplatTensors:
+        """Copies of the arrays as tensors of `dtype` on `device`."""
+        return SplatTensors(**{name: torch.from_numpy(np.array(array)).to(device, dtype) for name, array in splats.arrays().items()})
 
     def to_splats(self) -> Splats:
         """A validated numpy copy; BadInput where training left a value that is not finite."""
@@ -110,11 +112,12 @@ def rasterize(
 
     Gaussians between near_m and far_m are drawn, with harmonics up to sh_degree; antialiased scales opacities by √(det Σ / det Σ'), Σ
     before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). Tensors and pictures are of one
-    floating type, viewmats and Ks may be of a finer one.
+    floating type, viewmats and Ks may be of a finer one; cameras and background may lie on another device than the splats.
 
     Raises BadInput that names the tensor, how many values and the first index where one is not finite, and for a wrong shape or type, for
     cameras that are not pinholes, for a degree without bases, for near_m and far_m out of order, and for what `backend` cannot do.
     """
+    from radiant_core.render.gsplat_backend import rasterize_gsplat
     from radiant_core.render.native_backend import rasterize_native
     from radiant_core.render.torch_reference import rasterize_reference
 
@@ -127,10 +130,14 @@ def rasterize(
         near_m=near_m,
         far_m=far_m,
         antialiased=antialiased,
-        background=torch.zeros(3) if background is None else background,
+        background=(torch.zeros(3) if background is None else background).to(splats.means.device),
     )
     _check(splats, viewmats, Ks, view)
-    if backend == "native" or (backend == "auto" and _fits_native(splats, viewmats, Ks)):
+    if backend == "auto":
+        backend = _backend_for(splats, viewmats, Ks)
+    if backend == "gsplat":
+        return rasterize_gsplat(splats, viewmats, Ks, view)
+    if backend == "native":
         return rasterize_native(splats, viewmats, Ks, view)
     return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
 
@@ -149,13 +156,26 @@ class ViewOptions:
 
 
 def resolve_backend(backend: Backend) -> str:
-    """The backend that `auto` stands for with float32 models on this machine."""
-    return "native" if backend == "auto" else backend
+    """The backend that `auto` stands for with float32 models on this machine: gsplat where it can be used, else native."""
+    from radiant_core.render.gsplat_backend import missing_for_gsplat
+
+    return ("native" if missing_for_gsplat() else "gsplat") if backend == "auto" else backend
 
 
-def _fits_native(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> bool:
-    on_cpu = all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in splats.tensors().values())
-    return on_cpu and not viewmats.requires_grad and not Ks.requires_grad
+def device_of(backend: str) -> str:
+    """Where the tensors of a model lie that `backend` is to render: "cuda" for gsplat, else "cpu"."""
+    return "cuda" if backend == "gsplat" else "cpu"
+
+
+def _backend_for(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> Backend:
+    from radiant_core.render.gsplat_backend import missing_for_gsplat
+
+    if viewmats.requires_grad or Ks.requires_grad or any(tensor.dtype != torch.float32 for tensor in splats.tensors().values()):
+        return "reference"
+    devices = {tensor.device.type for tensor in splats.tensors().values()}
+    if devices == {"cpu"}:
+        return "native"
+    return "gsplat" if devices == {"cuda"} and missing_for_gsplat() is None else "reference"
 
 
 def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> None:

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
-from radiant_core.render.contract import Backend, SplatTensors, rasterize
+from radiant_core.render.contract import Backend, SplatTensors, device_of, rasterize, resolve_backend
 from radiant_core.splats import Splats
 
 
@@ -31,7 +31,7 @@ class RenderedView:
 
 def render_views(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> Iterator[RenderedView]:
     """Render every camera at its size, one picture in memory at a time."""
-    tensors = SplatTensors.from_splats(splats)
+    tensors = SplatTensors.from_splats(splats, device=device_of(resolve_backend(backend)))
     for index, (width, height) in enumerate(cameras.sizes_wh):
         one = slice(index, index + 1)
         viewmats, Ks = torch.tensor(cameras.cam_from_world[one]), torch.tensor(cameras.Ks[one])
@@ -39,7 +39,7 @@ def render_views(splats: Splats, cameras: Cameras, backend: Backend = "auto") ->
             output = rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=splats.sh_degree, backend=backend)
         yield RenderedView(
             name=cameras.names[index],
-            image=output.images[0].clamp(0, 1).numpy(),
-            alpha=output.alphas[0].clamp(0, 1).numpy(),
-            depth=output.depths[0].numpy(),
+            image=output.images[0].clamp(0, 1).cpu().numpy(),
+            alpha=output.alphas[0].clamp(0, 1).cpu().numpy(),
+            depth=output.depths[0].cpu().numpy(),
         )

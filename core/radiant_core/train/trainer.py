@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from radiant_core.errors import StageFailed
-from radiant_core.render.contract import Backend, SplatTensors, rasterize
+from radiant_core.render.contract import Backend, SplatTensors, device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import camera_extent
@@ -81,7 +81,7 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
     Raises StageFailed with the step when the loss stops being finite, or naming the tensor when a gradient does; BadInput from the
     renderer for inputs that are not.
     """
-    splats = SplatTensors.from_splats(initial)
+    splats = SplatTensors.from_splats(initial, device=device_of(resolve_backend(options.backend)))
     optimizer, means_rate = _optimizer(splats, camera_extent(views.cameras), config, options.steps)
     viewmats = torch.tensor(views.cameras.cam_from_world, dtype=torch.float32)
     Ks = torch.tensor(views.cameras.Ks, dtype=torch.float32)
@@ -150,7 +150,7 @@ def _step(
 def _limit_scales(splats: SplatTensors, views: TrainingViews, config: TrainConfig) -> None:
     if config.max_scale_per_distance == np.inf:
         return
-    distances, _ = KDTree(views.cameras.centers).query(splats.means.detach().numpy().astype(np.float64))
+    distances, _ = KDTree(views.cameras.centers).query(splats.means.detach().cpu().numpy().astype(np.float64))
     limits = np.log(np.maximum(config.max_scale_per_distance * distances, np.finfo(np.float32).tiny))
     with torch.no_grad():
         splats.log_scales.clamp_(max=torch.from_numpy(limits).to(splats.log_scales)[:, None])

@@ -1,0 +1,84 @@
+"""gsplat behind the contract: CUDA kernels for float32 (Ye et al. 2025), an optional extra: `pip install "radiant-splats[cuda]"`.
+
+Its α_min, α_max, cut and low-pass filter are those of the contract. It culls a Gaussian by a box of its own, so pictures agree with the
+reference inside the frustum, up to pairs at a discrete decision. Once per image and training step.
+"""
+
+from __future__ import annotations
+
+import functools
+from importlib.util import find_spec
+
+import torch
+from torch import Tensor
+
+from radiant_core.errors import BadInput
+from radiant_core.render.contract import DILATION_PX2, RenderOutput, SplatTensors, ViewOptions
+
+INSTALL = 'pip install "radiant-splats[cuda]"'
+
+
+@functools.cache
+def missing_for_gsplat() -> str | None:
+    """What this machine lacks for gsplat, as the end of a sentence; None where it can be used. Asked once."""
+    if not torch.cuda.is_available():
+        return "no CUDA device that this PyTorch can use"
+    if find_spec("gsplat") is None:
+        return f"no package gsplat ({INSTALL})"
+    # gsplat builds its kernels when they are first imported, and keeps None in their place where it cannot.
+    from gsplat.cuda._backend import _C  # pyright: ignore[reportMissingImports]
+
+    return None if _C is not None else "no CUDA toolkit to build gsplat's kernels with (install nvcc of PyTorch's CUDA version)"
+
+
+def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
+    """`contract.rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient.
+
+    Raises BadInput where gsplat or CUDA is missing, for another type or device, and where the cameras ask for gradients.
+    """
+    _check_gsplat(splats, viewmats, Ks)
+    from gsplat import rasterization  # pyright: ignore[reportMissingImports]
+
+    means = splats.means
+    cameras = viewmats.shape[0]
+    pictures, alphas, meta = rasterization(
+        means=means,
+        quats=splats.quats,
+        scales=splats.log_scales.exp(),
+        opacities=splats.logit_opacities.sigmoid(),
+        colors=torch.cat([splats.sh0, splats.shN], dim=1),
+        viewmats=viewmats.to(means),
+        Ks=Ks.to(means),
+        width=view.width,
+        height=view.height,
+        near_plane=view.near_m,
+        far_plane=view.far_m,
+        eps2d=DILATION_PX2,
+        sh_degree=view.sh_degree,
+        backgrounds=view.background.to(means).expand(cameras, 3),
+        render_mode="RGB+ED",
+        rasterize_mode="antialiased" if view.antialiased else "classic",
+        packed=False,
+    )
+    means2d: Tensor = meta["means2d"]
+    if means2d.requires_grad:
+        means2d.retain_grad()
+    return RenderOutput(
+        images=pictures[..., :3],
+        alphas=alphas[..., 0],
+        depths=pictures[..., 3],
+        radii_px=meta["radii"].to(means.dtype).amax(-1),
+        means2d=means2d,
+    )
+
+
+def _check_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> None:
+    missing = missing_for_gsplat()
+    if missing is not None:
+        raise BadInput(f"backend 'gsplat' cannot be used here, there is {missing}: install it or use backend='auto'.")
+    for name, tensor in splats.tensors().items():
+        if tensor.dtype != torch.float32 or tensor.device.type != "cuda":
+            raise BadInput(f"{name} is {tensor.dtype} on {tensor.device}, backend 'gsplat' takes float32 on CUDA: move it there.")
+    for name, tensor in (("viewmats", viewmats), ("Ks", Ks)):
+        if tensor.requires_grad:
+            raise BadInput(f"{name} requires gradients, which backend 'gsplat' has none for: use backend='reference'.")
