@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from radiant_app.bench.drone_scene import SIZES, drone_camera
-from radiant_app.bench.raster import render
+from radiant_app.bench.raster_accuracy import render
 from radiant_core.render.contract import SplatTensors
 
 

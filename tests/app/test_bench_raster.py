@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from radiant_app.bench import raster as bench
 from radiant_app.bench.drone_scene import SHARE_IN_FRUSTUM, SceneSize, drone_scene, morton_order
@@ -36,4 +37,15 @@ def test_every_time_has_its_error_memory_and_pairs(monkeypatch: pytest.MonkeyPat
         assert metrics[f"{key}.fwd_bwd_cpu_ms"] > 0 and metrics[f"{key}.pairs_per_s"] > 0
         assert metrics[f"{key}.image_max_error"] <= 1e-4 and metrics[f"{key}.grad_rel_error"] <= 1e-4
         assert metrics[f"{key}.peak_rss_bytes"] > 0
+        assert metrics[f"{key}.step_cpu_ms"] > 0 and metrics[f"{key}.step_loss_rel_error"] <= 1e-5
+        assert f"{key}.thread_scaling" not in metrics
     assert metrics["raster.peak_fma_per_s"] > 1e8
+
+
+def test_with_two_threads_the_gain_is_told_and_the_number_of_threads_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(bench.SIZES, "S", TINY)
+    monkeypatch.setitem(bench.NUM_ROUNDS, "S", 1)
+    before = torch.get_num_threads()
+    metrics = {metric.key: metric.value for metric in bench.bench_raster(quick=True, threads=2)}
+    assert torch.get_num_threads() == before
+    assert metrics["raster.S.random.native.thread_scaling"] > 0

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from radiant_app.bench.drone_scene import SIZES, drone_scene
-from radiant_app.bench.raster import tile_errors
+from radiant_app.bench.raster_accuracy import tile_errors
 from radiant_core.render.contract import SplatTensors, rasterize
 from tests.contract import gaussians
 from tests.contract.backends import NATIVE, opacity_rounding, random_loss, relative_errors, render, undecided_pixels
