@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from radiant_core.errors import BadInput
+from radiant_core.render.finite import not_finite
 from radiant_core.splats import SH_BASES, Splats
 
 ALPHA_MIN = 1 / 255
@@ -210,9 +211,6 @@ def _check_tensor(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
         raise BadInput(f"{name} has shape {tuple(tensor.shape)}, expected {shape}: check which tensor was passed.")
     if not tensor.is_floating_point():
         raise BadInput(f"{name} is {tensor.dtype}, expected float32 or float64: convert it.")
-    # One sum finds a NaN or Inf at a tenth of the cost of isfinite; the exact index is searched only then.
-    if not torch.isfinite(tensor.detach().sum()):
-        bad = ~torch.isfinite(tensor.detach())
-        if bad.any():
-            first = tuple(bad.nonzero()[0].tolist())
-            raise BadInput(f"{name} has {int(bad.sum())} values that are not finite, the first at index {first}: remove them first.")
+    count, first = not_finite(tensor)
+    if count:
+        raise BadInput(f"{name} has {count} values that are not finite, the first at index {first}: remove them first.")

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from radiant_core import _native
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.render.finite import not_finite
 
 _BETA1, _BETA2 = 0.9, 0.999
 
@@ -145,16 +146,9 @@ def _bias_factors() -> tuple[Tensor, Tensor]:
 
 
 def _require_finite(name: str, gradient: Tensor, visible: Tensor | None, runs: NDArray[np.int32] | None) -> None:
-    if _is_native(gradient):
-        count, *first = _native.find_not_finite(gradient, runs, torch.get_num_threads())
-    else:
-        bad = ~torch.isfinite(gradient)
-        if visible is not None:
-            bad &= visible.view(-1, *(1 for _ in gradient.shape[1:]))
-        count = int(bad.sum())
-        first = bad.nonzero()[0].tolist() if count else []
+    count, first = not_finite(gradient, visible, runs)
     if count:
         raise StageFailed(
-            f"training: the gradient of {name} has {count} values that are not finite, the first at index {tuple(first)}: nothing was "
+            f"training: the gradient of {name} has {count} values that are not finite, the first at index {first}: nothing was "
             "changed by this step; lower the learning rates or check the photographs."
         )

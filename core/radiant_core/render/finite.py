@@ -1,0 +1,29 @@
+"""Finds values that are not finite in a tensor. Before every rendering and step of the optimizer, so it is one fast pass.
+
+On the CPU by the native threads: torch's own would go on spinning after their part and take a core from the rasterizer's (libgomp).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from radiant_core import _native
+
+
+def not_finite(tensor: Tensor, visible: Tensor | None = None, runs: NDArray[np.int32] | None = None) -> tuple[int, tuple[int, ...]]:
+    """How many values are NaN or infinite and the index of the first; (0, ()) where none is.
+
+    `visible` (N,) limits this to its rows; `runs` are the same as (R,2) from `_native.visible_runs`, needed on the CPU.
+    """
+    tensor = tensor.detach()
+    if tensor.device.type == "cpu" and tensor.dtype == torch.float32 and tensor.ndim:
+        count, *first = _native.find_not_finite(tensor.contiguous(), runs, torch.get_num_threads())
+        return count, tuple(first)
+    bad = ~torch.isfinite(tensor)
+    if visible is not None:
+        bad &= visible.view(-1, *(1 for _ in tensor.shape[1:]))
+    count = int(bad.sum())
+    return count, tuple(bad.nonzero()[0].tolist()) if count else ()
