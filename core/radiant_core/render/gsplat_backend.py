@@ -1,4 +1,4 @@
-"""gsplat behind the contract: CUDA kernels for float32 (Ye et al. 2025), an optional extra: `pip install "radiant-splats[cuda]"`.
+"""gsplat behind the contract: CUDA kernels for float32 (Ye et al. 2025), an optional extra.
 
 Its α_min, α_max, cut and low-pass filter are those of the contract. It culls a Gaussian by a box of its own, so pictures agree with the
 reference inside the frustum, up to pairs at a discrete decision. Once per image and training step.
@@ -15,7 +15,7 @@ from torch import Tensor
 from radiant_core.errors import BadInput
 from radiant_core.render.contract import DILATION_PX2, RenderOutput, SplatTensors, ViewOptions
 
-INSTALL = 'pip install "radiant-splats[cuda]"'
+INSTALL = "pip install -e '.[cuda]'"
 
 
 @functools.cache
