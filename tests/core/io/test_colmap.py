@@ -169,8 +169,8 @@ def test_a_count_of_billions_is_refused_before_memory_is_taken(stem: str, count:
     try:
         with pytest.raises(BadInput, match=rf"{stem}.bin at byte 8: {count}"):
             read_model(folder)
-        # 1 MB: the files together have under a kilobyte.
-        assert tracemalloc.get_traced_memory()[1] < 1e6
+        # Python's own tables (interned strings) grow by megabytes at a time, whoever is running; the promised records would be terabytes.
+        assert tracemalloc.get_traced_memory()[1] < 64e6
     finally:
         tracemalloc.stop()
 
