@@ -54,6 +54,8 @@ def render(splats: Splats | SplatTensors, cameras: Cameras, backend: str, *, thr
     else:
         name: Backend = "gsplat" if backend in GSPLAT else "reference"
         output = rasterize(leaves, viewmats, Ks, width, height, background=background, backend=name, **options)
+    if output.means2d.requires_grad:
+        output.means2d.retain_grad()
     return Rendered(output=_on_cpu(output), leaves=leaves, background=background)
 
 

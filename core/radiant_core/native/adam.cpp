@@ -3,13 +3,27 @@
 #include <algorithm>
 #include <mutex>
 
-#include "training_isa.h"
+#include "thread_pool.h"
 
 namespace radiant {
 namespace {
 
-// Starting a thread takes as long as some ten thousand floats.
-std::int64_t min_rows(std::int64_t columns) { return std::max<std::int64_t>(1, (1 << 15) / std::max<std::int64_t>(columns, 1)); }
+// Along a curve through space what is visible lies in few, long runs; cut, they can be shared evenly.
+constexpr std::int32_t kMaxRun = 1024;
+
+// Calls work(begin, end) for ranges of the runs, or of all rows where `runs` is null, that span about as many rows each.
+template <class Work>
+void share_runs(int num_threads, const Run* runs, std::int64_t count, std::int64_t columns, const Work& work) {
+  if (count == 0) return;
+  const std::int64_t num_rows = runs ? runs[count - 1].end : count;
+  // Sharing takes as long as some ten thousand floats.
+  const std::int64_t parts = std::clamp<std::int64_t>(num_rows * columns >> 15, 1, 4 * num_threads);
+  const auto border = [&](std::int64_t part) {
+    const std::int64_t row = num_rows * part / parts;
+    return runs ? std::lower_bound(runs, runs + count, row, [](const Run& run, std::int64_t at) { return run.begin < at; }) - runs : row;
+  };
+  parallel_for(num_threads, parts, [&](std::int64_t part, int) { work(border(part), border(part + 1)); });
+}
 
 }  // namespace
 
@@ -18,7 +32,7 @@ std::vector<Run> visible_runs(const bool* visible, const std::int32_t* steps, st
   for (std::size_t row = 0; row < num_rows; ++row) {
     if (!visible[row]) continue;
     const std::int32_t at = static_cast<std::int32_t>(row);
-    if (!runs.empty() && runs.back().end == at && steps[runs.back().begin] == steps[row]) {
+    if (!runs.empty() && runs.back().end == at && at % kMaxRun && steps[runs.back().begin] == steps[row]) {
       runs.back().end = at + 1;
     } else {
       runs.push_back({at, at + 1});
@@ -28,7 +42,7 @@ std::vector<Run> visible_runs(const bool* visible, const std::int32_t* steps, st
 }
 
 void adam_step(const AdamJob& job, std::int64_t num_rows, std::int64_t num_runs, const TrainingKernels& kernels, int num_threads) {
-  share_rows(num_threads, job.runs ? num_runs : num_rows, min_rows(job.columns),
+  share_runs(num_threads, job.runs, job.runs ? num_runs : num_rows, job.columns,
              [&](std::int64_t begin, std::int64_t end) { kernels.adam_rows(job, begin, end); });
 }
 
@@ -36,7 +50,7 @@ NotFinite find_not_finite(const float* values, const Run* runs, std::int64_t cou
                           int num_threads) {
   NotFinite total{0, -1};
   std::mutex adding;
-  share_rows(num_threads, count, min_rows(columns), [&](std::int64_t begin, std::int64_t end) {
+  share_runs(num_threads, runs, count, columns, [&](std::int64_t begin, std::int64_t end) {
     const NotFinite found = kernels.not_finite_rows(values, runs, columns, begin, end);
     const std::lock_guard<std::mutex> lock(adding);
     total.count += found.count;

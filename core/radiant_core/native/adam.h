@@ -9,7 +9,7 @@
 
 namespace radiant {
 
-// The visible ones of N rows as runs of equal `steps` (N), ascending; found once per step for all tensors.
+// The visible ones of N rows as runs of equal `steps` (N), ascending and no longer than a thread's share; found once per step for all tensors.
 std::vector<Run> visible_runs(const bool* visible, const std::int32_t* steps, std::size_t num_rows);
 
 // One step of `job` on its runs, or on all `num_rows` rows. Rows are independent, so any number of threads gives the same bits.

@@ -1,6 +1,7 @@
 #include "thread_pool.h"
 
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <exception>
 #include <mutex>
@@ -30,6 +31,19 @@ struct Job {
   }
 };
 
+// Looks for `ready` for a while before the caller sleeps: waking a sleeping thread takes as long as a short step.
+template <class Ready>
+void look_out(const Ready& ready) {
+  constexpr auto kPatience = std::chrono::microseconds(200);
+  const auto start = std::chrono::steady_clock::now();
+  while (!ready() && std::chrono::steady_clock::now() - start < kPatience)
+    for (int i = 0; i < 16 && !ready(); ++i) {
+#if defined(RADIANT_X86)
+      __builtin_ia32_pause();
+#endif
+    }
+}
+
 class Pool {
  public:
   // False when another thread uses the pool just now.
@@ -38,23 +52,27 @@ class Pool {
     if (!busy) return false;
     {
       const std::lock_guard lock(mutex_);
-      for (; started_ < helpers; ++started_) std::thread(&Pool::serve, this, started_, round_).detach();
+      for (; started_ < helpers; ++started_) std::thread(&Pool::serve, this, started_, round_.load()).detach();
       job_ = &job;
       helpers_ = running_ = helpers;
       ++round_;
     }
     wake_.notify_all();
     job.run(0);
+    const auto finished = [this] { return running_ == 0; };
+    look_out(finished);
     std::unique_lock lock(mutex_);
-    done_.wait(lock, [this] { return running_ == 0; });
+    done_.wait(lock, finished);
     return true;
   }
 
  private:
   void serve(int index, std::uint64_t seen) {
     for (;;) {
+      const auto called = [&] { return round_ != seen; };
+      look_out(called);
       std::unique_lock lock(mutex_);
-      wake_.wait(lock, [&] { return round_ != seen; });
+      wake_.wait(lock, called);
       seen = round_;
       if (index >= helpers_) continue;
       Job* job = job_;
@@ -68,8 +86,9 @@ class Pool {
   std::mutex busy_, mutex_;
   std::condition_variable wake_, done_;
   Job* job_ = nullptr;
-  std::uint64_t round_ = 0;
-  int started_ = 0, helpers_ = 0, running_ = 0;
+  std::atomic<std::uint64_t> round_{0};
+  std::atomic<int> running_{0};
+  int started_ = 0, helpers_ = 0;
 };
 
 // Never destroyed, since its threads end with the process; a forked child has none of them and gets a pool of its own.

@@ -1,9 +1,8 @@
 #include "training_isa.h"
 
 #include <algorithm>
-#include <exception>
-#include <system_error>
-#include <thread>
+
+#include "thread_pool.h"
 
 namespace radiant {
 
@@ -39,28 +38,7 @@ const TrainingKernels* training_kernels(const std::string& name) {
 
 void share_rows(int num_threads, std::int64_t num_rows, std::int64_t min_rows, const std::function<void(std::int64_t, std::int64_t)>& work) {
   const std::int64_t parts = std::clamp<std::int64_t>(num_rows / std::max<std::int64_t>(min_rows, 1), 1, std::max(num_threads, 1));
-  const auto border = [&](std::int64_t part) { return num_rows * part / parts; };
-  // An exception must not leave a thread, and a range whose thread cannot be started is done here.
-  std::vector<std::exception_ptr> failures(parts);
-  const auto run = [&](std::int64_t part) {
-    try {
-      work(border(part), border(part + 1));
-    } catch (...) {
-      failures[part] = std::current_exception();
-    }
-  };
-  std::vector<std::thread> threads;
-  std::int64_t started = 1;
-  try {
-    for (threads.reserve(parts - 1); started < parts; ++started) threads.emplace_back(run, started);
-  } catch (const std::system_error&) {
-  }
-  run(0);
-  for (std::int64_t part = started; part < parts; ++part) run(part);
-  for (std::thread& thread : threads) thread.join();
-  for (const std::exception_ptr& failure : failures) {
-    if (failure) std::rethrow_exception(failure);
-  }
+  parallel_for(num_threads, parts, [&](std::int64_t part, int) { work(num_rows * part / parts, num_rows * (part + 1) / parts); });
 }
 
 }  // namespace radiant

@@ -92,7 +92,14 @@ class RenderOutput:
     radii_px: Tensor
     """(C,N) half the long side of the box in which a Gaussian reaches α_min; 0 where it is culled."""
     means2d: Tensor
-    """(C,N,2) projected centres; keeps its gradient, in pixels, for densification."""
+    """(C,N,2) projected centres. Densification takes their gradient in pixels: `register_hook`, or `retain_grad`, which copies it."""
+
+    @property
+    def visible(self) -> Tensor:
+        """(N,) bool, the Gaussians that a camera sees. By numpy on the CPU: torch's threads would spin on after it (libgomp)."""
+        if self.radii_px.device.type == "cpu":
+            return torch.from_numpy((self.radii_px.numpy() > 0).any(0))
+        return (self.radii_px > 0).any(0)
 
 
 def rasterize(
@@ -201,8 +208,8 @@ def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions
         raise BadInput(f"the image is {view.width} × {view.height} px, expected at least 1 × 1.")
     if not 0 <= view.near_m < view.far_m:
         raise BadInput(f"near_m is {view.near_m} and far_m {view.far_m}, expected 0 ≤ near_m < far_m: only what is in front is drawn.")
-    K = Ks.detach()
-    if (K[:, [0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or (K[:, 2, 2] != 1).any() or (K[:, [0, 1], [0, 1]] <= 0).any():
+    # Row by row [fx 0 cx 0 fy cy 0 0 1]; in Python, where a few numbers cost less than one operation of torch.
+    if any(K[0] <= 0 or K[4] <= 0 or K[8] != 1 or K[1] or K[3] or K[6] or K[7] for K in Ks.detach().flatten(1).tolist()):
         raise BadInput("Ks has another form than [fx 0 cx; 0 fy cy; 0 0 1] with fx, fy > 0: undistort to pinhole cameras first.")
 
 

@@ -60,15 +60,12 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
         rasterize_mode="antialiased" if view.antialiased else "classic",
         packed=False,
     )
-    means2d: Tensor = meta["means2d"]
-    if means2d.requires_grad:
-        means2d.retain_grad()
     return RenderOutput(
         images=pictures[..., :3],
         alphas=alphas[..., 0],
         depths=pictures[..., 3],
         radii_px=meta["radii"].to(means.dtype).amax(-1),
-        means2d=means2d,
+        means2d=meta["means2d"],
     )
 
 

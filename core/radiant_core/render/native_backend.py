@@ -109,8 +109,6 @@ def rasterize_native(
         radii_px=_pooled(cameras, count),
     )
     means2d, link = _Project.apply(call, *splats.tensors().values())
-    if means2d.requires_grad:
-        means2d.retain_grad()
     images, alphas, depths = _Blend.apply(call, means2d, link, view.background)
     return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=call.radii_px, means2d=means2d)
 
@@ -166,19 +164,19 @@ class _Project(torch.autograd.Function):
                 view.near_m, view.far_m, view.antialiased, call.background, call.images[index].numpy(), call.alphas[index].numpy(),
                 call.depths[index].numpy(), means2d[index].numpy(), call.radii_px[index].numpy(), differentiable, call.rendering.threads,
             )  # fmt: skip
-        ctx.rendering = call.rendering
+        ctx.rendering, ctx.arrays = call.rendering, arrays
         ctx.save_for_backward(*tensors)
         return means2d, torch.zeros(())
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, means2d: Tensor, link: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        tensors = ctx.saved_tensors
+        tensors = ctx.saved_tensors  # refused where one was changed since, so that ctx.arrays are what was rendered
         wanted = ctx.needs_input_grad[1:]
         gradients = [_native.pooled_array(list(tensor.shape)) if needed else None for tensor, needed in zip(tensors, wanted, strict=True)]
-        arrays, means2d = _arrays(tensors), means2d.contiguous()
+        means2d = means2d.contiguous()
         for index, native in enumerate(ctx.rendering.views):
-            native.project_backward(arrays, means2d[index].numpy(), gradients, index > 0, ctx.rendering.threads)
+            native.project_backward(ctx.arrays, means2d[index].numpy(), gradients, index > 0, ctx.rendering.threads)
         return None, *(None if gradient is None else torch.from_numpy(gradient) for gradient in gradients)
 
 

@@ -48,8 +48,6 @@ def rasterize_reference(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view
     projections = [_project(splats, viewmat, K, view) for viewmat, K in zip(viewmats, Ks, strict=True)]
     # Stacked before blending, so that the returned tensor lies on the way of the gradients.
     means2d = torch.stack([projection.means2d for projection in projections])
-    if means2d.requires_grad:
-        means2d.retain_grad()
     pictures = [
         _shade(splats, viewmats[index], replace(projection, means2d=means2d[index]), view) for index, projection in enumerate(projections)
     ]

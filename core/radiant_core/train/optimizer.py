@@ -89,10 +89,12 @@ class SelectiveAdam:
             raise BadInput(f"visible is {tuple(visible.shape)} {visible.dtype}, expected {tuple(self._row_steps.shape)} torch.bool.")
         with_gradients = [(name, group, group.tensor.grad) for name, group in self._groups.items() if group.tensor.grad is not None]
         gradients = {name: gradient.contiguous() for name, _, gradient in with_gradients if gradient is not None}
-        row_steps = self._row_steps if visible is None else self._row_steps + visible
-        runs = None
+        row_steps, runs = self._row_steps, None
         if visible is not None and visible.device.type == "cpu":
+            row_steps = torch.from_numpy(row_steps.numpy() + visible.numpy())  # on this thread, see RenderOutput.visible
             runs = _native.visible_runs(visible.contiguous(), row_steps)
+        elif visible is not None:
+            row_steps = row_steps + visible
         for name, gradient in gradients.items():
             _require_finite(name, gradient, visible, runs)
         self._step, self._row_steps = self._step + 1, row_steps

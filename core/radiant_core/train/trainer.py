@@ -139,11 +139,11 @@ def _step(
     statistics, weights = target
     height, width = statistics.target.shape[:2]
     output = rasterize(splats, *camera, width, height, sh_degree=min(config.sh_degree, _degree(splats)), backend=backend)
-    loss = target_loss(output.images[0], statistics, weights, config.ssim_weight)
+    loss = target_loss(output.images.view(height, width, 3), statistics, weights, config.ssim_weight)
     if loss.requires_grad:
         optimizer.zero_grad()
         loss.backward()
-        optimizer.step((output.radii_px > 0).any(0) if config.adam == "visible" else None)
+        optimizer.step(output.visible if config.adam == "visible" else None)
     return float(loss.detach())
 
 

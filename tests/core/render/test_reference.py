@@ -134,6 +134,7 @@ def test_means2d_gradient_is_the_gradient_of_a_shift_in_pixels() -> None:
     tensors = SplatTensors.from_splats(splats, torch.float64)
     tensors.means.requires_grad_()
     output = rasterize(tensors, torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks), 37, 26, sh_degree=0)
+    output.means2d.retain_grad()
     output.images.sum().backward()
     step = 1e-6
     K = cameras.Ks.copy()
