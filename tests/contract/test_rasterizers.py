@@ -38,8 +38,11 @@ def assert_pictures_agree(splats: Splats, cameras: Cameras, backend: str, **opti
         assert part == "depths" or error.max() <= MAX_ERROR_UNDECIDED, part
         assert error[~undecided].square().mean().sqrt() <= MAX_RMS, part
     # float32 of some 100 px, and of extents that a radius is computed from.
-    torch.testing.assert_close(got.means2d.double(), exact.means2d, rtol=1e-5, atol=1e-3)
-    torch.testing.assert_close(got.radii_px.double(), exact.radii_px, rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(got.means2d.cpu().double(), exact.means2d, rtol=1e-5, atol=1e-3)
+    if backend == "gsplat":  # rounded up, and of Gaussians too faint to be drawn as well
+        assert (got.radii_px[exact.radii_px > 0] >= exact.radii_px[exact.radii_px > 0].float() - 1e-3).all()
+    else:
+        torch.testing.assert_close(got.radii_px.double(), exact.radii_px, rtol=1e-4, atol=1e-3)
 
 
 @on_every_backend
@@ -112,9 +115,9 @@ def test_gradients_at_the_frustum_edge_and_under_the_clamped_jacobian(backend: s
 def assert_gradients_agree(splats: Splats, cameras: Cameras, backend: str, *, limit: float, antialiased: bool = False) -> None:
     """All gradients to `limit` per Gaussian, but for what opacities lose to float32.
 
-    Float32 PyTorch itself has centres 1e-5 px coarse, which costs it 20 times as much; it is the oracle in float64 only.
+    Float32 PyTorch and gsplat have centres 1e-5 px coarse, which costs them 20 times as much; the first is the oracle in float64 only.
     """
-    slack = 20 if backend == "reference" else 1
+    slack = 1 if backend in NATIVE else 20
     keep = ~undecided_pixels(splats, cameras, antialiased=antialiased)
     exact, got = (render(splats, cameras, name, antialiased=antialiased) for name in ("oracle", backend))
     for rendered in (exact, got):
@@ -140,7 +143,7 @@ def test_gradients_may_arrive_on_any_picture(backend: str, parts: tuple[str, ...
         truth = exact.gradients()[name]
         assert (gradient - truth).norm() <= 1e-4 * truth.norm(), name
     assert exact.output.means2d.grad is not None and got.output.means2d.grad is not None
-    assert (got.output.means2d.grad - exact.output.means2d.grad).norm() <= 1e-4 * exact.output.means2d.grad.norm()
+    assert (got.output.means2d.grad.cpu() - exact.output.means2d.grad).norm() <= 1e-4 * exact.output.means2d.grad.norm()
 
 
 @on_every_backend
@@ -199,7 +202,7 @@ def test_the_order_of_the_gaussians_does_not_matter(backend: str) -> None:
         random_loss(rendered.output, ("images",)).backward()
     # Blending follows depth, not storage, and each Gaussian's sums have an order of their own: natively the same bits. The reference pads
     # its lists differently.
-    slack = 1 if backend == "reference" else 0
+    slack = 0 if backend in NATIVE else 1
     torch.testing.assert_close(straight.output.images, shuffled.output.images, rtol=0, atol=slack * 1e-5)
     for name, gradient in straight.gradients().items():
         limits = {"rtol": slack * 1e-3, "atol": slack * 1e-5 * float(gradient.abs().max())}

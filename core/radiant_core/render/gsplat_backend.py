@@ -26,9 +26,13 @@ def missing_for_gsplat() -> str | None:
     if find_spec("gsplat") is None:
         return f"no package gsplat ({INSTALL})"
     # gsplat builds its kernels when they are first imported, and keeps None in their place where it cannot.
-    from gsplat.cuda._backend import _C  # pyright: ignore[reportMissingImports]
+    from gsplat.cuda import _backend  # pyright: ignore[reportMissingImports]
 
-    return None if _C is not None else "no CUDA toolkit to build gsplat's kernels with (install nvcc of PyTorch's CUDA version)"
+    return (
+        None
+        if getattr(_backend, "_C", None) is not None
+        else "no CUDA toolkit to build gsplat's kernels with (install nvcc of PyTorch's CUDA version)"
+    )
 
 
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
