@@ -28,11 +28,9 @@ def missing_for_gsplat() -> str | None:
     # gsplat builds its kernels when they are first imported, and keeps None in their place where it cannot.
     from gsplat.cuda import _backend  # pyright: ignore[reportMissingImports]
 
-    return (
-        None
-        if getattr(_backend, "_C", None) is not None
-        else "no CUDA toolkit to build gsplat's kernels with (install nvcc of PyTorch's CUDA version)"
-    )
+    if getattr(_backend, "_C", None) is None:
+        return "no CUDA toolkit to build gsplat's kernels with (install nvcc of PyTorch's CUDA version)"
+    return None
 
 
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
