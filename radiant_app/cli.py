@@ -28,6 +28,7 @@ TrainPreset = Literal["draft", "default", "standard", "paper"]
 AggregatePreset = Literal["default", "paper"]
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 Matching = Literal["auto", "spatial", "exhaustive"]
+Frames = Literal["shared", "gps", "known"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
@@ -50,6 +51,9 @@ def run(
     aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
     plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
     matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
+    frames: Annotated[Frames, typer.Option(help="shared: photographs are pooled; gps, known: each device places its own.")] = "shared",
+    poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
+    single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
     long_side_px: LongSide = None,
     steps: NumSteps = None,
     max_splats: MaxSplats = None,
@@ -70,6 +74,9 @@ def run(
         aggregate_preset=aggregate_preset,
         plan_method=plan_method,
         matching=matching,
+        frames=frames,
+        poses=poses,
+        single_owner=single_owner,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
         seed=seed,
         max_workers=workers,

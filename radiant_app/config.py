@@ -12,6 +12,8 @@ from radiant_core.errors import BadInput
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
+Frames = Literal["shared", "gps", "known"]
+"""shared: one owner pools the photographs and places them at once; gps, known: every device places its own, by GPS or given poses."""
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
 
@@ -33,6 +35,14 @@ class RunConfig:
     """How edges join models."""
     plan_method: PlanMethod = "exact"
     """exact: least makespan; paper: the paper's Alg. 1; voronoi: nearest edge; even: equal counts."""
+    frames: Frames = "shared"
+    """Who holds photographs, see `Frames`."""
+    poses: Path | None = None
+    """For frames "known": a COLMAP model with the poses of the photographs; None where the source brings its own."""
+    plan: Path | None = None
+    """A plan made before capture: every photograph goes to the device that was to take it; None: plan from what was captured."""
+    single_owner: bool = False
+    """With frames "gps" or "known": all devices are one owner's, so comparison pictures may be collected in the run."""
     matching: Literal["auto", "spatial", "exhaustive"] = "auto"
     """Which photographs are compared: neighbours by GPS, or all with all."""
     seed: int = 0
@@ -50,8 +60,12 @@ class RunConfig:
             raise BadInput(f"max_workers is {self.max_workers}, expected 0 (one per core) or more.")
         if not 0 <= self.seed < 2**31:
             raise BadInput(f"seed is {self.seed}, expected 0 to {2**31 - 1}.")
-        for path in (self.source, self.out):
-            if not _is_text(path):
+        if self.frames != "known" and self.poses is not None:
+            raise BadInput(f"poses are given and frames is {self.frames!r}: give them with --frames known.")
+        if self.frames == "shared" and self.single_owner:
+            raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
+        for path in (self.source, self.out, self.poses, self.plan):
+            if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")
 
 

@@ -22,15 +22,15 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
 
+Filled = tuple[dict[str, Any], Sequence[Path]]
+"""The content of a node's task.json and the files it may read besides."""
 
-@dataclass
+
+@dataclass(kw_only=True)
 class Dealer:
-    """Prepares nodes of one planned run. `scene` holds the training cameras, the plan's indices point into them."""
+    """Prepares the nodes of one planned run."""
 
     run: Path
-    images: Path
-    """Folder of the undistorted photographs."""
-    scene: SfmScene
     cloud_plan: CloudPlan
     edge_plans: tuple[EdgePlan, ...]
     train: TrainConfig
@@ -38,41 +38,76 @@ class Dealer:
     backend: str
     ledger: list[dict[str, Any]] = field(default_factory=list)
 
-    def prepare(self, node: Tree) -> NodeTask:
-        """Fill the node's folder and say what to run there."""
+    def prepare(self, node: Tree) -> NodeTask | None:
+        """Fill the node's folder and say what to run there; None where nothing arrived that could be joined."""
         folder = self.run / node.id
         folder.mkdir(parents=True, exist_ok=True)
-        fill = {"device": self._fill_device, "edge": self._fill_edge, "cloud": self._fill_cloud}[node.tier]
-        task, inputs = fill(node, folder)
+        fill = {"device": self.fill_device, "edge": self.fill_edge, "cloud": self.fill_cloud}[node.tier]
+        filled = fill(node, folder)
+        if filled is None:
+            return None
+        task, inputs = filled
         write_json(folder / "task.json", task)
-        self.ledger.append({"node": node.id, "tier": node.tier, **_received(inputs)})
-        return NodeTask(kind=node.tier, stage=node.id, folder=folder, key=content_key(__version__, task, *inputs))
+        self.ledger.append({"node": node.id, "tier": node.tier, **received(inputs)})
+        return NodeTask(kind=self.kinds[node.tier], stage=node.id, folder=folder, key=content_key(__version__, task, *inputs))
 
-    def _fill_device(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
-        own = self.scene.restricted_to(self._camera_indices(_name(node)))
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Which worker runs the nodes of a tier."""
+        return {"device": "device", "edge": "edge", "cloud": "cloud"}
+
+    def fill_device(self, node: Tree, folder: Path) -> Filled:
+        """Settings and files of a device."""
+        raise NotImplementedError
+
+    def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
+        """Settings and files of an edge: what its devices delivered."""
+        raise NotImplementedError
+
+    def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
+        """Settings and files of the cloud: what the edges delivered, and the plan's borders."""
+        edges = [name_of(child) for child in node.children]
+        return self.cloud_task(edges, folder, ["model.safetensors"])
+
+    def cloud_task(self, edges: Sequence[str], folder: Path, files: Sequence[str]) -> Filled:
+        """The cloud's settings with `files` of these edges in its inbox."""
+        shutil.rmtree(folder / "inbox", ignore_errors=True)
+        for edge in edges:
+            deal_files(self.run / "edges" / edge, files, folder / "inbox" / edge)
+        rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
+        task = {"edges": list(edges), "sites": self.cloud_plan.sites[rows].tolist(), "weights": self.cloud_plan.weights[rows].tolist()}
+        return task, [folder / "inbox"]
+
+    def edge_task(self, devices: Sequence[str]) -> dict[str, Any]:
+        """An edge's settings for the devices whose models are in its inbox."""
+        return {"devices": list(devices), "train": asdict(self.train), "aggregate": asdict(self.aggregate), "backend": self.backend}
+
+
+@dataclass(kw_only=True)
+class SharedDealer(Dealer):
+    """Deals the photographs of one owner. `scene` holds the training cameras, the plan's indices point into them."""
+
+    images: Path
+    """Folder of the undistorted photographs."""
+    scene: SfmScene
+
+    def fill_device(self, node: Tree, folder: Path) -> Filled:
+        """The device's photographs and its part of the scene."""
+        own = self.scene.restricted_to(self._camera_indices(name_of(node)))
         deal_files(self.images, own.cameras.names, folder / "photos")
         save_scene(folder / "scene.safetensors", own)
         task = {"train": asdict(self.train), "backend": self.backend}
         return task, [folder / "photos", folder / "scene.safetensors"]
 
-    def _fill_edge(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
-        devices = [_name(child) for child in node.children]
+    def fill_edge(self, node: Tree, folder: Path) -> Filled:
+        """The models of its devices and their cameras."""
+        devices = [name_of(child) for child in node.children]
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         for device in devices:
             place = folder / "inbox" / device
             deal_files(self.run / "devices" / device, ["model.safetensors"], place)
             save_cameras(place / "cameras.safetensors", self.scene.cameras.select(self._camera_indices(device)))
-        task = {"devices": devices, "train": asdict(self.train), "aggregate": asdict(self.aggregate), "backend": self.backend}
-        return task, [folder / "inbox"]
-
-    def _fill_cloud(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
-        edges = [_name(child) for child in node.children]
-        shutil.rmtree(folder / "inbox", ignore_errors=True)
-        for edge in edges:
-            deal_files(self.run / "edges" / edge, ["model.safetensors"], folder / "inbox" / edge)
-        rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
-        task = {"edges": edges, "sites": self.cloud_plan.sites[rows].tolist(), "weights": self.cloud_plan.weights[rows].tolist()}
-        return task, [folder / "inbox"]
+        return self.edge_task(devices), [folder / "inbox"]
 
     def _camera_indices(self, device: str) -> Any:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
@@ -101,7 +136,8 @@ def deal_files(source: Path, names: Sequence[str], target: Path) -> None:
         shutil.copyfile(source / name, target / name)
 
 
-def _received(inputs: Sequence[Path]) -> dict[str, int]:
+def received(inputs: Sequence[Path]) -> dict[str, int]:
+    """How many photographs, bytes of photographs and other bytes lie at these paths."""
     files = [file for path in inputs for file in (path.rglob("*") if path.is_dir() else [path]) if file.is_file()]
     photographs = [file for file in files if file.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff")]
     return {
@@ -111,5 +147,6 @@ def _received(inputs: Sequence[Path]) -> dict[str, int]:
     }
 
 
-def _name(node: Tree) -> str:
+def name_of(node: Tree) -> str:
+    """The id of a device or edge in the plan."""
     return node.id.rsplit("/", 1)[-1]

@@ -23,6 +23,9 @@ from radiant_core.io.records import load_cameras, load_plan, load_splats
 from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.render.rendered_view import RenderedView, render_views
 
+PICTURE_KINDS = ("photographs", "renders", "differences")
+"""Folders with one PNG per held-out photograph."""
+
 
 def run_evaluate(folder: Path, stage: str, emit: Callable[[Event], None]) -> Sequence[str]:
     """Score scene.ply in `folder` on the photographs there; writes result.json and three pictures per photograph."""

@@ -20,13 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
+from radiant_app.inbox import read_inbox, save_frames
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import save_ply
-from radiant_core.io.records import load_cameras, load_scene, load_splats, save_scene, save_splats
+from radiant_core.io.records import load_scene, save_scene, save_splats
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
 
 Emit = Callable[[Event], None]
 
@@ -34,8 +37,18 @@ Emit = Callable[[Event], None]
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json."""
     from radiant_app.evaluation import run_evaluate
+    from radiant_app.field_nodes import run_field, run_positions, run_score
 
-    runners = {"sfm": run_sfm, "device": run_device, "edge": run_edge, "cloud": run_cloud, "evaluate": run_evaluate}
+    runners = {
+        "sfm": run_sfm,
+        "positions": run_positions,
+        "device": run_device,
+        "field": run_field,
+        "edge": run_edge,
+        "cloud": run_cloud,
+        "evaluate": run_evaluate,
+        "score": run_score,
+    }
     if kind not in runners:
         raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join(runners)}.")
     notes: dict[str, list[Any]] = {"decisions": [], "warnings": []}
@@ -64,7 +77,7 @@ def run_sfm(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     from radiant_app.sources import reconstruct_source
 
     task = read_json(folder / "task.json")
-    result = reconstruct_source(task, folder, lambda progress: emit(_sfm_progress(stage, progress)))
+    result = reconstruct_source(task, folder, lambda progress: emit(sfm_progress(stage, progress)))
     for decision in result.decisions:
         emit(Decided(decision=decision))
     for message in result.warnings:
@@ -79,23 +92,33 @@ def run_sfm(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Train one model from the folder's own photographs and points."""
     from radiant_core.train.config import TrainConfig
+
+    task = read_json(folder / "task.json")
+    config = TrainConfig(**task["train"])
+    train_device(folder, load_scene(folder / "scene.safetensors"), folder / "photos", config, (stage, task["backend"], emit))
+    return ["model.safetensors", "summary.json"]
+
+
+def train_device(folder: Path, scene: SfmScene, images: Path, config: Any, running: tuple[str, Any, Emit]) -> Splats:
+    """Train model.safetensors from a scene and its photographs, with summary.json; returns the Gaussians before training.
+
+    `running` is stage, backend and listener.
+    """
     from radiant_core.train.initialize import first_splats, sky_share
     from radiant_core.train.trainer import fit_splats
     from radiant_core.train.views import TrainingViews
 
-    task = read_json(folder / "task.json")
-    config = TrainConfig(**task["train"])
-    scene = load_scene(folder / "scene.safetensors")
+    stage, backend, emit = running
     cameras = scene.cameras.scaled(config.long_side_px)
     emit(Decided(decision=_sky_decision(stage, sky_share(cameras))))
-    views = TrainingViews(cameras=cameras, images=load_images(folder / "photos", cameras))
+    views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
     initial, num_filled = first_splats(scene, views, config)
     emit(Decided(decision=_fill_decision(stage, num_filled, len(scene.points))))
-    result = fit_splats(initial, views, config, _fit_options(stage, task["backend"], emit))
+    result = fit_splats(initial, views, config, _fit_options(stage, backend, emit))
     save_splats(folder / "model.safetensors", result.splats)
     summary = {**_training_summary(result), "num_photographs": len(cameras), "num_points": len(scene.points)}
     write_json(folder / "summary.json", summary)
-    return ["model.safetensors", "summary.json"]
+    return initial
 
 
 def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -105,16 +128,15 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     from radiant_core.train.config import TrainConfig
 
     task = read_json(folder / "task.json")
-    inbox = [folder / "inbox" / name for name in task["devices"]]
-    models = [load_splats(place / "model.safetensors") for place in inbox]
-    cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
-    if len(models) == 1:
+    inbox = read_inbox(folder, task["devices"], stage, emit)
+    if len(inbox.models) == 1:
         emit(Decided(decision=_single_device_decision(stage)))
     options = _fit_options(stage, task["backend"], emit)
-    result = retrain_on_synthetic_views(models, cameras, TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"]), options)
+    config, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
+    result = retrain_on_synthetic_views(inbox.models, inbox.cameras, config, aggregate, options)
     save_splats(folder / "model.safetensors", result.splats)
-    write_json(folder / "summary.json", {**_training_summary(result), "num_models": len(models)})
-    return ["model.safetensors", "summary.json"]
+    write_json(folder / "summary.json", {**_training_summary(result), "num_models": len(inbox.models)})
+    return ["model.safetensors", "summary.json", *save_frames(folder, inbox)]
 
 
 def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -122,8 +144,9 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     from radiant_core.aggregate.crop_merge import crop_merge
 
     task = read_json(folder / "task.json")
-    models = [load_splats(folder / "inbox" / name / "model.safetensors") for name in task["edges"]]
-    merged = crop_merge(models, np.array(task["sites"]), np.array(task["weights"]))
+    inbox = read_inbox(folder, task["edges"], stage, emit)
+    rows = [task["edges"].index(name) for name in inbox.senders]
+    merged = crop_merge(inbox.models, np.array(task["sites"])[rows], np.array(task["weights"])[rows])
     share = merged.num_filled / max(1, len(merged.splats))
     emit(
         Decided(
@@ -140,7 +163,7 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     save_ply(folder / "scene.ply", merged.splats)
     counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
     write_json(folder / "summary.json", counts)
-    return ["scene.ply", "summary.json"]
+    return ["scene.ply", "summary.json", *save_frames(folder, inbox)]
 
 
 def place_of(images: Path, folder: Path) -> str:
@@ -177,7 +200,8 @@ def _training_summary(result: Any) -> dict[str, float | int]:
     }
 
 
-def _sfm_progress(stage: str, progress: Any) -> StageProgress:
+def sfm_progress(stage: str, progress: Any) -> StageProgress:
+    """An event of how far structure from motion is."""
     return StageProgress(stage=stage, done=progress.done, total=progress.total, note=progress.phase)
 
 

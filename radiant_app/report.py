@@ -32,8 +32,9 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         manifest=manifest,
         metrics=metrics,
         frame=_frame_facts(run),
+        pooled=metrics.get("pooled", True),
         pictures={name: _embedded(path) for name, path in pictures.items()},
-        comparisons=[_comparison(run, row) for row in shown_images(metrics["images"])],
+        comparisons=[_comparison(run, row) for row in shown_images(metrics["images"]) if _has_pictures(run, row)],
         nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
         plan=cloud_plan,
         versions=software_versions(),
@@ -59,6 +60,7 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
     images = {"timeline": timeline_picture(_timeline_rows(manifest), title="Measured on this machine")}
     for view in ("regions", "cameras", "splats", *(["seams"] if has_borders else [])):
         images[view] = screenshot(run, view)
+    folder.mkdir(exist_ok=True)
     for name, image in images.items():
         save_png(folder / f"{name}.png", image)
     return {name: folder / f"{name}.png" for name in images}
@@ -68,13 +70,24 @@ def _timeline_rows(manifest: Manifest) -> list[Any]:
     """One row per process in the order they started."""
     from radiant_viewer.charts import TimelineRow, TimelineSpan
 
-    kinds = {"devices": "train", "edges": "aggregate", "cloud": "merge", "evaluation": "evaluate", "sfm": "structure from motion"}
+    kinds = {
+        "devices": "train",
+        "edges": "aggregate",
+        "cloud": "merge",
+        "evaluation": "evaluate",
+        "sfm": "structure from motion",
+        "positions": "plan",
+    }
     rows = []
     for stage, times in sorted(manifest.stages.items(), key=lambda item: item[1]["started_s"]):
-        kind = kinds[stage.split("/")[0]]
+        kind = "evaluate" if stage.endswith("/score") else kinds[stage.split("/")[0]]
         span = TimelineSpan(stage=kind, start_s=times["started_s"], stop_s=times["ended_s"])
         rows.append(TimelineRow(name=stage, spans=(span,), strong=not stage.startswith("devices/")))
     return rows
+
+
+def _has_pictures(run: Path, row: dict[str, Any]) -> bool:
+    return (run / "pictures" / "photographs" / f"{row['name']}.png").is_file()
 
 
 def _comparison(run: Path, row: dict[str, Any]) -> dict[str, Any]:
@@ -101,7 +114,8 @@ def _node_rows(run: Path, manifest: Manifest, cloud_plan: CloudPlan, edge_plans:
 
 def _node_row(run: Path, manifest: Manifest, node: str, num_cameras: int, planned_s: float) -> dict[str, Any]:
     idle = {"num_splats": 0, "num_steps": 0, "train_s": 0.0, "model_bytes": 0}
-    summary = read_json(run / node / "summary.json", tuple(idle)) if num_cameras else idle
+    path = run / node / "summary.json"
+    summary = read_json(path, tuple(idle)) if num_cameras and path.is_file() else idle
     times = manifest.stages.get(node, {"started_s": 0.0, "ended_s": 0.0})
     return {
         "node": node,
@@ -116,14 +130,15 @@ def _node_row(run: Path, manifest: Manifest, node: str, num_cameras: int, planne
 def _frame_facts(run: Path) -> dict[str, Any]:
     from radiant_core.io.records import load_scene
 
-    scene = load_scene(run / "sfm" / "scene.safetensors")
-    unregistered = read_json(run / "sfm" / "result.json", ("unregistered",))["unregistered"]
+    in_the_field = (run / "delivered").is_dir()
+    scene = load_scene(run / ("delivered" if in_the_field else "sfm") / "scene.safetensors")
+    unregistered = [] if in_the_field else read_json(run / "sfm" / "result.json", ("unregistered",))["unregistered"]
     return {
         "kind": scene.frame.kind,
         "unit": scene.frame.unit,
         "residual_m": scene.frame.residual_m,
         "num_cameras": len(scene.cameras),
-        "num_points": len(scene.points),
+        "num_points": None if in_the_field else len(scene.points),
         "unregistered": unregistered,
     }
 

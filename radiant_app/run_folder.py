@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import platform
 import shutil
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -99,7 +99,7 @@ def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
     with RunLock(config.out):
         _require_empty(config.out)
         fresh = Manifest(folder=config.out, config=settings)
-        with _undone_after_bad_input(config.out, made, keep=Path("sfm", "done.json")), _ending(fresh) as manifest:
+        with _undone_after_bad_input(config.out, made, keep=("sfm/done.json", "devices/*/done.json")), _ending(fresh) as manifest:
             yield manifest
 
 
@@ -150,12 +150,12 @@ def _require_empty(out: Path) -> None:
 
 
 @contextmanager
-def _undone_after_bad_input(out: Path, made: list[Path], keep: Path | None = None) -> Iterator[None]:
-    """After a BadInput within, `out` is emptied and the folders `made` go, unless the file `keep` (relative to it) stands by then."""
+def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = ()) -> Iterator[None]:
+    """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
     try:
         yield
     except BadInput:
-        if keep is None or not (out / keep).exists():
+        if not any(found for pattern in keep for found in out.glob(pattern)):
             for inner in list(out.iterdir()):
                 shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
             for folder in made:
@@ -169,7 +169,9 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
     """The settings as the manifest keeps them: all but where the run lies and how many processes work on it."""
     fields = asdict(config)
     fields["source"] = str(config.source.resolve())
-    fields["system"] = None if config.system is None else str(config.system.resolve())
+    for name in ("system", "poses", "plan"):
+        path = getattr(config, name)
+        fields[name] = None if path is None else str(path.resolve())
     del fields["out"], fields["max_workers"]
     return fields
 

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from radiant_app.events import Event, Failed, Listener, StageDone, StageSkipped, StageStarted, decode
+from radiant_app.events import Event, Failed, Listener, StageDone, StageSkipped, StageStarted, Warned, decode
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
@@ -41,6 +41,8 @@ class LocalExecutor:
     num_workers: int
     clock: Callable[[], float] = time.monotonic
     command: Callable[[NodeTask], list[str]] = worker_command
+    may_fail: Callable[[Tree], bool] = lambda node: False
+    """Nodes without which the rest goes on: their failure is a warning."""
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
@@ -99,6 +101,9 @@ class _Fold:
     def _start(self, node: Tree) -> None:
         task = self.prepare(node)
         now_s = self._now_s()
+        if task is None:
+            self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
+            return
         if is_sealed(task.folder, task.key):
             self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
             self.listen(StageSkipped(stage=task.stage))
@@ -132,20 +137,15 @@ class _Fold:
             self.listen(event)
 
     def _finish(self, running: _Running) -> None:
-        task, code = running.task, running.process.returncode
-        if running.failure is not None:
-            error = BadInput if running.failure.exit_code == BadInput.exit_code else StageFailed
-            raise error(f"{task.stage}: {running.failure.message}")
-        if code != 0 or not is_sealed(task.folder, task.key):
-            if shutil.disk_usage(task.folder).free < FULL_BYTES:
-                raise BadInput(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out.")
-            reason = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
-            raise StageFailed(
-                f"{task.stage}: its process {reason} before it was done; see {_log_path(task.folder)}, then run again with --resume."
-            )
+        task, error = running.task, _error_of(running)
+        if error is not None:
+            if not self.executor.may_fail(running.node) or shutil.disk_usage(task.folder).free < FULL_BYTES:
+                raise error
+            self.listen(Warned(stage=task.stage, message=str(error).removeprefix(f"{task.stage}: ")))
         now_s = self._now_s()
         self.times[running.node.id] = NodeTime(started_s=running.started_s, ended_s=now_s)
-        self.listen(StageDone(stage=task.stage, seconds=now_s - running.started_s))
+        if error is None:
+            self.listen(StageDone(stage=task.stage, seconds=now_s - running.started_s))
 
     def _stop_all(self) -> None:
         for running in self.running.values():
@@ -157,6 +157,22 @@ class _Fold:
                 _signal_group(running.process, signal.SIGKILL)
                 running.process.wait()
             running.reader.join()
+
+
+def _error_of(running: _Running) -> BadInput | StageFailed | None:
+    """Why a node whose process has ended is not done; None when it is."""
+    task, code = running.task, running.process.returncode
+    if running.failure is not None:
+        error = BadInput if running.failure.exit_code == BadInput.exit_code else StageFailed
+        return error(f"{task.stage}: {running.failure.message}")
+    if code == 0 and is_sealed(task.folder, task.key):
+        return None
+    if shutil.disk_usage(task.folder).free < FULL_BYTES:
+        return BadInput(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out.")
+    reason = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
+    return StageFailed(
+        f"{task.stage}: its process {reason} before it was done; see {_log_path(task.folder)}, then run again with --resume."
+    )
 
 
 def _width(tree: Tree) -> int:

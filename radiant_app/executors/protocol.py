@@ -31,8 +31,8 @@ class NodeTime:
     ended_s: float
 
 
-Prepare = Callable[[Tree], NodeTask]
-"""Called when all children of a node are done: lays the node's inputs into its folder."""
+Prepare = Callable[[Tree], NodeTask | None]
+"""Called when all children of a node are done: lays the node's inputs into its folder. None: there is nothing to do for this node."""
 
 
 class Executor(Protocol):

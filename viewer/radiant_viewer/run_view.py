@@ -22,6 +22,8 @@ from radiant_core.splats import Splats
 from radiant_viewer.camera_roles import CameraRoles, camera_roles
 
 SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
+DELIVERED = "delivered"
+"""Folder of a run whose photographs stayed on their devices: the poses and the plan of what was delivered."""
 COMPARISON_KINDS = ("photographs", "renders", "differences")
 """Folders below pictures/ with one PNG per held-out photograph, in the order they are shown."""
 
@@ -53,13 +55,21 @@ def load_run_view(folder: Path) -> RunView:
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
-    _require_file(folder, SCENE_NAME, "structure from motion is not finished")
-    _require_file(folder, PLAN_NAME, "the plan is not finished")
-    scene = load_scene(folder / SCENE_NAME)
-    cloud_plan, edge_plans = load_plan(folder / PLAN_NAME)
+    if (folder / DELIVERED).is_dir():
+        # Devices that place their own photographs send poses for what they trained on, and nothing of what they held out.
+        _require_file(folder, f"{DELIVERED}/plan.json", "the run is not finished")
+        scene, plan_path = load_scene(folder / DELIVERED / "scene.safetensors"), folder / DELIVERED / "plan.json"
+        held_out: frozenset[str] = frozenset()
+    else:
+        _require_file(folder, SCENE_NAME, "structure from motion is not finished")
+        _require_file(folder, PLAN_NAME, "the plan is not finished")
+        scene, plan_path = load_scene(folder / SCENE_NAME), folder / PLAN_NAME
+        names = scene.cameras.names
+        held_out = frozenset(name for name, held in zip(names, held_out_mask(names), strict=True) if held)
+    cloud_plan, edge_plans = load_plan(plan_path)
     psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
-    names = scene.cameras.names
-    held_out = frozenset(psnr_db or (name for name, held in zip(names, held_out_mask(names), strict=True) if held))
+    if psnr_db is not None and held_out:
+        held_out = frozenset(psnr_db)
     return RunView(
         folder=folder,
         scene=scene,

@@ -86,6 +86,24 @@ def band_and_interior_psnr_db(
 
     A part has a figure from 20,000 pixels in 10 images on. Raises BadInput when a render, photograph and mask differ in size.
     """
+    return pooled_seam_error([seam_sums(renders, photographs, masks)])
+
+
+def pooled_seam_error(sums: Iterable[FloatArray]) -> SeamError:
+    """The figures of several `seam_sums`, which machines that keep their photographs can send."""
+    band, interior = np.sum([np.zeros((2, 3)), *sums], axis=0)
+    return SeamError(
+        seam_psnr_db=_pooled_psnr_db(band),
+        interior_psnr_db=_pooled_psnr_db(interior),
+        num_band_pixels=int(band[1]),
+        num_band_images=int(band[2]),
+    )
+
+
+def seam_sums(
+    renders: Iterable[NDArray[np.floating]], photographs: Iterable[NDArray[np.floating]], masks: Iterable[SeamMask]
+) -> FloatArray:
+    """(2,3): squared error, pixels and images of the band and of the interior, over images (H,W,3) in 0..1 that come one at a time."""
     band, interior = np.zeros(3), np.zeros(3)
     for render, photograph, mask in zip(renders, photographs, masks, strict=True):
         if not render.shape == photograph.shape == (*mask.band.shape, 3):
@@ -93,12 +111,7 @@ def band_and_interior_psnr_db(
         squared = ((np.asarray(render, np.float64) - photograph) ** 2).mean(axis=2)
         band += _sums(squared, mask.band)
         interior += _sums(squared, mask.interior)
-    return SeamError(
-        seam_psnr_db=_pooled_psnr_db(band),
-        interior_psnr_db=_pooled_psnr_db(interior),
-        num_band_pixels=int(band[1]),
-        num_band_images=int(band[2]),
-    )
+    return np.stack([band, interior])
 
 
 def _seam_mask(cameras: Cameras, index: int, depth_m: NDArray[np.floating], plan: CloudPlan, half_band_m: float) -> SeamMask:

@@ -23,6 +23,8 @@ from radiant_core.io.jpeg import ExifFacts, read_jpeg_facts
 SUFFIXES = (".jpg", ".jpeg", ".png")
 MAX_FILE_BYTES = 1 << 29
 MAX_PIXELS = 1 << 28
+EXIF_HEAD_BYTES = 1 << 18
+"""Where EXIF is found: its segment holds at most 64 KiB and comes among the first."""
 _PNG_SIGNATURE, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xae\x42\x60\x82"
 
 
@@ -92,6 +94,21 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
         lost = f" ({len(skipped)} skipped: {skipped[0].name} {skipped[0].reason})" if skipped else ""
         raise BadInput(f"{folder} has {len(photographs)} usable photograph(s){lost}: at least 2 that overlap are needed.")
     return PhotoListing(photographs=tuple(photographs), skipped=tuple(skipped))
+
+
+def photograph_positions(folder: Path) -> dict[str, tuple[float, float, float] | None]:
+    """GPS position (degrees, degrees, metres) or None by file name, of the JPEG and PNG files directly in `folder`, sorted by name.
+
+    Reads the head of each file only. BadInput where there is no such folder or no photograph in it.
+    """
+    names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES) if folder.is_dir() else []
+    if not names:
+        raise BadInput(f"{folder} is no folder with photographs (.jpg, .jpeg, .png): give the folder that holds the image files.")
+    positions = {}
+    for name in names:
+        with (folder / name).open("rb") as file:
+            positions[name] = _facts(file.read(EXIF_HEAD_BYTES))[2].lat_lon_alt
+    return positions
 
 
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:

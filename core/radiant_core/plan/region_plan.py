@@ -16,7 +16,7 @@ Runs once per plan.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -126,6 +126,33 @@ def plan_regions(
             reason = f"method {method} gives edge {edge.id!r} {count} cameras, it can hold {table.capacity}: use method exact."
             return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     return _cloud_plan(method, system, plane, tables, partition, paper.threshold)
+
+
+def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
+    """Regions for cameras (C,2) m that already belong to edges (C,): every place to the edge whose cameras' mean is nearest.
+
+    Edges without cameras own no land. The lower bound is that of the same counts of cameras dealt freely, 0 where memory forbids it.
+    """
+    positions = checked_array("positions", positions, (len(edge_of_camera), 2))
+    counts = np.bincount(edge_of_camera, minlength=len(system.edges))
+    means = [positions[edge_of_camera == index].mean(axis=0) if count else positions.mean(axis=0) for index, count in enumerate(counts)]
+    placed = [replace(edge, position=(float(x), float(y))) for edge, (x, y) in zip(system.edges, means, strict=True)]
+    plane = _plane(positions, System(edges=tuple(placed)))
+    tables = edge_tables(system, len(positions))
+    fits = sum(table.capacity for table in tables) >= len(positions)
+    weights = _closed_where_unused(np.zeros(len(placed)), counts, plane)
+    return CloudPlan(
+        method="captured",
+        edge_ids=tuple(edge.id for edge in system.edges),
+        sites=plane.sites + plane.centre,
+        weights=weights,
+        borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
+        edge_of_camera=edge_of_camera,
+        edge_time_s=np.zeros(len(placed)),
+        lower_bound_s=fastest_counts(tables, len(positions))[1] if fits else 0.0,
+        status="stopped",
+        certified=False,
+    )
 
 
 def _plane(positions: ArrayLike, system: System) -> _Plane:

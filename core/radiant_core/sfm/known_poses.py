@@ -25,7 +25,9 @@ from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.pairs import neighbor_pairs
+from radiant_core.sfm.undistort import undistort
 from radiant_core.sfm.workspace import listed, start_clean
+from radiant_core.sfm.world import cameras_of
 
 DEFAULT_CONFIG = SfmConfig()
 NO_POINTS = ColmapPoints(
@@ -54,6 +56,17 @@ def scene_from_mill19(folder: Path, work_folder: Path, report: Report, config: S
     )
     told = "the folder's poses are used as they are; its unit is the metre only if whoever made it said so."
     return SfmResult(scene=scene, undistorted_folder=folder, unregistered=(), decisions=(decision,), warnings=(told,))
+
+
+def pinhole_photographs(
+    model_folder: Path, photo_folder: Path, work_folder: Path, num_threads: int, report: Report
+) -> tuple[Cameras, Path]:
+    """The cameras of a COLMAP model of any lens and its photographs, undistorted into `work_folder` where the lens distorts."""
+    model = read_model(model_folder)
+    if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):
+        undistorted = undistort(model_folder, photo_folder, work_folder, num_threads, report)
+        model, photo_folder = read_model(undistorted.model_folder), undistorted.image_folder
+    return cameras_of(model), photo_folder
 
 
 def scene_from_poses(cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report) -> SfmScene:

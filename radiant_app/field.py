@@ -1,0 +1,246 @@
+"""The run in which photographs stay with the device that took them (`--frames gps` or `known`); nothing is computed here.
+
+positions → plan → Tree(cloud(edge(device: sfm, frame, model …))) → every device scores the scene on what it held out → evaluation/
+
+The source is a folder of photographs that the plan deals to devices, each of which fetches its own; or one subfolder per device, named
+by its id: the photographs it took, which no other process opens. A device that cannot deliver is reported missing, the rest goes on.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from radiant_app.config import RunConfig
+from radiant_app.evaluation import PICTURE_KINDS
+from radiant_app.events import Warned
+from radiant_app.executors.local import LocalExecutor, run_task
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.field_dealing import DeviceShare, FieldDealer, Scorer
+from radiant_app.field_results import collect_scores, save_delivered
+from radiant_app.stages import Progress, plan_stage, training_settings
+from radiant_core import __version__
+from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.frames import enu_from_geodetic
+from radiant_core.io.photos import SUFFIXES
+from radiant_core.io.records import save_plan
+from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.assigned import assigned_plan
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.system import System
+from radiant_core.sfm.given_poses import GivenPoses, given_poses
+
+MAX_NAMED = 5
+"""Photographs named in one warning."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Captured:
+    """P photographs by name, where each was taken, and on which device it is."""
+
+    names: tuple[str, ...]
+    """File names, with frames by poses those of the poses."""
+    owners: tuple[str | None, ...]
+    """Device that holds the photograph; None where one folder holds all."""
+    positions: FloatArray
+    """(P,3) metres about `origin`, or in the unit of the poses; NaN where nothing says where."""
+    origin: FloatArray | None
+    """(3,) latitude, longitude, altitude; None for given poses."""
+
+    @property
+    def placed(self) -> Any:
+        """(P,) which photographs have a position."""
+        return np.isfinite(self.positions).all(axis=1)
+
+    @property
+    def held_out(self) -> Any:
+        """(P,) which photographs are held out of everything, by device and name."""
+        return held_out_mask([name if owner is None else f"{owner}/{name}" for name, owner in zip(self.names, self.owners, strict=True)])
+
+
+def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> CloudPlan:
+    """Plan, let every device reconstruct and train in its own folder, join, and let every device score; ends with evaluation/result.json.
+
+    Raises BadInput where positions or poses are missing, StageFailed when no device delivers a model.
+    """
+    folders = _device_folders(config.source, system)
+    poses = given_poses(config.source, config.poses) if config.frames == "known" else None
+    captured = _by_poses(poses, folders, config.source) if poses is not None else _by_gps(config, folders, progress)
+    _tell_unplaced(captured, progress)
+    system, cloud_plan, edge_plans, shares = _planned(config, system, captured, folders, progress)
+    train, aggregate, backend = training_settings(config, progress)
+    dealer = FieldDealer(
+        run=config.out,
+        cloud_plan=cloud_plan,
+        edge_plans=edge_plans,
+        train=train,
+        aggregate=aggregate,
+        backend=backend,
+        frames=config.frames,
+        shares=shares,
+        origin=captured.origin,
+        poses=poses,
+        sfm={"matching": config.matching, "seed": config.seed},
+    )
+    tree = tree_of_plan(cloud_plan, edge_plans)
+    executor = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=lambda node: node.tier != "cloud")
+    scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
+    progress.manifest.keep_stages({"positions", *scores, *(node.id for node in tree)})
+    executor.fold(tree, dealer.prepare, progress.listen)
+    missing = dealer.missing()
+    if not dealer.delivered("cloud"):
+        raise StageFailed("no device delivered a model. " + " ".join(f"{name}: {reason}" for name, reason in missing.items()))
+    scorer = Scorer(dealer=dealer, moves=dealer.moves(), long_side_px=train.long_side_px)
+    executor.fold(_scoring_tree(scorer.moves), scorer.prepare, progress.listen)
+    progress.manifest.ledger = [*dealer.ledger, *scorer.ledger]
+    result = collect_scores(config.out, sorted(scorer.moves), missing)
+    (config.out / "evaluation").mkdir(exist_ok=True)
+    write_json(config.out / "evaluation" / "result.json", {**result, "frames": config.frames, "pooled": folders is None})
+    save_delivered(config.out, dealer, captured.origin)
+    _collect_pictures(config, sorted(scorer.moves))
+    return cloud_plan
+
+
+def _device_folders(source: Path, system: System) -> dict[str, Path] | None:
+    """The subfolders of `source` that are named by devices; None where it holds photographs or something else itself."""
+    if not source.is_dir():
+        raise BadInput(f"{source} is no folder: give a folder of photographs, or one with a subfolder per device.")
+    inner = {path.name: path for path in sorted(source.iterdir()) if path.is_dir() and not path.name.startswith(".")}
+    ids = [device.id for device in system.devices]
+    named = {name: path for name, path in inner.items() if name in ids}
+    if not named:
+        return None
+    strange = sorted(set(inner) - set(named))
+    loose = [path.name for path in source.iterdir() if path.suffix.lower() in SUFFIXES]
+    if strange or loose:
+        other = f"the folder {strange[0]!r}" if strange else f"the photograph {loose[0]!r}"
+        raise BadInput(
+            f"{source} has subfolders of devices ({', '.join(named)}) and {other}: "
+            f"give every device's photographs in a folder with its id, of {', '.join(ids)}."
+        )
+    return named
+
+
+def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progress) -> Captured:
+    """Positions from EXIF: one process per device folder reads the heads of its photographs, or one for the folder of all."""
+    places = {None: _photo_folder(config.source)} if folders is None else dict(folders)
+    names: list[str] = []
+    owners: list[str | None] = []
+    geodetic: list[tuple[float, float, float] | None] = []
+    for owner, place in places.items():
+        folder = config.out / ("positions" if owner is None else f"positions/{owner}")
+        folder.mkdir(parents=True, exist_ok=True)
+        task = {"folders": {"photographs": str(place.resolve())}}
+        write_json(folder / "task.json", task)
+        key = content_key(__version__, task, [(path.name, path.stat().st_size) for path in sorted(place.iterdir())])
+        run_task(NodeTask(kind="positions", stage="positions", folder=folder, key=key), progress.listen, progress.clock)
+        found = read_json(folder / "positions.json", ("photographs",))["photographs"]
+        names += found
+        owners += [owner] * len(found)
+        geodetic += found.values()
+    known = np.array([place for place in geodetic if place is not None], np.float64).reshape(-1, 3)
+    if not len(known):
+        raise BadInput("no photograph has a GPS position, which --frames gps needs: give poses with --frames known, or pool them (shared).")
+    origin = np.median(known, axis=0)
+    positions = np.full((len(names), 3), np.nan)
+    positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
+    return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)
+
+
+def _photo_folder(source: Path) -> Path:
+    return source / "images" if (source / "images").is_dir() else source
+
+
+def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) -> Captured:
+    """Positions from the given poses; with device folders each pose belongs to the device that has a file of its name."""
+    names = poses.cameras.names
+    if folders is None:
+        absent = [name for name in names if not (poses.photos / name).is_file()]
+        owners: list[str | None] = [None] * len(names)
+    else:
+        owner_of = {path.name: device for device, folder in folders.items() for path in folder.iterdir()}
+        absent = [name for name in names if name not in owner_of]
+        owners = [owner_of.get(name) for name in names]
+    if absent:
+        raise BadInput(f"photograph {absent[0]!r} of the poses is not in {source} ({len(absent)} in all): fetch it or drop its pose.")
+    return Captured(names=names, owners=tuple(owners), positions=poses.cameras.centers, origin=None)
+
+
+def _tell_unplaced(captured: Captured, progress: Progress) -> None:
+    lost = [name for name, placed in zip(captured.names, captured.placed, strict=True) if not placed]
+    if lost:
+        named = ", ".join(lost[:MAX_NAMED]) + (" …" if len(lost) > MAX_NAMED else "")
+        progress.listen(Warned(stage="plan", message=f"{len(lost)} of {len(captured.names)} photographs have no GPS position: {named}."))
+
+
+def _planned(
+    config: RunConfig, system: System, captured: Captured, folders: dict[str, Path] | None, progress: Progress
+) -> tuple[System, CloudPlan, tuple[EdgePlan, ...], dict[str, DeviceShare]]:
+    """The plan of the training photographs with a position, and every device's photographs."""
+    chosen = np.flatnonzero(captured.placed & ~captured.held_out)
+    if len(chosen) < 2:
+        raise BadInput(f"{len(chosen)} training photographs have a position, expected at least 2: give more photographs with GPS.")
+    positions = captured.positions[chosen, :2]
+    if folders is not None:
+        owners = [captured.owners[index] or "" for index in chosen]
+        cloud_plan, edge_plans = assigned_plan(positions, owners, system)
+        save_plan(config.out / "plan.json", cloud_plan, edge_plans)
+        idle = [device.id for device in system.devices if device.id not in folders]
+        for device in idle:
+            progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs, it takes no part."))
+        return system, cloud_plan, edge_plans, _own_shares(captured, folders)
+    system, cloud_plan, edge_plans = plan_stage(config, system, positions, captured.origin, progress)
+    return system, cloud_plan, edge_plans, _dealt_shares(config, captured, chosen, edge_plans)
+
+
+def _own_shares(captured: Captured, folders: dict[str, Path]) -> dict[str, DeviceShare]:
+    held_out = captured.held_out
+    shares = {}
+    for device, folder in folders.items():
+        own = [index for index, owner in enumerate(captured.owners) if owner == device]
+        shares[device] = DeviceShare(
+            source=folder,
+            names=tuple(captured.names[index] for index in own if not held_out[index]),
+            held_out=tuple(captured.names[index] for index in own if held_out[index]),
+            copy=False,
+        )
+    return shares
+
+
+def _dealt_shares(config: RunConfig, captured: Captured, chosen: Any, edge_plans: Sequence[EdgePlan]) -> dict[str, DeviceShare]:
+    """Training photographs as planned; a held-out one goes to the device of the training photograph nearest to it."""
+    owner_of = {int(index): device for plan in edge_plans for device in plan.device_ids for index in plan.cameras_of(device)}
+    held_out = np.flatnonzero(captured.placed & captured.held_out)
+    nearest = np.asarray(KDTree(captured.positions[chosen]).query(captured.positions[held_out])[1]) if len(held_out) else []
+    shares: dict[str, DeviceShare] = {}
+    for device in sorted(set(owner_of.values())):
+        shares[device] = DeviceShare(
+            source=_photo_folder(config.source),
+            names=tuple(captured.names[chosen[index]] for index in sorted(owner_of) if owner_of[index] == device),
+            held_out=tuple(captured.names[held] for held, near in zip(held_out, nearest, strict=True) if owner_of[int(near)] == device),
+            copy=True,
+        )
+    return shares
+
+
+def _scoring_tree(moves: dict[str, Any]) -> Tree:
+    nodes = tuple(Tree(id=f"devices/{device}/score", tier="device") for device in sorted(moves))
+    return Tree(id="scoring", tier="cloud", children=nodes)
+
+
+def _collect_pictures(config: RunConfig, devices: Sequence[str]) -> None:
+    """Pictures of photographs leave a device only where all devices are one owner's."""
+    for kind in PICTURE_KINDS if config.single_owner else ():
+        for device in devices:
+            made = config.out / "devices" / device / "score" / kind
+            if made.is_dir():
+                shutil.copytree(made, config.out / "pictures" / kind, dirs_exist_ok=True)

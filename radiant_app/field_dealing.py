@@ -1,0 +1,158 @@
+"""Prepares the nodes of a run whose photographs stay on their devices, and the scoring that follows.
+
+A device is told which photographs are its own and fetches them itself. An edge gets what its devices delivered, the cloud what its edges
+did; who delivered nothing is left out. Then every device gets the finished scene and where its own frame went.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from radiant_app.dealing import Dealer, Filled, deal_files, name_of, received
+from radiant_app.executors.protocol import NodeTask
+from radiant_core import __version__
+from radiant_core.aggregate.tree import Tree
+from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
+from radiant_core.numerics import FloatArray
+from radiant_core.sfm.given_poses import GivenPoses
+
+MODEL_FILES = ("model.safetensors", "cameras.safetensors", "frame.json")
+"""What goes up a tier: a model, poses under numbers, and how sure the frame is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceShare:
+    """Which photographs are a device's own: file names in `source`, those to train on and those held out."""
+
+    source: Path
+    names: tuple[str, ...]
+    held_out: tuple[str, ...]
+    copy: bool
+    """Whether the device fetches them into its folder; False where they lie in a folder of its own."""
+
+
+@dataclass(kw_only=True)
+class FieldDealer(Dealer):
+    """Prepares devices that place their own photographs."""
+
+    frames: str
+    shares: dict[str, DeviceShare]
+    origin: FloatArray | None
+    poses: GivenPoses | None
+    sfm: dict[str, Any]
+    keys: dict[str, str] = field(default_factory=dict)
+    """Node id → the key it is sealed with when it is done."""
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Devices reconstruct before they train."""
+        return {"device": "field", "edge": "edge", "cloud": "cloud"}
+
+    def prepare(self, node: Tree) -> NodeTask | None:
+        """As in a shared run; the keys are kept, so that only what this run finished is used."""
+        task = super().prepare(node)
+        if task is not None:
+            self.keys[node.id] = task.key
+        return task
+
+    def fill_device(self, node: Tree, folder: Path) -> Filled:
+        """The names of its photographs; the given poses where there are some."""
+        share = self.shares[name_of(node)]
+        names = [*share.names, *share.held_out]
+        files = [(share.source / name).stat() for name in names]
+        task = {
+            "frames": self.frames,
+            "source": str(share.source.resolve()),
+            "names": list(share.names),
+            "held_out": list(share.held_out),
+            "copy": share.copy,
+            "changed": [[file.st_size, file.st_mtime_ns] for file in files],
+            "origin": None if self.origin is None else self.origin.tolist(),
+            "sfm": self.sfm,
+            "train": asdict(self.train),
+            "backend": self.backend,
+            "model": None,
+        }
+        if self.poses is None:
+            return task, []
+        task["model"] = self.poses.deal(names, folder)
+        return task, [folder / ("poses" if task["model"] else "poses.safetensors")]
+
+    def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
+        """The models of the devices that delivered one."""
+        devices = [name_of(child) for child in node.children if self.delivered(child.id)]
+        shutil.rmtree(folder / "inbox", ignore_errors=True)
+        for device in devices:
+            deal_files(self.run / "devices" / device, MODEL_FILES, folder / "inbox" / device)
+        return (self.edge_task(devices), [folder / "inbox"]) if devices else None
+
+    def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
+        """The models of the edges that delivered one."""
+        edges = [name_of(child) for child in node.children if self.delivered(child.id)]
+        return self.cloud_task(edges, folder, MODEL_FILES) if edges else None
+
+    def delivered(self, node_id: str) -> bool:
+        """Whether a node is done in this run and has a model."""
+        folder = self.run / node_id
+        done = node_id in self.keys and is_sealed(folder, self.keys[node_id])
+        return done and read_json(folder / "frame.json", ("status",))["status"] == "placed"
+
+    def moves(self) -> dict[str, list[Any]]:
+        """Devices whose model is in the scene → the similarities from their own frame to the scene's, first to last."""
+        to_cloud = read_json(self.run / "cloud" / "corrections.json")
+        found = {}
+        for edge in (edge for edge, move in to_cloud.items() if move is not None):
+            to_edge = read_json(self.run / "edges" / edge / "corrections.json")
+            found |= {device: [move, to_cloud[edge]] for device, move in to_edge.items() if move is not None}
+        return found
+
+    def missing(self) -> dict[str, str]:
+        """Devices with photographs whose model is not in the scene, and why."""
+        present = set(self.moves()) if self.delivered("cloud") else set()
+        return {device: self._reason(device) for device in sorted(self.shares) if device not in present}
+
+    def _reason(self, device: str) -> str:
+        folder = self.run / "devices" / device
+        key = self.keys.get(f"devices/{device}")
+        if key is None:
+            return "it has no photograph to train on."
+        if not is_sealed(folder, key):
+            return "its process ended before it was done; the warnings say how."
+        frame = read_json(folder / "frame.json", ("status", "reason"))
+        return (
+            frame["reason"] if frame["status"] == "missing" else "its frame was refused, or its edge delivered nothing; see the warnings."
+        )
+
+
+@dataclass(kw_only=True)
+class Scorer:
+    """Prepares the scoring of the finished scene on each device's own held-out photographs."""
+
+    dealer: FieldDealer
+    moves: dict[str, list[Any]]
+    long_side_px: int
+    ledger: list[dict[str, Any]] = field(default_factory=list)
+
+    def prepare(self, node: Tree) -> NodeTask | None:
+        """Give the device the scene, the plan's borders and where its frame went."""
+        if not node.id.startswith("devices/"):
+            return None
+        run, folder = self.dealer.run, self.dealer.run / node.id
+        device = node.id.split("/")[1]
+        shutil.rmtree(folder / "inbox", ignore_errors=True)
+        deal_files(run / "cloud", ["scene.ply"], folder / "inbox")
+        deal_files(run, ["plan.json"], folder / "inbox")
+        task = {"corrections": self.moves[device], "long_side_px": self.long_side_px, "backend": self.dealer.backend}
+        write_json(folder / "task.json", task)
+        inputs = [folder / "inbox", *(folder.parent / name for name in ("held_out.safetensors", "model.safetensors"))]
+        self.ledger.append({"node": node.id, "tier": "device", **received([folder / "inbox"])})
+        return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task, *inputs))
+
+
+def device_cameras(dealer: FieldDealer) -> dict[str, Path]:
+    """For devices whose model is in the scene: the poses they sent to their edge."""
+    edge_of = {device: plan.edge_id for plan in dealer.edge_plans for device in plan.device_ids}
+    return {device: dealer.run / "edges" / edge_of[device] / "inbox" / device / "cameras.safetensors" for device in sorted(dealer.moves())}

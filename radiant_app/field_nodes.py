@@ -1,0 +1,193 @@
+"""What a device computes when photographs stay where they were taken (`--frames gps` or `known`).
+
+| kind      | reads                                                         | writes                                                   |
+|-----------|---------------------------------------------------------------|----------------------------------------------------------|
+| positions | task.json, the heads of the photographs it names              | positions.json                                           |
+| field     | task.json, its own photographs, poses where given             | {model,cameras,scene,initial,held_out}.safetensors, frame.json |
+| score     | task.json, inbox/{scene.ply,plan.json}, its device's photographs | result.json: numbers; pictures that stay              |
+
+A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) says so in frame.json and is done: the rest goes on.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.events import Decided, Event, StageProgress, Warned
+from radiant_app.inbox import moved_cameras, numbered, sim3_of
+from radiant_app.nodes import load_images, sfm_progress, train_device
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.io.photos import photograph_positions
+from radiant_core.io.records import load_cameras, load_plan, load_splats, save_cameras, save_scene, save_splats
+from radiant_core.io.run_store import read_json, write_json
+from radiant_core.scene import SfmScene
+
+Emit = Callable[[Event], None]
+
+NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
+"""The summary of a device that delivers no model."""
+
+
+def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+    """GPS positions of the photographs in the folders that task.json names; nothing of their pixels is read."""
+    task = read_json(folder / "task.json", ("folders",))
+    found = {owner: photograph_positions(Path(place)) for owner, place in task["folders"].items()}
+    write_json(folder / "positions.json", found)
+    return ["positions.json"]
+
+
+def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+    """Structure from motion, frame and model of one device's own photographs."""
+    from radiant_core.train.config import TrainConfig
+
+    task = read_json(folder / "task.json")
+    try:
+        placed = _placed(folder, task, stage, emit)
+        held = np.isin(placed.scene.cameras.names, task["held_out"])
+        training = placed.scene.restricted_to(np.flatnonzero(~held))
+        if len(training.cameras) < 2:
+            raise BadInput(f"{len(training.cameras)} of its training photographs could be placed, expected at least 2.")
+        initial = train_device(folder, training, placed.images, TrainConfig(**task["train"]), (stage, task["backend"], emit))
+    except (BadInput, StageFailed) as error:
+        return _missing(folder, stage, str(error), emit)
+    save_splats(folder / "initial.safetensors", initial)
+    save_scene(folder / "scene.safetensors", training)
+    save_cameras(folder / "held_out.safetensors", placed.scene.cameras.select(held))
+    save_cameras(folder / "cameras.safetensors", numbered(training.cameras, folder.name))
+    write_json(folder / "frame.json", {"status": "placed", "reason": "", "uncertainty": placed.uncertainty})
+    write_json(folder / "own.json", {"images": str(placed.images)})
+    arrays = ("model", "initial", "scene", "held_out", "cameras")
+    return [*(f"{name}.safetensors" for name in arrays), "frame.json", "own.json", "summary.json"]
+
+
+def _missing(folder: Path, stage: str, reason: str, emit: Emit) -> Sequence[str]:
+    emit(Warned(stage=stage, message=f"no model of this device: {reason}"))
+    write_json(folder / "frame.json", {"status": "missing", "reason": reason, "uncertainty": None})
+    write_json(folder / "summary.json", {**NOTHING, "num_photographs": 0, "num_points": 0})
+    return ["frame.json", "summary.json"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Placed:
+    """A device's scene in the frame that all share, its undistorted photographs, and how uncertain the frame is (None: exact)."""
+
+    scene: SfmScene
+    images: Path
+    uncertainty: dict[str, float] | None
+
+
+def _placed(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
+    photos = Path(task["source"])
+    if task["copy"]:
+        photos = folder / "photos"
+        shutil.rmtree(photos, ignore_errors=True)
+        for name in [*task["names"], *task["held_out"]]:
+            (photos / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(Path(task["source"]) / name, photos / name)
+    return (
+        _placed_by_gps(folder, photos, task, stage, emit)
+        if task["frames"] == "gps"
+        else _placed_by_poses(folder, photos, task, stage, emit)
+    )
+
+
+def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
+    from radiant_core.sfm.device_frame import RefusedFrame, device_frame
+
+    from radiant_core.sfm.config import SfmConfig
+    from radiant_core.sfm.reconstruct import reconstruct
+
+    result = reconstruct(photos, folder / "sfm", SfmConfig(**task["sfm"]), lambda progress: emit(sfm_progress(stage, progress)))
+    for message in result.warnings:
+        emit(Warned(stage=stage, message=message))
+    positions = {name: place for name, place in photograph_positions(photos).items() if place is not None}
+    frame = device_frame(result.scene, positions, np.array(task["origin"]), task["sfm"]["seed"])
+    if isinstance(frame, RefusedFrame):
+        raise BadInput(f"its frame is refused: {frame.reason}")
+    emit(Decided(decision=_frame_decision(stage, asdict(frame.uncertainty), len(positions))))
+    return _Placed(scene=frame.scene, images=result.undistorted_folder, uncertainty=asdict(frame.uncertainty))
+
+
+def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
+    from radiant_core.sfm.config import SfmConfig
+    from radiant_core.sfm.known_poses import pinhole_photographs, scene_from_poses
+
+    def report(progress: Any) -> None:
+        emit(sfm_progress(stage, progress))
+
+    config = SfmConfig(**task["sfm"])
+    work = folder / "sfm"
+    if task["model"] is None:
+        cameras = load_cameras(folder / "poses.safetensors")
+    else:
+        cameras, photos = pinhole_photographs(folder / "poses", photos, folder / "pinhole", config.threads, report)
+    scene = scene_from_poses(cameras, photos, work, config, report)
+    return _Placed(scene=scene, images=photos, uncertainty=None)
+
+
+def _frame_decision(stage: str, uncertainty: dict[str, float], num_positions: int) -> Decision:
+    return Decision(
+        stage=stage,
+        topic="frame",
+        choice="metric, from the device's own GPS",
+        figure=uncertainty["position_m"],
+        unit="m",
+        reason=f"from {num_positions} positions; scale known to {uncertainty['scale']:.2%}, "
+        f"rotation to {np.degrees(uncertainty['rotation_rad']):.2f}°",
+    )
+
+
+def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+    """Score the downloaded scene on the photographs that this device held out, and say how much its own synthetic views give away."""
+    from radiant_app.evaluation import held_out_figures, region_width, save_comparison
+    from radiant_core.evaluate.seam_error import seam_masks, seam_sums
+    from radiant_core.io.ply import load_ply
+    from radiant_core.render.rendered_view import render_views
+
+    task = read_json(folder / "task.json")
+    own = folder.parent
+    images = Path(read_json(own / "own.json", ("images",))["images"])
+    held_out = load_cameras(own / "held_out.safetensors").scaled(task["long_side_px"])
+    leakage = _leakage(own, images, task, (stage, emit))
+    result: dict[str, Any] = {"images": [], "leakage": leakage, "seam_sums": np.zeros((2, 3)).tolist()}
+    pictures: list[str] = []
+    if len(held_out):
+        names = [f"{own.name}/{index:04d}" for index in range(len(held_out))]
+        photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(images, held_out)]
+        cameras = held_out
+        for move in task["corrections"]:
+            cameras = moved_cameras(cameras, sim3_of(move))
+        cameras = replace(cameras, names=tuple(names))
+        rendered = list(render_views(load_ply(folder / "inbox" / "scene.ply"), cameras, task["backend"]))
+        untrained = list(render_views(load_splats(own / "initial.safetensors"), held_out, task["backend"]))
+        result |= {"images": held_out_figures(rendered, untrained, photographs)["images"]}
+        plan, _ = load_plan(folder / "inbox" / "plan.json")
+        masks = seam_masks(cameras, [view.depth for view in rendered], plan, region_width(plan.sites))
+        result["seam_sums"] = seam_sums([view.image for view in rendered], photographs, masks).tolist()
+        pictures = [name for view, photo in zip(rendered, photographs, strict=True) for name in save_comparison(folder, view, photo)]
+    write_json(folder / "result.json", result)
+    return ["result.json", *pictures]
+
+
+def _leakage(own: Path, images: Path, task: dict[str, Any], reporting: tuple[str, Emit]) -> dict[str, float]:
+    """PSNR and SSIM of what the edge can render of this device's model at its training poses, against the photographs it never sees."""
+    from radiant_core.evaluate.image_error import psnr_db, ssim
+    from radiant_core.io.records import load_scene
+    from radiant_core.render.rendered_view import render_views
+
+    stage, emit = reporting
+    cameras = load_scene(own / "scene.safetensors").cameras.scaled(task["long_side_px"])
+    figures = []
+    for done, view in enumerate(render_views(load_splats(own / "model.safetensors"), cameras, task["backend"]), 1):
+        photograph = load_images(images, cameras.select([done - 1]))[0] / 255.0
+        figures.append((psnr_db(view.image, photograph), ssim(view.image, photograph)))
+        emit(StageProgress(stage=stage, done=done, total=len(cameras), note="synthetic views against photographs"))
+    mean = np.mean(figures, axis=0)
+    return {"psnr_db": float(mean[0]), "ssim": float(mean[1]), "num_images": len(figures)}

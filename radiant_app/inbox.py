@@ -1,0 +1,142 @@
+"""What arrived at an edge or at the cloud: the senders' models and cameras, brought into one frame.
+
+With frames by GPS each sender's own frame is off by a few metres, degrees and per cent: the models' overlapping geometry brings them
+together, and a sender that it contradicts is left out. Once per edge and once at the cloud.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.events import Decided, Event, StageProgress, Warned
+from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.frames import Sim3
+from radiant_core.io.records import load_cameras, load_splats, save_cameras
+from radiant_core.io.run_store import read_json, write_json
+from radiant_core.splats import Splats
+
+Emit = Callable[[Event], None]
+
+NO_CAMERAS = concatenate_cameras([])
+_UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Inbox:
+    """Models that arrived, with their cameras, in one frame; `corrections` by sender, None for a sender that is refused."""
+
+    senders: tuple[str, ...]
+    models: tuple[Splats, ...]
+    cameras: tuple[Cameras, ...]
+    corrections: dict[str, Sim3 | None]
+    uncertainty: dict[str, float] | None
+
+
+def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> Inbox:
+    """The models in inbox/<sender>/, brought together through their geometry; BadInput when none is left."""
+    places = [folder / "inbox" / name for name in senders]
+    models = [load_splats(place / "model.safetensors") for place in places]
+    cameras = [load_cameras(place / "cameras.safetensors") if (place / "cameras.safetensors").is_file() else NO_CAMERAS for place in places]
+    uncertainties = [
+        read_json(place / "frame.json", ("uncertainty",))["uncertainty"] if (place / "frame.json").is_file() else None for place in places
+    ]
+    known = [uncertainty for uncertainty in uncertainties if uncertainty is not None]
+    if len(known) < len(senders):
+        return _together(senders, models, cameras, [_UNMOVED] * len(senders), None)
+    from radiant_core.geometry.frame_refinement import PlacedModel, refine_frames
+    from radiant_core.sfm.device_frame import FrameUncertainty
+
+    placed = [
+        PlacedModel(splats=model, cameras=own, uncertainty=FrameUncertainty(**uncertainty))
+        for model, own, uncertainty in zip(models, cameras, known, strict=True)
+    ]
+    refined = refine_frames(placed, lambda done, total: emit(StageProgress(stage=stage, done=done, total=total, note="frames")))
+    for name, frame in zip(senders, refined, strict=True):
+        if frame.status == "refused":
+            emit(Warned(stage=stage, message=f"the model of {name} is left out: {frame.reason}"))
+        else:
+            emit(Decided(decision=_refinement_decision(stage, name, frame)))
+    corrections = [None if frame.status == "refused" else frame.correction for frame in refined]
+    left = [frame.uncertainty for frame in refined if frame.status != "refused"]
+    if not left:
+        raise BadInput(f"none of the {len(senders)} models could be placed in the common frame; the warnings above say why.")
+    # Joined, they are as sure of their place as the surest of them.
+    joined = {key: min(asdict(one)[key] for one in left) for key in asdict(left[0])}
+    return _together(senders, models, cameras, corrections, joined)
+
+
+def _together(
+    senders: Sequence[str],
+    models: Sequence[Splats],
+    cameras: Sequence[Cameras],
+    corrections: Sequence[Sim3 | None],
+    joined: dict[str, float] | None,
+) -> Inbox:
+    kept = [index for index, correction in enumerate(corrections) if correction is not None]
+    moves = [corrections[index] or _UNMOVED for index in kept]
+    return Inbox(
+        senders=tuple(senders[index] for index in kept),
+        models=tuple(_moved(models[index], move) for index, move in zip(kept, moves, strict=True)),
+        cameras=tuple(moved_cameras(cameras[index], move) for index, move in zip(kept, moves, strict=True)),
+        corrections=dict(zip(senders, corrections, strict=True)),
+        uncertainty=joined,
+    )
+
+
+def _moved(model: Splats, move: Sim3) -> Splats:
+    if move is _UNMOVED:
+        return model
+    from radiant_core.geometry.similarity import move_splats
+
+    return move_splats(model, move)
+
+
+def moved_cameras(cameras: Cameras, move: Sim3) -> Cameras:
+    """The same cameras seen from the frame that `move` leads to."""
+    return replace(cameras, cam_from_world=move.apply_to_poses(cameras.cam_from_world))
+
+
+def save_frames(folder: Path, inbox: Inbox) -> list[str]:
+    """Write how each sender was moved, how sure the joined frame is, and the poses to hand on; returns the names of the files."""
+    moves = {name: None if move is None else sim3_record(move) for name, move in inbox.corrections.items()}
+    write_json(folder / "corrections.json", moves)
+    write_json(folder / "frame.json", {"status": "placed", "reason": "", "uncertainty": inbox.uncertainty})
+    save_cameras(folder / "cameras.safetensors", virtual_cameras(inbox.cameras))
+    return ["corrections.json", "frame.json", "cameras.safetensors"]
+
+
+def sim3_record(move: Sim3) -> dict[str, Any]:
+    """A similarity as plain numbers."""
+    return {"scale": move.scale, "rotation": move.rotation.tolist(), "translation": move.translation.tolist()}
+
+
+def sim3_of(record: dict[str, Any]) -> Sim3:
+    """The similarity that `sim3_record` wrote."""
+    return Sim3(scale=record["scale"], rotation=np.array(record["rotation"]), translation=np.array(record["translation"]))
+
+
+def _refinement_decision(stage: str, name: str, frame: Any) -> Decision:
+    moved_mm_per_m = 1e3 * abs(frame.correction.scale - 1)
+    reason = frame.reason or f"geometry shared with {frame.neighbours} neighbours; scale changed by {moved_mm_per_m:.1f} mm per m"
+    choice = "stays where GPS puts it" if frame.status == "alone" else "moved onto its neighbours"
+    return Decision(stage=stage, topic=f"frame of {name}", choice=choice, figure=frame.residual_m, unit="m residual", reason=reason)
+
+
+def numbered(cameras: Cameras, prefix: str) -> Cameras:
+    """The same cameras named prefix/0000, prefix/0001, …: names of files are their owner's business."""
+    return replace(cameras, names=tuple(f"{prefix}/{index:04d}" for index in range(len(cameras))))
+
+
+def virtual_cameras(cameras: Sequence[Cameras]) -> Cameras:
+    """All poses of an edge in an order and under names that say nothing about the device that took them."""
+    together = concatenate_cameras([numbered(own, f"part{index}") for index, own in enumerate(cameras)])
+    order = np.random.default_rng(0).permutation(len(together))
+    shuffled = together.select(order)
+    return replace(shuffled, names=tuple(f"v{index:05d}" for index in range(len(shuffled))))

@@ -1,0 +1,86 @@
+"""What every way of running shares: who listens, the plan, the settings of training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from radiant_app.config import RunConfig
+from radiant_app.events import Decided, Event, Listener, StageSkipped
+from radiant_app.nodes import read_notes
+from radiant_app.run_folder import Manifest
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.io.records import save_plan
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.region_plan import PlanInfeasible, choose_method, plan_regions
+from radiant_core.plan.system import System
+from radiant_core.render.contract import resolve_backend
+from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.needs import fit_to_backend
+
+REFERENCE_RETRAIN_STEPS = 100
+"""Limit of an edge's retraining on the plain PyTorch backend."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Who listens and which clock runs; passed through the stages."""
+
+    manifest: Manifest
+    listener: Listener
+    clock: Callable[[], float]
+    started_s: float
+
+    def listen(self, event: Event) -> None:
+        """Record an event and pass it on."""
+        self.manifest.note(event, self.clock() - self.started_s)
+        self.listener(event)
+        if isinstance(event, StageSkipped):
+            for noted in read_notes(self.manifest.folder / event.stage, event.stage):
+                self.listen(noted)
+
+
+def plan_stage(
+    config: RunConfig, system: System, positions: FloatArray, origin: FloatArray | None, progress: Progress
+) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
+    """Plan positions (C,2) m about `origin` (3,) lat lon alt, if they are on the globe; writes plan.json. BadInput when nothing fits."""
+    system = place_edges(system, positions, origin, config.seed)
+    method, decisions = choose_method(config.plan_method, len(positions), len(system.edges))
+    for decision in decisions:
+        progress.listen(Decided(decision=decision))
+    cloud_plan = plan_regions(positions, system, method=method)
+    if isinstance(cloud_plan, PlanInfeasible):
+        raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system} and add --resume.")
+    edge_plans = split_edges(positions, cloud_plan, system)
+    save_plan(config.out / "plan.json", cloud_plan, edge_plans)
+    return system, cloud_plan, edge_plans
+
+
+def training_settings(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, str]:
+    """How devices train, how edges join, and the backend of this machine."""
+    backend = resolve_backend("auto")
+    preset = replace(train_preset(config.train_preset), seed=config.seed)
+    train, decisions = fit_to_backend(preset, backend, config.overrides)
+    aggregate = AggregateConfig(preset=config.aggregate_preset)
+    if backend == "reference":
+        aggregate = replace(aggregate, max_num_steps=REFERENCE_RETRAIN_STEPS)
+        decisions = (*decisions, _retrain_decision())
+    for decision in decisions:
+        progress.listen(Decided(decision=decision))
+    return train, aggregate, backend
+
+
+def _retrain_decision() -> Decision:
+    return Decision(
+        stage="edges",
+        topic="retraining",
+        choice=f"at most {REFERENCE_RETRAIN_STEPS} steps",
+        figure=float(REFERENCE_RETRAIN_STEPS),
+        unit="steps",
+        reason="ten epochs would take most of the run on the plain PyTorch backend",
+    )
