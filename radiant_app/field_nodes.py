@@ -1,10 +1,10 @@
 """What a device computes when photographs stay where they were taken (`--frames gps` or `known`).
 
-| kind      | reads                                                         | writes                                                   |
-|-----------|---------------------------------------------------------------|----------------------------------------------------------|
-| positions | task.json, the heads of the photographs it names              | positions.json                                           |
-| field     | task.json, its own photographs, poses where given             | {model,cameras,scene,initial,held_out}.safetensors, frame.json |
-| score     | task.json, inbox/{scene.ply,plan.json}, its device's photographs | result.json: numbers; pictures that stay              |
+| kind | reads | writes |
+|---|---|---|
+| positions | task.json, the heads of the photographs it names | positions.json |
+| field | task.json, its own photographs, poses where given | {model,cameras,scene,initial,held_out}.safetensors, frame.json |
+| score | task.json, inbox/{scene.ply,plan.json}, its own photographs | result.json: numbers; pictures that stay |
 
 A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) says so in frame.json and is done: the rest goes on.
 """
@@ -157,7 +157,6 @@ def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     held_out = load_cameras(own / "held_out.safetensors").scaled(task["long_side_px"])
     leakage = _leakage(own, images, task, (stage, emit))
     result: dict[str, Any] = {"images": [], "leakage": leakage, "seam_sums": np.zeros((2, 3)).tolist()}
-    pictures: list[str] = []
     if len(held_out):
         names = [f"{own.name}/{index:04d}" for index in range(len(held_out))]
         photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(images, held_out)]
@@ -171,9 +170,11 @@ def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         plan, _ = load_plan(folder / "inbox" / "plan.json")
         masks = seam_masks(cameras, [view.depth for view in rendered], plan, region_width(plan.sites))
         result["seam_sums"] = seam_sums([view.image for view in rendered], photographs, masks).tolist()
-        pictures = [name for view, photo in zip(rendered, photographs, strict=True) for name in save_comparison(folder, view, photo)]
+        for view, photo in zip(rendered, photographs, strict=True):
+            save_comparison(folder, view, photo)
     write_json(folder / "result.json", result)
-    return ["result.json", *pictures]
+    # The pictures are not sealed: whoever checks a seal reads what it holds.
+    return ["result.json"]
 
 
 def _leakage(own: Path, images: Path, task: dict[str, Any], reporting: tuple[str, Emit]) -> dict[str, float]:

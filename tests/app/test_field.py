@@ -1,0 +1,210 @@
+"""Photographs that stay on their devices: who opens them, what reaches the tiers above, and what happens when a device cannot deliver."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiant_app.config import RunConfig
+from radiant_app.demo import sample_scenes_folder
+from radiant_app.events import Event, StageDone, StageSkipped, Warned
+from radiant_app.pipeline import RunResult, run
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.io.ply import load_ply
+from radiant_core.io.records import load_cameras
+from radiant_core.train.needs import Overrides
+from radiant_viewer.run_view import load_run_view
+
+TINY = Overrides(long_side_px=96, num_steps=60, max_num_splats=1500)
+TWO_EDGES = "".join(f'[[edge]]\nid = "{edge}"\n[[edge.device]]\nid = "{edge}-1"\n' for edge in ("north", "south"))
+
+
+@pytest.fixture(scope="module")
+def hamlet() -> Path:
+    return sample_scenes_folder() / "hamlet"
+
+
+@pytest.fixture(scope="module")
+def system(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("system") / "system.toml"
+    path.write_text(TWO_EDGES)
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(hamlet: Path, system: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult]:
+    out = tmp_path_factory.mktemp("field") / "run"
+    config = RunConfig(source=hamlet / "images", poses=hamlet / "known", frames="known", system=system, out=out, overrides=TINY)
+    return config, run(config)
+
+
+def test_every_device_scores_its_own_and_only_numbers_go_up(finished: tuple[RunConfig, RunResult]) -> None:
+    config, result = finished
+    devices = {row["name"].split("/")[0] for row in result.metrics["images"]}
+    assert devices <= {"north-1", "south-1"} and result.metrics["missing"] == {}
+    assert len(result.metrics["images"]) == 2  # every 8th of 12
+    assert result.metrics["psnr_db"] == pytest.approx(np.mean([row["psnr_db"] for row in result.metrics["images"]]))
+    assert all(row["psnr_db"] > row["initial_psnr_db"] for row in result.metrics["images"])
+    assert not list((config.out / "pictures").glob("**/*drone*")) and not (config.out / "pictures" / "photographs").exists()
+    assert list(config.out.glob("devices/*/score/photographs/**/*.png"))
+
+
+def test_the_report_states_the_leakage_with_its_figure(finished: tuple[RunConfig, RunResult]) -> None:
+    _, result = finished
+    page = result.report.read_text()
+    for leak in result.metrics["leakage"].values():
+        assert 10 < leak["psnr_db"] < 50 and 0 < leak["ssim"] < 1
+        assert f"{leak['psnr_db']:.2f}" in page
+    assert "What is not protected" in page and "drone_" not in page
+
+
+def test_poses_go_up_under_numbers_and_the_cloud_learns_no_device(finished: tuple[RunConfig, RunResult]) -> None:
+    config, _ = finished
+    for path in config.out.glob("edges/*/inbox/*/cameras.safetensors"):
+        assert all(name.startswith(f"{path.parent.name}/") for name in load_cameras(path).names)
+    inboxes = list((config.out / "cloud" / "inbox").rglob("*"))
+    content = b"".join(path.read_bytes() for path in inboxes if path.is_file()) + (config.out / "cloud" / "task.json").read_bytes()
+    for secret in (b"north-1", b"south-1", b"drone_"):
+        assert secret not in content
+
+
+def test_the_inspector_reads_such_a_run(finished: tuple[RunConfig, RunResult]) -> None:
+    config, _ = finished
+    view = load_run_view(config.out)
+    assert len(view.scene.cameras) == 10 and view.held_out == frozenset() and view.splats is not None
+    assert sorted(np.bincount(view.roles.device_of_camera)) == sorted(view.cloud_plan.counts)
+
+
+def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> None:
+    config, _ = finished
+    before = (config.out / "scene.ply").read_bytes()
+    events: list[Event] = []
+    run(config, events.append, resume=True)
+    assert not any(isinstance(event, StageDone) for event in events) and any(isinstance(event, StageSkipped) for event in events)
+    assert (config.out / "scene.ply").read_bytes() == before
+
+
+@pytest.fixture(scope="module")
+def preload(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None or not sys.platform.startswith("linux"):
+        pytest.skip("needs Linux and a C compiler to trace opened files")
+    library = tmp_path_factory.mktemp("preload") / "opened_files.so"
+    source = Path(__file__).with_name("opened_files.c")
+    subprocess.run([compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(source), "-ldl"], check=True)
+    return library
+
+
+def test_no_other_process_opens_a_devices_photographs(hamlet: Path, system: Path, preload: Path, tmp_path: Path) -> None:
+    source = split_by_device(hamlet / "images", tmp_path / "captured")
+    log = tmp_path / "opened.txt"
+    command = [sys.executable, "-m", "radiant_app", "run", source, "--out", tmp_path / "run", "--frames", "known"]
+    options = ["--poses", hamlet / "known", "--system", system, "--steps", 20, "--long-side-px", 64, "--max-splats", 800]
+    environment = {**os.environ, "LD_PRELOAD": str(preload), "OPENED_FILES": str(log)}
+    done = subprocess.run(
+        [str(part) for part in (*command, *options)], env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    opened: dict[str, set[str]] = {}
+    for line in log.read_text(errors="replace").splitlines():
+        process, _, path = line.rpartition("\t")
+        if path.endswith((".jpg", ".png")):
+            opened.setdefault(path, set()).add(process)
+    for device in ("north-1", "south-1"):
+        photographs = [str(path) for path in (source / device).iterdir()]
+        readers = {process for path in photographs for process in opened.get(path, set())}
+        assert all(path in opened for path in photographs), "the tracing saw nothing"
+        assert readers and all("radiant_app.worker" in process and f"devices/{device}" in process for process in readers), readers
+        # What was made of them stays with the device too.
+        others = [process for path, who in opened.items() if f"devices/{device}/" in path for process in who]
+        assert all(f"devices/{device}" in process for process in others), others
+    assert_no_image_bytes(tmp_path / "run", source)
+
+
+def split_by_device(images: Path, target: Path) -> Path:
+    for index, path in enumerate(sorted(images.iterdir())):
+        folder = target / ("north-1" if index % 2 else "south-1")
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, folder / path.name)
+    return target
+
+
+def assert_no_image_bytes(folder: Path, source: Path) -> None:
+    """Nothing an edge, the cloud or the owner wrote is an image of a scene or holds a stretch of a photograph's bytes."""
+    stretches = [photo.read_bytes()[start : start + 32] for photo in source.rglob("*.jpg") for start in (2000, 5000)]
+    places = [folder / "edges", folder / "cloud", folder / "evaluation", folder / "delivered"]
+    written = [path for place in places for path in place.rglob("*") if path.is_file()]
+    written += [path for path in folder.iterdir() if path.is_file()]
+    assert len(written) > 10
+    for path in written:
+        data = path.read_bytes()
+        assert path.suffix not in (".jpg", ".png") and not data.startswith((b"\xff\xd8\xff", b"\x89PNG")), path
+        assert not any(stretch in data for stretch in stretches), path
+
+
+def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path, system: Path, tmp_path: Path) -> None:
+    source = split_by_device(hamlet / "images", tmp_path / "captured")
+    sky = np.full((240, 320, 3), (235, 180, 120), np.uint8)
+    import cv2
+
+    for path in (source / "south-1").iterdir():
+        cv2.imwrite(str(path), sky)
+    events: list[Event] = []
+    config = RunConfig(source=source, poses=hamlet / "known", frames="known", system=system, out=tmp_path / "run", overrides=TINY)
+    result = run(config, events.append)
+    assert list(result.metrics["missing"]) == ["south-1"] and "triangulated" in result.metrics["missing"]["south-1"]
+    assert any(isinstance(event, Warned) and event.stage == "devices/south-1" for event in events)
+    assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        ({"poses": None}, BadInput, "no poses beside its photographs"),
+        ({"frames": "gps", "poses": None, "source": "stripped"}, BadInput, "no photograph has a GPS position"),
+        ({"source": "strange"}, BadInput, "and the folder 'other'"),
+        ({"source": "lost"}, BadInput, r"photograph 'drone_0000.jpg' of the poses is not in"),
+        ({"source": "sky"}, StageFailed, "no device delivered a model"),
+    ],
+)
+def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: Path, change: dict, error: type, said: str) -> None:
+    import cv2
+
+    make = {
+        "stripped": lambda folder: [cv2.imwrite(str(folder / p.name), cv2.imread(str(p))) for p in (hamlet / "images").iterdir()],
+        "strange": lambda folder: [(folder / name).mkdir() for name in ("north-1", "other")],
+        "lost": lambda folder: [shutil.copyfile(p, folder / p.name) for p in sorted((hamlet / "images").iterdir())[1:]],
+        "sky": lambda folder: [
+            cv2.imwrite(str(folder / p.name), np.full((240, 320, 3), 200, np.uint8)) for p in (hamlet / "images").iterdir()
+        ],
+    }
+    settings = {"source": hamlet / "images", "poses": hamlet / "known", "frames": "known", **change}
+    if isinstance(settings["source"], str):
+        folder = tmp_path / settings["source"]
+        folder.mkdir()
+        make[settings["source"]](folder)
+        settings["source"] = folder
+    with pytest.raises(error, match=said):
+        run(RunConfig(system=system, out=tmp_path / "run", overrides=TINY, **settings))
+    assert (tmp_path / "run").exists() == (error is StageFailed)
+
+
+def test_options_that_contradict_are_refused(hamlet: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="--frames known"):
+        RunConfig(source=hamlet, out=tmp_path, poses=hamlet)
+    with pytest.raises(BadInput, match="one owner"):
+        RunConfig(source=hamlet, out=tmp_path, single_owner=True)
+
+
+def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, RunResult]) -> None:
+    config, _ = finished
+    ledger = json.loads((config.out / "manifest.json").read_text())["ledger"]
+    assert {row["num_photographs"] for row in ledger} == {0}, "nobody was sent a photograph"
+    assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score"}
