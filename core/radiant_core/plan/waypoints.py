@@ -92,17 +92,19 @@ def cleaned_waypoints(
     names, numbered = _unique_names(names)
     if numbered:
         warnings.append(f"{numbered[0]} of {len(names)} names are empty or come twice, {numbered[1]!r} first: they were numbered.")
-    Waypoints(names=tuple(names), lat_lon_alt=positions)
+    waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions)
     kept, again = _first_of_each_spot(positions)
     if len(again):
         warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_named(names, again[0])} first: planned once.")
-    rows: list[int] = kept.tolist()
-    return Waypoints(names=tuple(names[row] for row in rows), lat_lon_alt=positions[rows]), tuple(warnings)
+        waypoints = waypoints.select(kept)
+    return waypoints, tuple(warnings)
 
 
 def _unique_names(names: Sequence[str]) -> tuple[list[str], tuple[int, str] | None]:
     """Names (P) with a number behind those that came before, and how many with the first of them; linear in P."""
     taken = set(names)
+    if len(taken) == len(names) and "" not in taken:
+        return list(names), None
     seen: set[str] = set()
     next_number: dict[str, int] = {}
     unique: list[str] = []
