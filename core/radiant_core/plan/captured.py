@@ -1,7 +1,7 @@
 """A plan carried over to the photographs that were taken: each belongs to the device of the nearest planned waypoint.
 
-P planned, C captured. Once per run, after capture, O((P + C) log P). Photographs never move between devices, so nothing is balanced again: borders and strips
-stay, counts and times are those of what was captured,
+P planned, C captured. Once per run, after capture, O((P + C) log P). Photographs never move between devices, so nothing is
+balanced again: borders and strips stay, counts and times are those of what was captured,
     T^m = max_n T^n(k_n) + F_m(Σ k_n) + Σ_n H_n(k_n) / B^m      for k_n photographs at device n (paper Eqn. 5-8).
 """
 
