@@ -110,17 +110,21 @@ def sfm(
 
 @app.command()
 def plan(
-    scene: Annotated[Path, typer.Argument(help="Folder made by `radiant sfm`, or a run.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="File of the plan; a picture of it goes beside.", show_default=False)],
+    source: Annotated[
+        Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, or a run.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
     system: SystemFile = None,
     plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Regions per edge and photographs per device, from positions alone."""
-    from radiant_app import commands
+    """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
+    from radiant_app.plan_command import PlanRequest
+    from radiant_app.plan_command import plan as make_plan
 
-    _finish(commands.plan(scene, out, system, plan_method, seed), as_json)
+    request = PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed)
+    _finish(make_plan(request, _listener()), as_json)
 
 
 @app.command()

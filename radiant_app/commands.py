@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.config import PlanMethod
 from radiant_app.evaluation import held_out_figures, png_bytes
 from radiant_app.events import StageProgress, StageStarted
 from radiant_app.nodes import load_images, place_of
@@ -21,7 +20,7 @@ from radiant_core.aggregate.config import AggregateConfig, AggregatePreset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply, save_ply
-from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_plan, save_scene
+from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_scene
 from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.scene import SfmScene
 from radiant_core.train.needs import Overrides
@@ -32,7 +31,7 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay) -> dic
     from radiant_app.sources import reconstruct_source
 
     task = {"source": str(source), "sfm": {"matching": matching}}
-    with new_folder(out), _stage(display, "sfm") as report:
+    with new_folder(out), stage_bar(display, "sfm") as report:
         result = reconstruct_source(task, out, lambda progress: report(progress.done, progress.total, progress.phase))
     save_scene(out / "scene.safetensors", result.scene)
     write_json(out / "result.json", {"images": place_of(result.undistorted_folder, out), "unregistered": list(result.unregistered)})
@@ -47,40 +46,6 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay) -> dic
     }
 
 
-def plan(scene_folder: Path, out: Path, system_path: Path | None, method: PlanMethod, seed: int) -> dict[str, Any]:
-    """Plan the training cameras of a scene; writes the plan and a picture beside it."""
-    from radiant_app.system_file import even_system, load_system
-    from radiant_core.plan.device_split import split_edges
-    from radiant_core.plan.edge_sites import place_edges
-    from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
-    from radiant_viewer.images import save_png
-    from radiant_viewer.views import plan_picture
-
-    if out.suffix != ".json":
-        raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
-    for path in (out, out.with_suffix(".png")):
-        _require_file_to_be(path)
-    scene = training_part(_load_scene(scene_folder))
-    system = even_system(2, 2) if system_path is None else load_system(system_path)
-    origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
-    positions = scene.cameras.centers[:, :2]
-    system = place_edges(system, positions, origin, seed)
-    cloud_plan = plan_regions(positions, system, method=method)
-    if isinstance(cloud_plan, PlanInfeasible):
-        raise BadInput(f"plan: {cloud_plan.reason}")
-    edge_plans = split_edges(positions, cloud_plan, system)
-    save_plan(out, cloud_plan, edge_plans)
-    save_png(out.with_suffix(".png"), plan_picture(scene, cloud_plan, edge_plans))
-    return {
-        "makespan_s": cloud_plan.makespan_s,
-        "lower_bound_s": cloud_plan.lower_bound_s,
-        "status": cloud_plan.status,
-        "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud_plan.edge_ids, cloud_plan.counts, strict=True)),
-        "plan": str(out),
-        "picture": str(out.with_suffix(".png")),
-    }
-
-
 def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], display: ProgressDisplay) -> dict[str, Any]:
     """One model of all training photographs of a scene as PLY; `choice` is preset, overrides and seed."""
     from radiant_core.render.contract import resolve_backend
@@ -90,14 +55,14 @@ def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], dis
     from radiant_core.train.trainer import FitOptions, fit_splats
     from radiant_core.train.views import TrainingViews
 
-    _require_file_to_be(out)
+    require_file_to_be(out)
     preset, overrides, seed = choice
     config, decisions = fit_to_backend(replace(train_preset(preset), seed=seed), resolve_backend("auto"), overrides)
-    scene = training_part(_load_scene(scene_folder))
+    scene = training_part(load_scene_of(scene_folder))
     cameras = scene.cameras.scaled(config.long_side_px)
     views = TrainingViews(cameras=cameras, images=load_images(_images_folder(scene_folder), cameras))
     initial, _ = first_splats(scene, views, config)
-    with _stage(display, "train") as report:
+    with stage_bar(display, "train") as report:
         options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
         result = fit_splats(initial, views, config, options)
     save_ply(out, result.splats)
@@ -117,7 +82,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.trainer import FitOptions
 
-    _require_file_to_be(out)
+    require_file_to_be(out)
     require_run(run)
     cloud_plan, edge_plans = load_plan(run / "plan.json")
     config = AggregateConfig(preset=preset, num_epochs=epochs)
@@ -128,7 +93,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
         edge = edge_plan.edge_id
         task = read_json(run / "edges" / edge / "task.json", ("devices", "train"))
         inbox = [run / "edges" / edge / "inbox" / device for device in task["devices"]]
-        with _stage(display, f"edges/{edge}") as report:
+        with stage_bar(display, f"edges/{edge}") as report:
             options = FitOptions(report=lambda p, report=report: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
             device_models = [load_splats(place / "model.safetensors") for place in inbox]
             device_cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
@@ -153,7 +118,7 @@ def render(model: Path, out: Path, cameras_path: Path | None, long_side_px: int 
     if long_side_px is not None:
         cameras = cameras.scaled(long_side_px)
     splats = load_ply(model / "scene.ply" if model.is_dir() else model)
-    with new_folder(out), _stage(display, "render") as report:
+    with new_folder(out), stage_bar(display, "render") as report:
         for done, view in enumerate(render_views(splats, cameras), 1):
             path = out / f"{view.name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -171,7 +136,7 @@ def evaluate(run: Path, ply: Path | None, display: ProgressDisplay) -> dict[str,
     cameras = load_cameras(folder / "cameras.safetensors")
     photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(folder / "photos", cameras)]
     splats, initial = load_ply(ply or run / "scene.ply"), load_splats(folder / "initial.safetensors")
-    with _stage(display, "evaluate") as report:
+    with stage_bar(display, "evaluate") as report:
         views = []
         for done, view in enumerate(chain(render_views(splats, cameras), render_views(initial, cameras)), 1):
             views.append(view)
@@ -215,7 +180,8 @@ def require_run(folder: Path, name: str = "plan.json") -> None:
         raise BadInput(f"{folder} holds no {name}: give the folder of a run that went that far, made by 'radiant run --out'.")
 
 
-def _load_scene(folder: Path) -> SfmScene:
+def load_scene_of(folder: Path) -> SfmScene:
+    """The scene in the folder of a run or of `radiant sfm`; BadInput where there is none."""
     inner = folder / "sfm" / "scene.safetensors"
     path = inner if inner.is_file() else folder / "scene.safetensors"
     if not path.is_file():
@@ -230,7 +196,8 @@ def _images_folder(folder: Path) -> Path:
     return owner / read_json(owner / "result.json", ("images",))["images"]
 
 
-def _require_file_to_be(out: Path) -> None:
+def require_file_to_be(out: Path) -> None:
+    """Raise BadInput when `out` exists already or its folder does not."""
     if out.exists():
         raise BadInput(f"{out} exists: choose another name.")
     if not out.parent.is_dir():
@@ -238,7 +205,7 @@ def _require_file_to_be(out: Path) -> None:
 
 
 @contextmanager
-def _stage(display: ProgressDisplay, stage: str) -> Iterator[Any]:
+def stage_bar(display: ProgressDisplay, stage: str) -> Iterator[Any]:
     """A progress bar of its own for one step; yields `report(done, total, note)`."""
     with display:
         display(StageStarted(stage=stage))

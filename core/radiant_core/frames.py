@@ -1,6 +1,7 @@
 """World frames: where the origin is, how latitude and longitude become metres, and similarity transforms.
 
-Computed once per scene. WGS84 constants: NIMA TR8350.2. ECEF → ENU as in Hofmann-Wellenhof et al., GNSS (2008), ch. 8.
+Computed once per scene. WGS84 constants: NIMA TR8350.2. ECEF ↔ ENU as in Hofmann-Wellenhof et al., GNSS (2008), ch. 8;
+latitude of a geocentric position by Bowring's iteration (Survey Review 1976).
 """
 
 from __future__ import annotations
@@ -83,17 +84,42 @@ def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> 
     """Metres east, north, up (P,3) of positions (P,3) [deg, deg, m] about an origin (3,), float64. BadInput off the globe."""
     positions = checked_array("lat_lon_alt", lat_lon_alt, (None, 3))
     origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
-    if (np.abs(positions[:, 0]) > 90).any() or (np.abs(positions[:, 1]) > 180).any():
+    _require_on_globe(positions)
+    return (_ecef_from_geodetic(positions) - _ecef_from_geodetic(origin[None])) @ _ecef_from_enu(origin)
+
+
+def geodetic_from_enu(positions_m: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
+    """Latitude, longitude in [−180°, 180°] and altitude (P,3) [deg, deg, m] of metres east, north, up (P,3) about an origin (3,).
+
+    The inverse of `enu_from_geodetic`, within 1e-6 m of it up to 10,000 km from the origin. BadInput for an origin off the globe and
+    for positions below 1,000 km from the centre of the earth, where latitude loses its meaning, or above 1e8 m.
+    """
+    positions = checked_array("positions_m", positions_m, (None, 3))
+    origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
+    _require_on_globe(origin[None])
+    with np.errstate(over="ignore", invalid="ignore"):
+        ecef = _ecef_from_geodetic(origin[None]) + positions @ _ecef_from_enu(origin).T
+        radius_m = np.sqrt(np.sum(ecef**2, axis=1))
+    if not ((radius_m > 1e6) & (radius_m < 1e8)).all():
+        raise BadInput("a position is farther than 1e8 m from the earth or deep inside it: give metres east, north, up of an origin.")
+    return _geodetic_from_ecef(ecef)
+
+
+def _require_on_globe(lat_lon_alt: FloatArray) -> None:
+    if (np.abs(lat_lon_alt[:, 0]) > 90).any() or (np.abs(lat_lon_alt[:, 1]) > 180).any():
         raise BadInput("a latitude exceeds 90° or a longitude 180°: give latitude, longitude, altitude in degrees and metres.")
+
+
+def _ecef_from_enu(origin: FloatArray) -> FloatArray:
+    """Rotation (3,3) whose columns are east, north and up at the origin (3,)."""
     lat, lon = np.radians(origin[:2])
-    ecef_from_enu = np.array(
+    return np.array(
         [
             [-np.sin(lon), -np.sin(lat) * np.cos(lon), np.cos(lat) * np.cos(lon)],
             [np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat) * np.sin(lon)],
             [0.0, np.cos(lat), np.sin(lat)],
         ]
     )
-    return (_ecef_from_geodetic(positions) - _ecef_from_geodetic(origin[None])) @ ecef_from_enu
 
 
 def _ecef_from_geodetic(positions: FloatArray) -> FloatArray:
@@ -103,3 +129,21 @@ def _ecef_from_geodetic(positions: FloatArray) -> FloatArray:
     radius_m = (normal_m + alt) * np.cos(lat)
     z_m = (normal_m * (1 - eccentricity2) + alt) * np.sin(lat)
     return np.stack([radius_m * np.cos(lon), radius_m * np.sin(lon), z_m], axis=1)
+
+
+def _geodetic_from_ecef(ecef: FloatArray) -> FloatArray:
+    """tan φ = (z + e'² b sin³ β) / (p − e² a cos³ β) with tan β = (1 − f) tan φ: near the ground each round shrinks the error to 1e-5."""
+    eccentricity2 = WGS84_FLATTENING * (2 - WGS84_FLATTENING)
+    semi_minor_m = WGS84_SEMI_MAJOR_M * (1 - WGS84_FLATTENING)
+    from_axis_m, z_m = np.hypot(ecef[:, 0], ecef[:, 1]), ecef[:, 2]
+    reduced = np.arctan2(z_m, (1 - WGS84_FLATTENING) * from_axis_m)
+    lat = reduced
+    for _ in range(4):
+        lat = np.arctan2(
+            z_m + eccentricity2 / (1 - eccentricity2) * semi_minor_m * np.sin(reduced) ** 3,
+            from_axis_m - eccentricity2 * WGS84_SEMI_MAJOR_M * np.cos(reduced) ** 3,
+        )
+        reduced = np.arctan2((1 - WGS84_FLATTENING) * np.sin(lat), np.cos(lat))
+    # This form of the altitude has no division by cos φ, which fails at the poles.
+    alt_m = from_axis_m * np.cos(lat) + z_m * np.sin(lat) - WGS84_SEMI_MAJOR_M * np.sqrt(1 - eccentricity2 * np.sin(lat) ** 2)
+    return np.stack([np.degrees(lat), np.degrees(np.arctan2(ecef[:, 1], ecef[:, 0])), alt_m], axis=1)

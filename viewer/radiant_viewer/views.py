@@ -13,6 +13,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_error import border_distance_m
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
@@ -27,6 +28,7 @@ from radiant_viewer.region_layer import border_layer, duration_text, edge_site_l
 from radiant_viewer.run_view import RunView, comparison_paths, finish_command, load_run_view, required_splats
 from radiant_viewer.seam_layer import color_steps, seam_layer, seam_pieces
 from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
+from radiant_viewer.waypoint_layer import waypoint_layer
 
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats: the model in 3D;
@@ -59,15 +61,34 @@ def plan_picture(
 ) -> Image:
     """The map of a plan: regions, strips, cameras and edges with counts and predicted times."""
     roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
-    subtitle = (
-        f"{len(scene.cameras)} cameras, {len(cloud_plan.edge_ids)} edges, {len(roles.device_ids)} devices   ·   "
-        f"predicted makespan {duration_text(cloud_plan.makespan_s)}, lower bound {duration_text(cloud_plan.lower_bound_s)}   ·   "
-        f"{cloud_plan.method}, {cloud_plan.status}"
-    )
+    subtitle = f"{len(scene.cameras)} cameras, {_plan_text(cloud_plan, len(roles.device_ids))}"
     return render_map(
         plan_layers(scene, cloud_plan, edge_plans, roles),
         size_wh,
         PageText(title="Plan", subtitle=subtitle, unit=scene.frame.unit),
+    )
+
+
+def waypoint_plan_picture(
+    positions: FloatArray, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], size_wh: tuple[int, int] = SIZE_WH
+) -> Image:
+    """The map of a plan made from waypoints (P,3) m before anything was captured."""
+    num_devices = sum(len(plan.device_ids) for plan in edge_plans)
+    layers = [
+        region_layer(cloud_plan),
+        strip_layer(cloud_plan, edge_plans),
+        border_layer(cloud_plan),
+        waypoint_layer(positions, cloud_plan),
+        edge_site_layer(cloud_plan),
+    ]
+    subtitle = f"{len(positions)} waypoints, {_plan_text(cloud_plan, num_devices)}"
+    return render_map(layers, size_wh, PageText(title="Plan before capture", subtitle=subtitle, unit="m"))
+
+
+def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
+    return (
+        f"{len(cloud_plan.edge_ids)} edges, {num_devices} devices   ·   predicted makespan {duration_text(cloud_plan.makespan_s)}, "
+        f"lower bound {duration_text(cloud_plan.lower_bound_s)}   ·   {cloud_plan.method}, {cloud_plan.status}"
     )
 
 

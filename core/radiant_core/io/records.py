@@ -23,12 +23,15 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.frames import Frame
 from radiant_core.io.run_store import read_json, write_atomic, write_json
-from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
+from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 
 VERSION = "1"
 METADATA_NAME = "radiant"
+MAX_PLAN_BYTES = 512 * 2**20
+"""A plan of a million waypoints takes some 150 MB."""
 
 SPLATS_DTYPES: dict[str, str] = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"), "F32")
 CAMERAS_DTYPES = {"Ks": "F64", "cam_from_world": "F64", "sizes_wh": "I64"}
@@ -90,22 +93,41 @@ def load_scene(path: Path) -> SfmScene:
         )
 
 
-def save_plan(path: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
-    """Write both levels of a plan as readable JSON, atomically; raises as `write_atomic`."""
-    levels = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
-    write_json(path, {"schema": "radiant.plan", "version": VERSION, **levels})
+def save_plan(path: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...], waypoints: Waypoints | None = None) -> None:
+    """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
+    from some; BadInput when their number is another, else raises as `write_atomic`."""
+    record: dict[str, Any] = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
+    if waypoints is not None:
+        require_plan_of(len(waypoints), cloud, edges)
+        record["waypoints"] = {"names": list(waypoints.names), "lat_lon_alt": waypoints.lat_lon_alt.tolist()}
+    write_json(path, {"schema": "radiant.plan", "version": VERSION, **record})
 
 
 def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The plan that `save_plan` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
-    record = read_json(path)
+    cloud, edges, _ = _load_plan_parts(path)
+    return cloud, edges
+
+
+def load_plan_waypoints(path: Path) -> Waypoints | None:
+    """The waypoints that a plan was made from, one per camera of it; None where it was made from a scene. Raises as `load_plan`."""
+    return _load_plan_parts(path)[2]
+
+
+def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints | None]:
+    record = read_json(path, max_bytes=MAX_PLAN_BYTES)
     with _naming(path):
         if not isinstance(record, dict):
             raise BadInput("it holds no plan: pass the plan.json of a run.")
         _require_schema(record, "radiant.plan")
         cloud = CloudPlan(**_plan_fields(CloudPlan, record["cloud"]))
         edges = tuple(EdgePlan(**_plan_fields(EdgePlan, edge)) for edge in record["edges"])
-    return cloud, edges
+        stored = record.get("waypoints")
+        if stored is None:
+            return cloud, edges, None
+        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"])
+        require_plan_of(len(waypoints), cloud, edges)
+    return cloud, edges, waypoints
 
 
 def _camera_arrays(cameras: Cameras) -> dict[str, NDArray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -100,3 +101,19 @@ class EdgePlan:
     def cameras_of(self, device_id: str) -> NDArray[np.int64]:
         """Indices (K,) into the scene's cameras of one device."""
         return self.camera_indices[self.device_of_camera == self.device_ids.index(device_id)]
+
+
+def require_plan_of(num_cameras: int, cloud: CloudPlan, edges: Sequence[EdgePlan]) -> None:
+    """Raise BadInput unless both levels deal exactly the cameras 0..C-1, each to the same edge."""
+    if len(cloud.edge_of_camera) != num_cameras:
+        raise BadInput(f"the plan is of {len(cloud.edge_of_camera)} cameras, there are {num_cameras}: it was made from others, plan again.")
+    if tuple(plan.edge_id for plan in edges) != cloud.edge_ids:
+        raise BadInput(f"the plan has regions of {', '.join(cloud.edge_ids)} and deals cameras of other edges: plan again.")
+    edge_of_camera = np.full(num_cameras, -1)
+    for index, plan in enumerate(edges):
+        if plan.camera_indices.max(initial=-1) >= num_cameras:
+            raise BadInput(f"the plan of edge {plan.edge_id!r} deals camera {plan.camera_indices.max()} of {num_cameras}: plan again.")
+        edge_of_camera[plan.camera_indices] = index
+    wrong = np.flatnonzero(edge_of_camera != cloud.edge_of_camera)
+    if len(wrong) or sum(len(plan.camera_indices) for plan in edges) != num_cameras:
+        raise BadInput(f"the plan's two levels disagree about {len(wrong)} of {num_cameras} cameras: plan again.")

@@ -210,7 +210,7 @@ def _cloud_plan(
     _, lower_bound_s = fastest_counts(tables, len(plane.cameras))
     makespan_s = float(edge_time_s.max())
     weights = _closed_where_unused(partition.weights, counts, plane)
-    certified = _is_certified(plane, weights, partition.edge_of_camera)
+    certified = is_certified(plane.cameras, plane.sites, weights, partition.edge_of_camera)
     status: PlanStatus = "stopped"
     if certified and makespan_s <= lower_bound_s:
         status = "optimal"
@@ -245,13 +245,13 @@ def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: 
     return weights
 
 
-def _is_certified(plane: _Plane, weights: FloatArray, edge_of_camera: NDArray[np.int64]) -> bool:
-    """Whether every camera is in its own power cell within the tolerance; in blocks, as C × E may be large."""
+def is_certified(cameras: FloatArray, sites: FloatArray, weights: FloatArray, edge_of_camera: NDArray[np.int64]) -> bool:
+    """Whether every camera (C,2) m is in its own power cell within the tolerance; in blocks, as C × E may be large."""
     worst_m2, largest_m2 = 0.0, 0.0
     rows = max(1, MAX_EXACT_PAIRS // len(weights))
-    for start in range(0, len(plane.cameras), rows):
+    for start in range(0, len(cameras), rows):
         block = slice(start, start + rows)
-        squared_m2 = np.sum((plane.cameras[block, None] - plane.sites) ** 2, axis=-1)
+        squared_m2 = np.sum((cameras[block, None] - sites) ** 2, axis=-1)
         worst_m2 = max(worst_m2, largest_violation(squared_m2, weights, edge_of_camera[block]))
         largest_m2 = max(largest_m2, float(squared_m2.max()))
     return worst_m2 <= CERTIFICATE_TOLERANCE * largest_m2

@@ -1,0 +1,122 @@
+"""A plan as files that flight planners and maps open: waypoints per device as CSV, regions and strips as GeoJSON. Once per plan.
+
+CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that UgCS, QGIS and `read_waypoints` find by
+their names; QGroundControl takes no CSV. Heights are as they came in: choose in the flight planner what they are measured from.
+GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th meridian; straight in longitude and
+latitude, so sides are divided every 500 m, where a straight line of the plan differs by 1 cm at most up to latitude 60°.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import Polygon, box, get_coordinates, segmentize
+from shapely.affinity import translate
+from shapely.geometry import mapping
+
+from radiant_core.frames import geodetic_from_enu
+from radiant_core.io.run_store import atomic_writer, write_atomic
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
+from radiant_core.plan.waypoints import Waypoints
+
+CSV_HEADER = ("latitude", "longitude", "altitude(m)", "name")
+MAX_SIDE_M = 500.0
+_LINES_AT_ONCE = 10_000
+
+
+def save_device_waypoints(folder: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints) -> tuple[Path, ...]:
+    """One `<device>.csv` per device in the existing `folder`, its waypoints in the order they came in; without any, the header alone.
+
+    Degrees have 9 decimals (0.1 mm), metres 3. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
+    """
+    require_plan_of(len(waypoints), cloud_plan, edge_plans)
+    written: list[Path] = []
+    for plan in edge_plans:
+        for device_id in plan.device_ids:
+            written.append(folder / f"{device_id}.csv")
+            write_atomic(written[-1], _device_csv(waypoints, np.sort(plan.cameras_of(device_id))).encode())
+    return tuple(written)
+
+
+def save_regions_geojson(path: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints) -> None:
+    """One FeatureCollection: a polygon per edge region and per device strip that has land, a point per waypoint.
+
+    Properties: kind (region, strip, waypoint), name, edge, device, cameras, planned_s. Raises BadInput when the plan is not of these
+    waypoints, or as `atomic_writer`. Memory does not grow with the waypoints.
+    """
+    require_plan_of(len(waypoints), cloud_plan, edge_plans)
+    with atomic_writer(path) as file:
+        file.write(b'{"type": "FeatureCollection", "features": [\n')
+        lines: list[str] = []
+        first = True
+        for feature in _features(cloud_plan, edge_plans, waypoints):
+            lines.append(("" if first else ",\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
+            first = False
+            if len(lines) == _LINES_AT_ONCE:
+                file.write("".join(lines).encode())
+                lines.clear()
+        file.write(("".join(lines) + "\n]}\n").encode())
+
+
+def _device_csv(waypoints: Waypoints, indices: NDArray[np.int64]) -> str:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\r\n")  # RFC 4180
+    writer.writerow(CSV_HEADER)
+    for index, (lat, lon, alt) in zip(indices.tolist(), waypoints.lat_lon_alt[indices].tolist(), strict=True):
+        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", f"{alt:.3f}", waypoints.names[index]))
+    return text.getvalue()
+
+
+def _features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints) -> Iterator[dict[str, Any]]:
+    origin = waypoints.origin
+    for index, (edge_id, border) in enumerate(zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True)):
+        cameras, planned_s = int(cloud_plan.counts[index]), float(cloud_plan.edge_time_s[index])
+        about = {"kind": "region", "name": edge_id, "edge": edge_id, "cameras": cameras, "planned_s": planned_s}
+        yield from _polygon_feature(border, origin, about)
+    for plan in edge_plans:
+        counts = np.bincount(plan.device_of_camera, minlength=len(plan.device_ids)).tolist()
+        for device_id, strip, count, time_s in zip(plan.device_ids, plan.strips, counts, plan.device_time_s.tolist(), strict=True):
+            about = {"kind": "strip", "name": device_id, "edge": plan.edge_id, "device": device_id, "cameras": count, "planned_s": time_s}
+            yield from _polygon_feature(strip, origin, about)
+    for plan in edge_plans:
+        for camera, device in zip(plan.camera_indices.tolist(), plan.device_of_camera.tolist(), strict=True):
+            lat, lon, alt = waypoints.lat_lon_alt[camera].tolist()
+            about = {"kind": "waypoint", "name": waypoints.names[camera], "edge": plan.edge_id, "device": plan.device_ids[device]}
+            yield _feature({"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), round(alt, 3)]}, about)
+
+
+def _feature(geometry: dict[str, Any], about: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "Feature", "properties": about, "geometry": geometry}
+
+
+def _polygon_feature(polygon: FloatArray, origin: FloatArray, about: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    if len(polygon) >= 3:
+        yield _feature(_geometry(polygon, origin), about)
+
+
+def _geometry(polygon: FloatArray, origin: FloatArray) -> dict[str, Any]:
+    """A polygon (V,2) m, counter-clockwise, about the origin (3,), as GeoJSON: Polygon, or MultiPolygon across the 180th meridian."""
+    ring = _lon_lat(get_coordinates(segmentize(Polygon(polygon), MAX_SIDE_M)), origin)
+    ring[:, 0] = origin[1] + (ring[:, 0] - origin[1] + 180) % 360 - 180
+    shape = Polygon(np.round(ring, 9))
+    if ring[:, 0].min() >= -180 and ring[:, 0].max() <= 180:
+        return mapping(shape)
+    # One turn east and west, so that what stands out on one side comes in on the other.
+    parts = [translate(shape, xoff=turn).intersection(box(-180, -90, 180, 90)) for turn in (-360, 0, 360)]
+    rings = [mapping(part.normalize().reverse())["coordinates"] for part in parts if isinstance(part, Polygon) and not part.is_empty]
+    return {"type": "MultiPolygon", "coordinates": rings}
+
+
+def _lon_lat(positions: FloatArray, origin: FloatArray) -> FloatArray:
+    """Longitude and latitude (V,2) of positions (V,2) m at the origin's altitude: the plane of the plan leaves the globe with distance."""
+    level = np.column_stack([positions, np.zeros(len(positions))])
+    level[:, 2] = origin[2] - geodetic_from_enu(level, origin)[:, 2]
+    return geodetic_from_enu(level, origin)[:, 1::-1]

@@ -1,0 +1,49 @@
+"""`WaypointRows`: what a reader of a waypoint file gathers before `cleaned_waypoints` checks it. 24 bytes and a name a waypoint."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter
+
+import numpy as np
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+
+
+class WaypointRows:
+    """Names and positions in the order of the file; a missing name is empty, a missing altitude None."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.ignored: Counter[str] = Counter()
+        """What the file holds besides waypoints, by kind."""
+        self._numbers = array("d")
+        self._no_altitude = bytearray()
+
+    def add(self, name: str, lat: float, lon: float, alt: float | None) -> None:
+        """One waypoint; runs of white space in its name become one blank."""
+        self.names.append(" ".join(name.split()))
+        self._numbers.extend((lat, lon, 0.0 if alt is None else alt))
+        self._no_altitude.append(alt is None)
+
+    @property
+    def lat_lon_alt(self) -> FloatArray:
+        """Positions (P,3) as they were read."""
+        return np.frombuffer(self._numbers, np.float64).reshape(-1, 3) if self.names else np.zeros((0, 3))
+
+    @property
+    def no_altitude(self) -> np.ndarray:
+        """Where the file says no altitude (P,) bool."""
+        return np.frombuffer(self._no_altitude, np.bool_)
+
+
+def number(text: str, what: str) -> float:
+    """A number as text; BadInput naming `what` when it is none. NaN and Inf pass: the waypoint they belong to is named later."""
+    try:
+        if "_" in text:  # Python's own way of writing 1_000
+            raise ValueError
+        return float(text)
+    except ValueError:
+        hint = "write decimals with a point" if "," in text else "write degrees and metres as plain numbers"
+        raise BadInput(f"{what} is {text[:40]!r}, no number: {hint}.") from None

@@ -1,0 +1,221 @@
+"""`Waypoints`: where photographs will be taken, on the globe and in metres about their middle. P waypoints.
+
+The origin is the mean position, longitudes counted from the first waypoint so that sites across the 180th meridian have one too.
+What can be told of wrong positions: a latitude beyond 90° is certain; a waypoint more than 300 km from the median of all is on
+another site, and where exchanging its latitude and longitude brings it back, they were swapped. Where every waypoint is swapped
+and none exceeds 90° nobody can tell: they make a plan of the same shape, mirrored, elsewhere.
+Made once per plan.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import enu_from_geodetic
+from radiant_core.numerics import FloatArray, checked_array
+
+MAX_REACH_M = 300e3
+"""Farthest that a waypoint of one flight may lie from the median of all: generous for drones and aeroplanes, small against the globe."""
+MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
+"""From the deepest sea to the edge of space."""
+MAX_NAME_CHARACTERS = 255
+SAME_SPOT_SCALE = np.array([1e8, 1e8, 1e3])
+"""Degrees, degrees and metres are rounded to these parts, about a millimetre each, before two waypoints are called one."""
+_CONTROL = re.compile(r"[\x00-\x1f\x7f]")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Waypoints:
+    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres in whatever height the pilot's tool uses.
+
+    Raises BadInput, naming the first offender and how many there are, for positions that are not finite, off the globe, probably
+    swapped or more than 300 km from the others, for no waypoint at all, and for names that are empty, come twice, or cannot be written.
+    """
+
+    names: tuple[str, ...]
+    lat_lon_alt: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", tuple(self.names))
+        if not self.names:
+            raise BadInput("there is no waypoint: give at least one.")
+        _require_names(self.names)
+        _require_finite_rows(self.names, self.lat_lon_alt)
+        object.__setattr__(self, "lat_lon_alt", checked_array("lat_lon_alt", self.lat_lon_alt, (len(self.names), 3)))
+        _require_on_the_globe(self.names, self.lat_lon_alt)
+        _require_one_site(self.names, self.lat_lon_alt)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def origin(self) -> FloatArray:
+        """Mean position (3,) [deg, deg, m], the origin of `positions_m`."""
+        lat, lon, alt = self.lat_lon_alt.T
+        first = lon[0]
+        mean_lon = first + _wrapped(lon - first).mean()
+        return np.array([lat.mean(), float(_wrapped(np.array([mean_lon]))[0]), alt.mean()])
+
+    @property
+    def positions_m(self) -> FloatArray:
+        """Metres east, north, up (P,3) of `origin`."""
+        return enu_from_geodetic(self.lat_lon_alt, self.origin)
+
+    def select(self, indices: ArrayLike) -> Waypoints:
+        """The waypoints at `indices` (K,) int or where a mask (P,) bool is true, in that order; BadInput when that is none."""
+        chosen: NDArray[Any] = np.asarray(indices)
+        picked: list[int] = np.arange(len(self))[chosen].tolist()
+        return Waypoints(names=tuple(self.names[index] for index in picked), lat_lon_alt=self.lat_lon_alt[picked])
+
+
+def cleaned_waypoints(
+    names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None
+) -> tuple[Waypoints, tuple[str, ...]]:
+    """`Waypoints` as a surveyor would mend a list, with one warning per kind of repair; BadInput as `Waypoints`.
+
+    A position that comes twice is planned once, under its first name; a name that comes twice or is empty gets a number; where
+    `no_altitude` (P,) bool is true the altitude becomes 0, which moves a plan by less than 0.1 % of its size up to 6,000 m.
+    """
+    positions = np.array(lat_lon_alt, dtype=np.float64)
+    warnings: list[str] = []
+    if no_altitude is not None and np.any(no_altitude):
+        missing = np.flatnonzero(no_altitude)
+        positions[missing, 2] = 0.0
+        warnings.append(f"{_count(len(missing), len(names))} without altitude, {_named(names, missing[0])} first: taken as 0 m.")
+    names, numbered = _unique_names(names)
+    if numbered:
+        warnings.append(f"{numbered[0]} of {len(names)} names are empty or come twice, {numbered[1]!r} first: they were numbered.")
+    waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions)
+    kept, again = _first_of_each_spot(positions)
+    if len(again):
+        warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_named(names, again[0])} first: planned once.")
+        waypoints = waypoints.select(kept)
+    return waypoints, tuple(warnings)
+
+
+def _unique_names(names: Sequence[str]) -> tuple[list[str], tuple[int, str] | None]:
+    """Names (P) with a number behind those that came before, and how many with the first of them; linear in P."""
+    taken = set(names)
+    if len(taken) == len(names) and "" not in taken:
+        return list(names), None
+    seen: set[str] = set()
+    next_number: dict[str, int] = {}
+    unique: list[str] = []
+    changed, first = 0, ""
+    for name in names:
+        new = name
+        if not name or name in seen:
+            stem = name or "wp"
+            number = next_number.get(stem, 1 if not name else 2)
+            while (new := f"{stem}-{number}") in taken:
+                number += 1
+            next_number[stem] = number + 1
+            taken.add(new)
+            changed, first = changed + 1, first if changed else name
+        seen.add(new)
+        unique.append(new)
+    return unique, (changed, first) if changed else None
+
+
+def _first_of_each_spot(positions: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of the first waypoint at each position in order, and of all others."""
+    rounded = np.round(positions * SAME_SPOT_SCALE).T
+    order = np.lexsort(rounded)  # stable: equal positions stay in the order of the list
+    same = (np.diff(rounded[:, order], axis=1) == 0).all(axis=0)
+    is_first = np.ones(len(positions), dtype=bool)
+    is_first[order[1:][same]] = False
+    return np.flatnonzero(is_first), np.flatnonzero(~is_first)
+
+
+def _require_names(names: tuple[str, ...]) -> None:
+    if not all(names):
+        raise BadInput(f"waypoint number {names.index('') + 1} has no name: give every waypoint one.")
+    if len(set(names)) != len(names):
+        seen: set[str] = set()
+        twice = next(name for name in names if name in seen or seen.add(name))
+        raise BadInput(f"the waypoint name {twice!r} comes twice: give every waypoint its own.")
+    longest = max(names, key=len)
+    if len(longest) > MAX_NAME_CHARACTERS:
+        raise BadInput(f"the waypoint name {longest[:40]!r}… has {len(longest)} characters, expected at most {MAX_NAME_CHARACTERS}.")
+    joined = "".join(names)
+    try:
+        joined.encode()
+    except UnicodeEncodeError as error:
+        raise BadInput(f"a waypoint name has {joined[error.start]!r}, half a character that no file can hold: rename it.") from error
+    if _CONTROL.search(joined):
+        name = next(name for name in names if _CONTROL.search(name))
+        raise BadInput(f"the waypoint name {name!r} holds a control character: rename it.")
+
+
+def _require_finite_rows(names: tuple[str, ...], lat_lon_alt: ArrayLike) -> None:
+    """Name the first waypoint with NaN or Inf; wrong shapes and types are left to `checked_array`."""
+    array = np.asarray(lat_lon_alt)
+    if array.shape == (len(names), 3) and array.dtype.kind == "f":
+        bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        if len(bad):
+            raise BadInput(
+                f"{_count(len(bad), len(names))} with a position that is not finite, {_named(names, bad[0])} first: "
+                "give latitude, longitude and altitude as numbers."
+            )
+
+
+def _require_on_the_globe(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:
+    lat, lon, alt = lat_lon_alt.T
+    off = np.flatnonzero((np.abs(lat) > 90) | (np.abs(lon) > 180))
+    if len(off):
+        first = int(off[0])
+        swapped = abs(lat[first]) <= 180 and abs(lon[first]) <= 90
+        advice = (
+            "latitude and longitude are probably swapped, exchange them (GeoJSON and KML write longitude first)"
+            if swapped
+            else "give degrees in WGS84, not metres of a map projection"
+        )
+        raise BadInput(
+            f"{_count(len(off), len(names))} off the globe, {_named(names, first)} first with latitude {lat[first]:g}° and longitude "
+            f"{lon[first]:g}°: {advice}."
+        )
+    high = np.flatnonzero((alt < MIN_ALTITUDE_M) | (alt > MAX_ALTITUDE_M))
+    if len(high):
+        raise BadInput(
+            f"{_count(len(high), len(names))} at an altitude nobody flies at, {_named(names, high[0])} first with {alt[high[0]]:g} m: "
+            "give altitudes in metres."
+        )
+
+
+def _require_one_site(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:
+    lat, lon = lat_lon_alt[:, 0], lat_lon_alt[0, 1] + _wrapped(lat_lon_alt[:, 1] - lat_lon_alt[0, 1])
+    middle = np.array([np.median(lat), float(_wrapped(np.array([np.median(lon)]))[0]), 0.0])
+    level = np.array([1.0, 1.0, 0.0])
+    away_m = np.linalg.norm(enu_from_geodetic(lat_lon_alt * level, middle), axis=1)
+    far = np.flatnonzero(away_m > MAX_REACH_M)
+    if not len(far):
+        return
+    first = int(far[0])
+    there = (
+        f"{_count(len(far), len(names))} more than {MAX_REACH_M / 1e3:.0f} km from the middle of all, {_named(names, first)} first with "
+        f"{away_m[first] / 1e3:,.0f} km"
+    )
+    exchanged = np.array([[lat_lon_alt[first, 1], lat_lon_alt[first, 0], 0.0]])
+    if abs(exchanged[0, 0]) <= 90 and np.linalg.norm(enu_from_geodetic(exchanged, middle)) <= MAX_REACH_M:
+        raise BadInput(f"{there}: with its latitude and longitude exchanged it lies among the others, so exchange them there.")
+    raise BadInput(f"{there}: check whether its latitude and longitude are right and not swapped, or plan each site on its own.")
+
+
+def _wrapped(degrees: FloatArray) -> FloatArray:
+    """Angles in [−180°, 180°]; those that are there already keep every digit."""
+    return np.where(np.abs(degrees) <= 180, degrees, (degrees + 180) % 360 - 180)
+
+
+def _count(some: int, of_all: int) -> str:
+    return f"{some} of {of_all} waypoints {'is' if some == 1 else 'are'}"
+
+
+def _named(names: Sequence[str], index: int) -> str:
+    return f"{names[index]!r} (number {index + 1})"
