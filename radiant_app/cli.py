@@ -53,6 +53,9 @@ def run(
     matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
     frames: Annotated[Frames, typer.Option(help="shared: photographs are pooled; gps, known: each device places its own.")] = "shared",
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
+    plan: Annotated[
+        Path | None, typer.Option(help="Plan made by `radiant plan` before capture; else what was captured is planned.")
+    ] = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
     long_side_px: LongSide = None,
     steps: NumSteps = None,
@@ -76,6 +79,7 @@ def run(
         matching=matching,
         frames=frames,
         poses=poses,
+        plan=plan,
         single_owner=single_owner,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
         seed=seed,

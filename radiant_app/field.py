@@ -24,7 +24,7 @@ from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field_dealing import DeviceShare, FieldDealer, Scorer
 from radiant_app.field_results import collect_scores, save_delivered
-from radiant_app.stages import Progress, plan_stage, training_settings
+from radiant_app.stages import Progress, plan_around, plan_stage, training_settings
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
@@ -34,7 +34,8 @@ from radiant_core.io.photos import SUFFIXES
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.assigned import assigned_plan
+from radiant_core.plan.assigned import assigned_plan, device_indices
+from radiant_core.plan.captured import plan_of_owners
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.sfm.given_poses import GivenPoses, given_poses
@@ -192,7 +193,11 @@ def _planned(
     positions = captured.positions[chosen, :2]
     if folders is not None:
         owners = [captured.owners[index] or "" for index in chosen]
-        cloud_plan, edge_plans = assigned_plan(positions, owners, system)
+        if config.plan is None:
+            cloud_plan, edge_plans = assigned_plan(positions, owners, system)
+        else:
+            regions, strips, _ = plan_around(config.plan, captured.origin)
+            cloud_plan, edge_plans = plan_of_owners(regions, strips, device_indices(owners, system), positions, system=system)
         save_plan(config.out / "plan.json", cloud_plan, edge_plans)
         idle = [device.id for device in system.devices if device.id not in folders]
         for device in idle:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from radiant_app.config import RunConfig
 from radiant_app.events import Decided, Event, Listener, StageSkipped
@@ -12,8 +13,10 @@ from radiant_app.run_folder import Manifest
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
-from radiant_core.io.records import save_plan
+from radiant_core.frames import enu_from_geodetic
+from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.captured import plan_of_captured
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -50,6 +53,10 @@ def plan_stage(
 ) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
     """Plan positions (C,2) m about `origin` (3,) lat lon alt, if they are on the globe; writes plan.json. BadInput when nothing fits."""
     system = place_edges(system, positions, origin, config.seed)
+    if config.plan is not None:
+        cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan, origin), positions, system=system)
+        save_plan(config.out / "plan.json", cloud_plan, edge_plans)
+        return system, cloud_plan, edge_plans
     method, decisions = choose_method(config.plan_method, len(positions), len(system.edges))
     for decision in decisions:
         progress.listen(Decided(decision=decision))
@@ -59,6 +66,24 @@ def plan_stage(
     edge_plans = split_edges(positions, cloud_plan, system)
     save_plan(config.out / "plan.json", cloud_plan, edge_plans)
     return system, cloud_plan, edge_plans
+
+
+def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple[EdgePlan, ...], FloatArray]:
+    """A plan made before capture and its waypoints (P,2), in metres about `origin` (3,) lat lon alt.
+
+    Raises BadInput for a plan without waypoints, and where the photographs are not placed on the globe.
+    """
+    cloud_plan, edge_plans = load_plan(path)
+    waypoints = load_plan_waypoints(path)
+    if waypoints is None:
+        raise BadInput(f"{path} has no waypoints: make it by `radiant plan` from waypoints or from a folder of photographs with GPS.")
+    if origin is None:
+        raise BadInput(f"{path} is on the globe and the photographs have no GPS frame: leave out --plan, or give photographs with GPS.")
+    # Over a site, two local frames differ by a shift: their axes turn by 1e-4 per kilometre.
+    shift = enu_from_geodetic(waypoints.origin[None], origin)[0, :2]
+    moved = replace(cloud_plan, sites=cloud_plan.sites + shift, borders=tuple(border + shift for border in cloud_plan.borders))
+    edges = tuple(replace(plan, strips=tuple(strip + shift for strip in plan.strips)) for plan in edge_plans)
+    return moved, edges, enu_from_geodetic(waypoints.lat_lon_alt, origin)[:, :2]
 
 
 def training_settings(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, str]:

@@ -178,7 +178,9 @@ def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: 
     import cv2
 
     make = {
-        "stripped": lambda folder: [cv2.imwrite(str(folder / p.name), cv2.imread(str(p))) for p in (hamlet / "images").iterdir()],
+        "stripped": lambda folder: [
+            cv2.imwrite(str(folder / p.name), np.asarray(cv2.imread(str(p)))) for p in (hamlet / "images").iterdir()
+        ],
         "strange": lambda folder: [(folder / name).mkdir() for name in ("north-1", "other")],
         "lost": lambda folder: [shutil.copyfile(p, folder / p.name) for p in sorted((hamlet / "images").iterdir())[1:]],
         "sky": lambda folder: [

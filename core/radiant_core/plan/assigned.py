@@ -1,12 +1,11 @@
 """A plan read off from who captured what: every camera already belongs to a device. Runs once per run.
 
-Regions are those of a plan made before capture where there is one, else the power diagram of the edges' mean positions without weights.
+Regions are the power diagram of the edges' mean positions without weights, strips the hulls of what each device took.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,59 +14,42 @@ from shapely.geometry.polygon import orient
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.deadline import device_time_s
+from radiant_core.plan.captured import plan_of_owners
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import regions_around
 from radiant_core.plan.system import Edge, System
 
 
-def assigned_plan(
-    positions: ArrayLike, device_of_camera: Sequence[str], system: System, regions: CloudPlan | None = None
-) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The plan in which camera i of positions (C,2) m belongs to the device with the id `device_of_camera[i]`.
-
-    Times are the cost curves' for these counts; `regions`, a plan of the same edges, lends sites, weights and borders.
-    Raises BadInput for a device the system does not have and for a plan of other edges.
-    """
-    positions = checked_array("positions", positions, (len(device_of_camera), 2))
-    edge_of_device = {device.id: index for index, edge in enumerate(system.edges) for device in edge.devices}
-    unknown = sorted(set(device_of_camera) - set(edge_of_device))
+def device_indices(owners: Sequence[str], system: System) -> NDArray[np.int64]:
+    """Index (C,) over the devices of all edges of each owner's id; BadInput for a device the system does not have."""
+    index_of = {device.id: index for index, device in enumerate(system.devices)}
+    unknown = sorted(set(owners) - set(index_of))
     if unknown:
-        raise BadInput(f"there is no device {unknown[0]!r} in the system: its devices are {', '.join(edge_of_device)}.")
-    edge_of_camera = np.array([edge_of_device[device] for device in device_of_camera], np.int64)
-    if regions is None:
-        regions = regions_around(positions, edge_of_camera, system)
-    if regions.edge_ids != tuple(edge.id for edge in system.edges):
-        raise BadInput(f"the plan is for edges {', '.join(regions.edge_ids)}, the system has others: plan this system anew.")
-    owners = np.array(device_of_camera, dtype=object)
-    edges = tuple(_edge_plan(edge, positions, np.flatnonzero(edge_of_camera == index), owners) for index, edge in enumerate(system.edges))
-    times = np.array([_edge_time_s(edge, plan) for edge, plan in zip(system.edges, edges, strict=True)])
-    cloud = replace(regions, edge_of_camera=edge_of_camera, edge_time_s=times, status="stopped", certified=False, history=())
-    return cloud, edges
+        raise BadInput(f"there is no device {unknown[0]!r} in the system: its devices are {', '.join(index_of)}.")
+    return np.array([index_of[owner] for owner in owners], np.int64)
 
 
-def _edge_plan(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], owners: NDArray[np.object_]) -> EdgePlan:
-    ids = tuple(device.id for device in edge.devices)
-    device_of_camera = np.array([ids.index(owner) for owner in owners[camera_indices]], np.int64)
-    counts = np.bincount(device_of_camera, minlength=len(ids))
+def assigned_plan(positions: ArrayLike, owners: Sequence[str], system: System) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """The plan in which camera i of positions (C,2) m belongs to the device with the id `owners[i]`; raises as `plan_of_owners`."""
+    positions = checked_array("positions", positions, (len(owners), 2))
+    device_of_camera = device_indices(owners, system)
+    edge_of_device = np.repeat(np.arange(len(system.edges)), [len(edge.devices) for edge in system.edges])
+    regions = regions_around(positions, edge_of_device[device_of_camera], system)
+    firsts = np.cumsum([0, *(len(edge.devices) for edge in system.edges)])
+    strips = [_strips_of(edge, positions, device_of_camera - first) for edge, first in zip(system.edges, firsts, strict=False)]
+    return plan_of_owners(regions, strips, device_of_camera, positions, system=system)
+
+
+def _strips_of(edge: Edge, positions: FloatArray, device_of_camera: NDArray[np.int64]) -> EdgePlan:
+    """The edge's devices with the hull of what each took, no cameras yet."""
     return EdgePlan(
         edge_id=edge.id,
-        device_ids=ids,
-        camera_indices=camera_indices,
-        device_of_camera=device_of_camera,
-        strips=tuple(_hull(positions[camera_indices[device_of_camera == index]]) for index in range(len(ids))),
-        device_time_s=np.array([float(device_time_s(device, count)) for device, count in zip(edge.devices, counts, strict=True)]),
+        device_ids=tuple(device.id for device in edge.devices),
+        camera_indices=np.zeros(0, np.int64),
+        device_of_camera=np.zeros(0, np.int64),
+        strips=tuple(_hull(positions[device_of_camera == index]) for index in range(len(edge.devices))),
+        device_time_s=np.zeros(len(edge.devices)),
     )
-
-
-def _edge_time_s(edge: Edge, plan: EdgePlan) -> float:
-    """Slowest device, then aggregation and the upload of what all devices sent."""
-    if not len(plan.camera_indices):
-        return 0.0
-    counts = np.bincount(plan.device_of_camera, minlength=len(edge.devices))
-    sent = sum(float(device.model_bytes(count)) for device, count in zip(edge.devices, counts, strict=True) if count)
-    slowest = max(time for time, count in zip(plan.device_time_s, counts, strict=True) if count)
-    return float(slowest + edge.aggregate_s(len(plan.camera_indices)) + sent / edge.uplink_bytes_per_s)
 
 
 def _hull(points: FloatArray) -> FloatArray:

@@ -44,6 +44,23 @@ def plan_of_captured(
     if not len(captured):
         raise BadInput("no photograph was captured: check the folder, or plan again.")
     device_of_captured = _device_of_planned(edge_plans, len(planned))[_nearest(planned, captured)]
+    return plan_of_owners(cloud_plan, edge_plans, device_of_captured, captured, system=system)
+
+
+def plan_of_owners(
+    cloud_plan: CloudPlan,
+    edge_plans: Sequence[EdgePlan],
+    device_of_captured: NDArray[np.int64],
+    captured_xy: ArrayLike,
+    *,
+    system: System,
+) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """The regions and strips of a plan for photographs at `captured_xy` (C,2) m that are on the devices (C,), counted over all edges.
+
+    Raises BadInput when plan and system are not of one kind, or when a device captured more than its memory holds.
+    """
+    captured = checked_array("captured_xy", captured_xy, (len(device_of_captured), 2))
+    _require_same_system(cloud_plan, edge_plans, system)
     counts = np.bincount(device_of_captured, minlength=len(system.devices))
     _require_memory(system, counts)
     new_edge_plans: list[EdgePlan] = []
