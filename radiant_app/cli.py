@@ -28,10 +28,19 @@ TrainPreset = Literal["draft", "default", "standard", "paper"]
 AggregatePreset = Literal["default", "paper"]
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 Matching = Literal["auto", "spatial", "exhaustive"]
+RunPreset = Literal["default", "paper"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
-TrainPresetOption = Annotated[TrainPreset, typer.Option(help="draft: quick; standard: plain 3DGS; paper: its 20,000 steps.")]
+_PRESET_HELP = (
+    "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
+    "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
+)
+_TRAIN_HELP = "draft: quick; standard: plain 3DGS; paper: its 20,000 steps."
+_AGGREGATE_HELP = "paper: retrain every parameter at the edges and the cloud."
+_PLAN_HELP = "exact: least makespan; paper: Alg. 1; voronoi; even."
+_MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
+TrainPresetOption = Annotated[TrainPreset, typer.Option(help=_TRAIN_HELP)]
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
@@ -46,10 +55,11 @@ def run(
     source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
     out: Out,
     system: SystemFile = None,
-    train_preset: TrainPresetOption = "default",
-    aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
-    plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
-    matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
+    preset: Annotated[RunPreset, typer.Option(help=_PRESET_HELP)] = "default",
+    train_preset: Annotated[TrainPreset | None, typer.Option(help=f"{_TRAIN_HELP} Without it that of --preset.")] = None,
+    aggregate_preset: Annotated[AggregatePreset | None, typer.Option(help=f"{_AGGREGATE_HELP} Without it that of --preset.")] = None,
+    plan_method: Annotated[PlanMethod | None, typer.Option(help=f"{_PLAN_HELP} Without it exact, or paper by --preset paper.")] = None,
+    matching: Annotated[Matching | None, typer.Option(help=f"{_MATCHING_HELP} Without it auto, or exhaustive by --preset paper.")] = None,
     long_side_px: LongSide = None,
     steps: NumSteps = None,
     max_splats: MaxSplats = None,
@@ -59,17 +69,15 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Photographs in, one Gaussian model out: structure from motion, plan, devices, edges, cloud, report."""
-    from radiant_app.config import RunConfig
+    from radiant_app.config import RunConfig, run_preset
     from radiant_core.train.needs import Overrides
 
+    chosen = run_preset(preset, train_preset=train_preset, aggregate_preset=aggregate_preset, plan_method=plan_method, matching=matching)
     config = RunConfig(
         source=source,
         out=out,
         system=system,
-        train_preset=train_preset,
-        aggregate_preset=aggregate_preset,
-        plan_method=plan_method,
-        matching=matching,
+        **chosen,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
         seed=seed,
         max_workers=workers,
@@ -92,7 +100,7 @@ def demo(
 def sfm(
     source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
     out: Out,
-    matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
+    matching: Annotated[Matching, typer.Option(help=_MATCHING_HELP)] = "auto",
     as_json: AsJson = False,
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
@@ -106,7 +114,7 @@ def plan(
     scene: Annotated[Path, typer.Argument(help="Folder made by `radiant sfm`, or a run.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", help="File of the plan; a picture of it goes beside.", show_default=False)],
     system: SystemFile = None,
-    plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
+    plan_method: Annotated[PlanMethod, typer.Option(help=_PLAN_HELP)] = "exact",
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -139,7 +147,7 @@ def train(
 def aggregate(
     run_folder: RunFolder,
     out: Annotated[Path, typer.Option("--out", help="PLY of the joined scene.", show_default=False)],
-    aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
+    aggregate_preset: Annotated[AggregatePreset, typer.Option(help=_AGGREGATE_HELP)] = "default",
     epochs: Annotated[int, typer.Option(min=1, help="How often each synthetic view is shown.")] = 10,
     as_json: AsJson = False,
 ) -> None:

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from radiant_app.cloud_task import VIRTUAL_CAMERAS, retrain_settings
 from radiant_app.executors.protocol import NodeTask
 from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig
@@ -19,6 +20,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import content_key, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
 
@@ -31,6 +33,7 @@ class Dealer:
     images: Path
     """Folder of the undistorted photographs."""
     scene: SfmScene
+    system: System
     cloud_plan: CloudPlan
     edge_plans: tuple[EdgePlan, ...]
     train: TrainConfig
@@ -68,10 +71,18 @@ class Dealer:
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
         edges = [_name(child) for child in node.children]
         shutil.rmtree(folder / "inbox", ignore_errors=True)
+        sent = ["model.safetensors", VIRTUAL_CAMERAS] if self.aggregate.cloud == "retrain" else ["model.safetensors"]
         for edge in edges:
-            deal_files(self.run / "edges" / edge, ["model.safetensors"], folder / "inbox" / edge)
+            deal_files(self.run / "edges" / edge, sent, folder / "inbox" / edge)
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
-        task = {"edges": edges, "sites": self.cloud_plan.sites[rows].tolist(), "weights": self.cloud_plan.weights[rows].tolist()}
+        task = {
+            "edges": edges,
+            "sites": self.cloud_plan.sites[rows].tolist(),
+            "weights": self.cloud_plan.weights[rows].tolist(),
+            "train": asdict(self.train),
+            "backend": self.backend,
+            **retrain_settings(self.run, edges, self.cloud_plan, self.system, self.aggregate),
+        }
         return task, [folder / "inbox"]
 
     def _camera_indices(self, device: str) -> Any:

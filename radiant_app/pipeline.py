@@ -24,7 +24,7 @@ from radiant_app.run_folder import Manifest, opened_run
 from radiant_app.sources import detect_source
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.tree import tree_of_plan
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -108,6 +108,7 @@ def run(
             run=config.out,
             images=images,
             scene=training,
+            system=system,
             cloud_plan=cloud_plan,
             edge_plans=edge_plans,
             train=train,
@@ -173,8 +174,8 @@ def _training_settings(config: RunConfig, progress: _Progress) -> tuple[TrainCon
     backend = resolve_backend("auto")
     preset = replace(train_preset(config.train_preset), seed=config.seed)
     train, decisions = fit_to_backend(preset, backend, config.overrides)
-    aggregate = AggregateConfig(preset=config.aggregate_preset)
-    if backend == "reference":
+    aggregate = aggregate_preset(config.aggregate_preset)
+    if backend == "reference" and train.reduce_on_cpu:
         aggregate = replace(aggregate, max_num_steps=REFERENCE_RETRAIN_STEPS)
         decisions = (*decisions, _retrain_decision())
     for decision in decisions:

@@ -52,12 +52,12 @@ class TrainConfig:
     """Density control begins after this step."""
     densify_until_step: int = 15_000
     """Density control, with its resets of opacity, ends before this step."""
-    densify_every: int = 100
-    """Steps between two rounds of density control."""
     reset_opacity_every: int = 3_000
     """Steps between two resets of all opacities to at most 0.01."""
     schedule_steps: int = 30_000
-    """Length of the run for which the five numbers of steps above are meant; a run of another length scales them."""
+    """Length of the run for which the four numbers of steps above are meant; a run of another length scales them."""
+    densify_every: int = 100
+    """Steps between two rounds of density control; not scaled, since a mean over fewer steps is noise."""
     densify_min_gradient: float = 2e-4
     """A Gaussian is cloned or split when its projected centre's mean gradient, in half image sides, is at least this."""
     prune_radius_px: float = math.inf

@@ -168,10 +168,11 @@ class AdaptiveDensity:
         """`extent` of the cameras in the world's unit; `splats` is the model before the first step."""
         self._config = config
         self._extent = extent
-        self._from, self._until, self._every, self._reset_every = (
-            config.scaled_steps(steps)
-            for steps in (config.densify_from_step, config.densify_until_step, config.densify_every, config.reset_opacity_every)
+        self._from, self._until, self._reset_every = (
+            config.scaled_steps(steps) for steps in (config.densify_from_step, config.densify_until_step, config.reset_opacity_every)
         )
+        # Not scaled: a mean over few steps is noise. Every 7th of 2,000 steps, 27,000 Gaussians of the town were 150,000 after 98 steps.
+        self._every = config.densify_every
         self.counts = DensityCounts()
         self._forget(splats)
 
