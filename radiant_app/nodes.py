@@ -215,12 +215,12 @@ def _fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool
 
 
 def _density_decision(stage: str, counts: Any, num_before: int, num_after: int) -> Decision:
-    pruned = counts.num_pruned_transparent + counts.num_pruned_large
+    pruned = f"{counts.num_pruned_transparent:,} transparent and {counts.num_pruned_large:,} large ones pruned"
     refused = f"; the limit of Gaussians refused {counts.num_refused:,}" if counts.num_refused else ""
     return Decision(
         stage=stage,
         topic="densification",
-        choice=f"{counts.num_cloned:,} Gaussians cloned, {counts.num_split:,} split, {pruned:,} pruned{refused}",
+        choice=f"{counts.num_cloned:,} Gaussians cloned, {counts.num_split:,} split, {pruned}{refused}",
         figure=float(num_after),
         unit=f"Gaussians from {num_before:,}",
         reason="adaptive density control follows the gradients of projected centres",

@@ -27,7 +27,7 @@ class TrainConfig:
     """Degree 0 to 3 of the view dependence of colour."""
     ssim_weight: float = 0.2
     """λ of (1 − λ) L1 + λ (1 − SSIM) (paper Eqn. 4)."""
-    max_scale_per_distance: float = 1 / 3
+    max_scale_per_distance: float | None = 1 / 3
     """A Gaussian's axes stay below this share of its distance to the nearest camera: a larger one hangs as haze before views whose
     cameras it never troubled, because its centre lay behind them. Infinity leaves every size alone."""
     means_lr: float = 1.6e-4
@@ -60,9 +60,9 @@ class TrainConfig:
     """Steps between two rounds of density control; not scaled, since a mean over fewer steps is noise."""
     densify_min_gradient: float = 2e-4
     """A Gaussian is cloned or split when its projected centre's mean gradient, in half image sides, is at least this."""
-    prune_radius_px: float = math.inf
+    prune_radius_px: float | None = None
     """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code of 3DGS passes 20 but clears the
-    radii before it looks at them, so that nothing is pruned by this rule; infinity is what it does."""
+    radii before it looks at them, so that nothing is pruned by this rule; None is what it does."""
     sky: bool = True
     """Whether Gaussians on a far half sphere are added where photographs look above the horizon."""
     fill_in: bool = True
@@ -81,10 +81,10 @@ class TrainConfig:
                 raise BadInput(f"{name} is {getattr(self, name)}, expected at least 0.")
         if not 0 < self.means_lr_end <= 1:
             raise BadInput(f"means_lr_end is {self.means_lr_end}, expected above 0 and at most 1.")
-        if not self.prune_radius_px > 0:
-            raise BadInput(f"prune_radius_px is {self.prune_radius_px}, expected a positive number of pixels.")
-        if not self.max_scale_per_distance > 0:
-            raise BadInput(f"max_scale_per_distance is {self.max_scale_per_distance}, expected a positive number.")
+        for name in ("max_scale_per_distance", "prune_radius_px"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise BadInput(f"{name} is {value}, expected a positive number, or None for no limit.")
         if not 0 <= self.sh_degree <= 3:
             raise BadInput(f"sh_degree is {self.sh_degree}, expected 0 to 3.")
         if not 0 <= self.ssim_weight <= 1:
@@ -102,7 +102,7 @@ class TrainConfig:
 # Short runs have no time for small steps: `draft` and `default` start from rates found on the sample scene's validation images.
 _SHORT = TrainConfig(means_lr=3.2e-4, scales_lr=2e-2, quats_lr=5e-3, opacities_lr=1e-1, sh0_lr=2e-2)
 _PLAIN = TrainConfig(
-    sh_degree=3, sh_degree_every=1_000, max_scale_per_distance=math.inf, adam="dense", densify="adc", sky=False, fill_in=False
+    sh_degree=3, sh_degree_every=1_000, max_scale_per_distance=None, adam="dense", densify="adc", sky=False, fill_in=False
 )
 _PRESETS: dict[str, TrainConfig] = {
     "draft": replace(_SHORT, num_steps=2_000, long_side_px=576),

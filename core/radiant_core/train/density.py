@@ -65,7 +65,7 @@ class DensityRules:
     """Of the cameras, in the world's unit."""
     max_num_splats: int
     prune_large: bool
-    prune_radius_px: float = math.inf
+    prune_radius_px: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,7 +157,9 @@ def prunable(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Masks (N,) of what is too transparent and what is too large, in the world or on screen."""
     transparent = logit_opacities < _logit(MIN_OPACITY)
-    large = (largest_log > math.log(MAX_EXTENT * rules.extent)) | (radii_px > rules.prune_radius_px)
+    large = largest_log > math.log(MAX_EXTENT * rules.extent)
+    if rules.prune_radius_px is not None:
+        large |= radii_px > rules.prune_radius_px
     return transparent, large & rules.prune_large
 
 
@@ -181,7 +183,7 @@ class AdaptiveDensity:
         if step >= self._until or not output.means2d.requires_grad:
             return
         visible = _plain(output.visible)
-        if self._config.prune_radius_px < math.inf:
+        if self._config.prune_radius_px is not None:
             self._radii_px = _larger(self._radii_px, _plain(output.radii_px)[0])
         output.means2d.register_hook(partial(self._add, visible, size_wh))
 

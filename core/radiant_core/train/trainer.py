@@ -168,7 +168,7 @@ class _Step:
 
 
 def _limit_scales(splats: SplatTensors, views: TrainingViews, config: TrainConfig) -> None:
-    if config.max_scale_per_distance == np.inf:
+    if config.max_scale_per_distance is None:
         return
     distances, _ = KDTree(views.cameras.centers).query(splats.means.detach().cpu().numpy().astype(np.float64))
     limits = np.log(np.maximum(config.max_scale_per_distance * distances, np.finfo(np.float32).tiny))
