@@ -29,10 +29,19 @@ AggregatePreset = Literal["default", "paper"]
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 Matching = Literal["auto", "spatial", "exhaustive"]
 Frames = Literal["shared", "gps", "known"]
+RunPreset = Literal["default", "paper"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
-TrainPresetOption = Annotated[TrainPreset, typer.Option(help="draft: quick; standard: plain 3DGS; paper: its 20,000 steps.")]
+_PRESET_HELP = (
+    "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
+    "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
+)
+_TRAIN_HELP = "draft: quick; standard: plain 3DGS; paper: its 20,000 steps."
+_AGGREGATE_HELP = "paper: retrain every parameter at the edges and the cloud."
+_PLAN_HELP = "exact: least makespan; paper: Alg. 1; voronoi; even."
+_MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
+TrainPresetOption = Annotated[TrainPreset, typer.Option(help=_TRAIN_HELP)]
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
@@ -47,10 +56,11 @@ def run(
     source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
     out: Out,
     system: SystemFile = None,
-    train_preset: TrainPresetOption = "default",
-    aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
-    plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
-    matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
+    preset: Annotated[RunPreset, typer.Option(help=_PRESET_HELP)] = "default",
+    train_preset: Annotated[TrainPreset | None, typer.Option(help=f"{_TRAIN_HELP} Without it that of --preset.")] = None,
+    aggregate_preset: Annotated[AggregatePreset | None, typer.Option(help=f"{_AGGREGATE_HELP} Without it that of --preset.")] = None,
+    plan_method: Annotated[PlanMethod | None, typer.Option(help=f"{_PLAN_HELP} Without it exact, or paper by --preset paper.")] = None,
+    matching: Annotated[Matching | None, typer.Option(help=f"{_MATCHING_HELP} Without it auto, or exhaustive by --preset paper.")] = None,
     frames: Annotated[Frames, typer.Option(help="shared: photographs are pooled; gps, known: each device places its own.")] = "shared",
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
     plan: Annotated[
@@ -66,17 +76,15 @@ def run(
     as_json: AsJson = False,
 ) -> None:
     """Photographs in, one Gaussian model out: structure from motion, plan, devices, edges, cloud, report."""
-    from radiant_app.config import RunConfig
+    from radiant_app.config import RunConfig, run_preset
     from radiant_core.train.needs import Overrides
 
+    chosen = run_preset(preset, train_preset=train_preset, aggregate_preset=aggregate_preset, plan_method=plan_method, matching=matching)
     config = RunConfig(
         source=source,
         out=out,
         system=system,
-        train_preset=train_preset,
-        aggregate_preset=aggregate_preset,
-        plan_method=plan_method,
-        matching=matching,
+        **chosen,
         frames=frames,
         poses=poses,
         plan=plan,
@@ -103,7 +111,7 @@ def demo(
 def sfm(
     source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
     out: Out,
-    matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
+    matching: Annotated[Matching, typer.Option(help=_MATCHING_HELP)] = "auto",
     as_json: AsJson = False,
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
@@ -119,7 +127,7 @@ def plan(
     ],
     out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
     system: SystemFile = None,
-    plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
+    plan_method: Annotated[PlanMethod, typer.Option(help=_PLAN_HELP)] = "exact",
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
@@ -154,7 +162,7 @@ def train(
 def aggregate(
     run_folder: RunFolder,
     out: Annotated[Path, typer.Option("--out", help="PLY of the joined scene.", show_default=False)],
-    aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
+    aggregate_preset: Annotated[AggregatePreset, typer.Option(help=_AGGREGATE_HELP)] = "default",
     epochs: Annotated[int, typer.Option(min=1, help="How often each synthetic view is shown.")] = 10,
     as_json: AsJson = False,
 ) -> None:

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.cloud_task import virtual_cameras_of
 from radiant_app.evaluation import held_out_figures, png_bytes
 from radiant_app.events import StageProgress, StageStarted
 from radiant_app.nodes import load_images, place_of
 from radiant_app.progress import ProgressDisplay
 from radiant_app.run_folder import new_folder
-from radiant_core.aggregate.config import AggregateConfig, AggregatePreset
+from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply, save_ply
@@ -76,7 +77,7 @@ def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], dis
 
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, display: ProgressDisplay) -> dict[str, Any]:
-    """Join the device models of a finished run with other settings; writes a PLY."""
+    """Join the device models of a finished run with other settings; writes a PLY. No system file is read: the cloud has no limit."""
     from radiant_core.aggregate.crop_merge import crop_merge
     from radiant_core.aggregate.retrain import retrain_on_synthetic_views
     from radiant_core.train.config import TrainConfig
@@ -85,23 +86,32 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
     require_file_to_be(out)
     require_run(run)
     cloud_plan, edge_plans = load_plan(run / "plan.json")
-    config = AggregateConfig(preset=preset, num_epochs=epochs)
-    models, rows, seconds = [], [], 0.0
+    config = replace(aggregate_preset(preset), num_epochs=epochs)
+    train = TrainConfig()
+    models, views, rows, seconds = [], [], [], 0.0
     for row, edge_plan in enumerate(edge_plans):
         if not len(edge_plan.camera_indices):
             continue
         edge = edge_plan.edge_id
         task = read_json(run / "edges" / edge / "task.json", ("devices", "train"))
+        train = TrainConfig(**task["train"])
         inbox = [run / "edges" / edge / "inbox" / device for device in task["devices"]]
         with stage_bar(display, f"edges/{edge}") as report:
             options = FitOptions(report=lambda p, report=report: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
             device_models = [load_splats(place / "model.safetensors") for place in inbox]
             device_cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
-            result = retrain_on_synthetic_views(device_models, device_cameras, TrainConfig(**task["train"]), config, options)
+            result = retrain_on_synthetic_views(device_models, device_cameras, train, config, options)
         models.append(result.splats)
+        views.append(virtual_cameras_of(run / "edges" / edge, device_cameras, result.splats))
         rows.append(row)
         seconds += result.seconds
-    merged = crop_merge(models, cloud_plan.sites[rows], cloud_plan.weights[rows])
+    if config.cloud == "retrain" and models:
+        with stage_bar(display, "cloud") as report:
+            options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
+            result = retrain_on_synthetic_views(models, views, train, config, options)
+        save_ply(out, result.splats)
+        return {"gaussians": len(result.splats), "retrain_s": round(seconds + result.seconds, 2), "model": str(out)}
+    merged = crop_merge(models, cloud_plan.sites[rows], cloud_plan.weights[rows], fill_blind_spots=config.fill_blind_spots)
     save_ply(out, merged.splats)
     return {"gaussians": len(merged.splats), "retrain_s": round(seconds, 2), "filled": merged.num_filled, "model": str(out)}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 from radiant_core.aggregate.config import AggregatePreset
 from radiant_core.errors import BadInput
@@ -15,6 +15,21 @@ from radiant_core.train.needs import Overrides
 Frames = Literal["shared", "gps", "known"]
 """shared: one owner pools the photographs and places them at once; gps, known: every device places its own, by GPS or given poses."""
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
+RunPreset = Literal["default", "paper"]
+"""default: ours; paper: the paper's plan (Voronoi, Alg. 1, RTP), training (20,000 steps) and aggregation, nothing skipped."""
+
+_RUN_PRESETS: dict[str, dict[str, Any]] = {
+    "default": {"plan_method": "exact", "train_preset": "default", "aggregate_preset": "default", "matching": "auto"},
+    # exhaustive: neighbours by GPS alone would skip pairs.
+    "paper": {"plan_method": "paper", "train_preset": "paper", "aggregate_preset": "paper", "matching": "exhaustive"},
+}
+
+
+def run_preset(name: str, **given: Any) -> dict[str, Any]:
+    """Fields of `RunConfig` that a preset sets; what is `given` and not None wins. BadInput lists the presets there are."""
+    if name not in _RUN_PRESETS:
+        raise BadInput(f"preset {name!r} is unknown: use one of {', '.join(get_args(RunPreset))}.")
+    return {**_RUN_PRESETS[name], **{field: value for field, value in given.items() if value is not None}}
 
 
 @dataclass(frozen=True, kw_only=True)

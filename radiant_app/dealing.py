@@ -11,7 +11,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from radiant_app.cloud_task import retrain_settings
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.inbox import VIRTUAL_CAMERAS
 from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
@@ -19,6 +21,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import content_key, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
 
@@ -31,6 +34,7 @@ class Dealer:
     """Prepares the nodes of one planned run."""
 
     run: Path
+    system: System
     cloud_plan: CloudPlan
     edge_plans: tuple[EdgePlan, ...]
     train: TrainConfig
@@ -67,7 +71,9 @@ class Dealer:
     def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
         """Settings and files of the cloud: what the edges delivered, and the plan's borders."""
         edges = [name_of(child) for child in node.children]
-        return self.cloud_task(edges, folder, ["model.safetensors"])
+        return self.cloud_task(
+            edges, folder, ["model.safetensors", VIRTUAL_CAMERAS] if self.aggregate.cloud == "retrain" else ["model.safetensors"]
+        )
 
     def cloud_task(self, edges: Sequence[str], folder: Path, files: Sequence[str]) -> Filled:
         """The cloud's settings with `files` of these edges in its inbox."""
@@ -75,7 +81,14 @@ class Dealer:
         for edge in edges:
             deal_files(self.run / "edges" / edge, files, folder / "inbox" / edge)
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
-        task = {"edges": list(edges), "sites": self.cloud_plan.sites[rows].tolist(), "weights": self.cloud_plan.weights[rows].tolist()}
+        task = {
+            "edges": list(edges),
+            "sites": self.cloud_plan.sites[rows].tolist(),
+            "weights": self.cloud_plan.weights[rows].tolist(),
+            "train": asdict(self.train),
+            "backend": self.backend,
+            **retrain_settings(self.run, edges, self.cloud_plan, self.system, self.aggregate),
+        }
         return task, [folder / "inbox"]
 
     def edge_task(self, devices: Sequence[str]) -> dict[str, Any]:

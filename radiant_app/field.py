@@ -81,6 +81,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> C
     train, aggregate, backend = training_settings(config, progress)
     dealer = FieldDealer(
         run=config.out,
+        system=system,
         cloud_plan=cloud_plan,
         edge_plans=edge_plans,
         train=train,

@@ -13,6 +13,7 @@ from typing import Any
 
 from radiant_app.dealing import Dealer, Filled, deal_files, name_of, received
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.inbox import VIRTUAL_CAMERAS
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
@@ -20,7 +21,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.sfm.given_poses import GivenPoses
 
 MODEL_FILES = ("model.safetensors", "cameras.safetensors", "frame.json")
-"""What goes up a tier: a model, poses under numbers, and how sure the frame is."""
+"""What goes up to an edge: a model, poses under numbers, and how sure the frame is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +93,7 @@ class FieldDealer(Dealer):
     def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
         """The models of the edges that delivered one."""
         edges = [name_of(child) for child in node.children if self.delivered(child.id)]
-        return self.cloud_task(edges, folder, MODEL_FILES) if edges else None
+        return self.cloud_task(edges, folder, ["model.safetensors", VIRTUAL_CAMERAS, "frame.json"]) if edges else None
 
     def delivered(self, node_id: str) -> bool:
         """Whether a node is done in this run and has a model."""

@@ -18,12 +18,13 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
-from radiant_core.io.records import load_cameras, load_splats, save_cameras
+from radiant_core.io.records import load_cameras, load_splats
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.splats import Splats
 
 Emit = Callable[[Event], None]
 
+VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
 NO_CAMERAS = concatenate_cameras([])
 _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
@@ -43,7 +44,7 @@ def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> 
     """The models in inbox/<sender>/, brought together through their geometry; BadInput when none is left."""
     places = [folder / "inbox" / name for name in senders]
     models = [load_splats(place / "model.safetensors") for place in places]
-    cameras = [load_cameras(place / "cameras.safetensors") if (place / "cameras.safetensors").is_file() else NO_CAMERAS for place in places]
+    cameras = [_cameras_in(place) for place in places]
     uncertainties = [
         read_json(place / "frame.json", ("uncertainty",))["uncertainty"] if (place / "frame.json").is_file() else None for place in places
     ]
@@ -70,6 +71,12 @@ def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> 
     # Joined, they are as sure of their place as the surest of them.
     joined = {key: min(asdict(one)[key] for one in left) for key in asdict(left[0])}
     return _together(senders, models, cameras, corrections, joined)
+
+
+def _cameras_in(place: Path) -> Cameras:
+    """A device's poses, an edge's virtual ones, or none where none were sent."""
+    found = [place / name for name in ("cameras.safetensors", VIRTUAL_CAMERAS) if (place / name).is_file()]
+    return load_cameras(found[0]) if found else NO_CAMERAS
 
 
 def _together(
@@ -104,12 +111,11 @@ def moved_cameras(cameras: Cameras, move: Sim3) -> Cameras:
 
 
 def save_frames(folder: Path, inbox: Inbox) -> list[str]:
-    """Write how each sender was moved, how sure the joined frame is, and the poses to hand on; returns the names of the files."""
+    """Write how each sender was moved, and how sure the joined frame is; returns the names of the files."""
     moves = {name: None if move is None else sim3_record(move) for name, move in inbox.corrections.items()}
     write_json(folder / "corrections.json", moves)
     write_json(folder / "frame.json", {"status": "placed", "reason": "", "uncertainty": inbox.uncertainty})
-    save_cameras(folder / "cameras.safetensors", virtual_cameras(inbox.cameras))
-    return ["corrections.json", "frame.json", "cameras.safetensors"]
+    return ["corrections.json", "frame.json"]
 
 
 def sim3_record(move: Sim3) -> dict[str, Any]:
@@ -132,11 +138,3 @@ def _refinement_decision(stage: str, name: str, frame: Any) -> Decision:
 def numbered(cameras: Cameras, prefix: str) -> Cameras:
     """The same cameras named prefix/0000, prefix/0001, …: names of files are their owner's business."""
     return replace(cameras, names=tuple(f"{prefix}/{index:04d}" for index in range(len(cameras))))
-
-
-def virtual_cameras(cameras: Sequence[Cameras]) -> Cameras:
-    """All poses of an edge in an order and under names that say nothing about the device that took them."""
-    together = concatenate_cameras([numbered(own, f"part{index}") for index, own in enumerate(cameras)])
-    order = np.random.default_rng(0).permutation(len(together))
-    shuffled = together.select(order)
-    return replace(shuffled, names=tuple(f"v{index:05d}" for index in range(len(shuffled))))

@@ -4,8 +4,8 @@
 |----------|-----------------------------------------------------|------------------------------------------|
 | sfm      | task.json, the source it names                      | scene.safetensors, result.json, undistorted/ |
 | device   | task.json, scene.safetensors, photos/               | model.safetensors, summary.json          |
-| edge     | task.json, inbox/<device>/{model,cameras}.safetensors | model.safetensors, summary.json        |
-| cloud    | task.json, inbox/<edge>/model.safetensors           | scene.ply, summary.json                  |
+| edge     | task.json, inbox/<device>/{model,cameras}.safetensors | {model,virtual_cameras}.safetensors, summary.json |
+| cloud    | task.json, inbox/<edge>/{model,virtual_cameras}.safetensors | scene.ply, summary.json          |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
 """
 
@@ -19,19 +19,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_app.cloud_task import retrained_at_cloud, virtual_cameras_of
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.inbox import read_inbox, save_frames
+from radiant_app.inbox import VIRTUAL_CAMERAS, read_inbox, save_frames
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import save_ply
-from radiant_core.io.records import load_scene, save_scene, save_splats
+from radiant_core.io.records import load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.scene import SfmScene
-from radiant_core.splats import Splats
+from radiant_core.splats import Splats, morton_order
 
 Emit = Callable[[Event], None]
+_BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -110,11 +112,13 @@ def train_device(folder: Path, scene: SfmScene, images: Path, config: Any, runni
 
     stage, backend, emit = running
     cameras = scene.cameras.scaled(config.long_side_px)
-    emit(Decided(decision=_sky_decision(stage, sky_share(cameras))))
+    emit(Decided(decision=_sky_decision(stage, sky_share(cameras), wanted=config.sky)))
     views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
     initial, num_filled = first_splats(scene, views, config)
-    emit(Decided(decision=_fill_decision(stage, num_filled, len(scene.points))))
+    emit(Decided(decision=_fill_decision(stage, num_filled, len(scene.points), wanted=config.fill_in)))
     result = fit_splats(initial, views, config, _fit_options(stage, backend, emit))
+    if config.densify != "none":
+        emit(Decided(decision=_density_decision(stage, result.density, len(initial), len(result.splats))))
     save_splats(folder / "model.safetensors", result.splats)
     summary = {**_training_summary(result), "num_photographs": len(cameras), "num_points": len(scene.points)}
     write_json(folder / "summary.json", summary)
@@ -129,41 +133,42 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
     task = read_json(folder / "task.json")
     inbox = read_inbox(folder, task["devices"], stage, emit)
-    if len(inbox.models) == 1:
-        emit(Decided(decision=_single_device_decision(stage)))
+    aggregate = AggregateConfig(**task["aggregate"])
     options = _fit_options(stage, task["backend"], emit)
-    config, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
-    result = retrain_on_synthetic_views(inbox.models, inbox.cameras, config, aggregate, options)
-    save_splats(folder / "model.safetensors", result.splats)
+    result = retrain_on_synthetic_views(inbox.models, inbox.cameras, TrainConfig(**task["train"]), aggregate, options)
+    emit(Decided(decision=_retrain_decision(stage, aggregate, [len(model) for model in inbox.models], result)))
+    # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
+    splats = result.splats.select(morton_order(result.splats.means))
+    save_splats(folder / "model.safetensors", splats)
     write_json(folder / "summary.json", {**_training_summary(result), "num_models": len(inbox.models)})
-    return ["model.safetensors", "summary.json", *save_frames(folder, inbox)]
+    save_cameras(folder / VIRTUAL_CAMERAS, virtual_cameras_of(folder, inbox.cameras, splats))
+    return ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox)]
 
 
 def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Join the edges' models by cutting them at the plan's borders."""
+    """Join the edges' models: retrained where that is asked for and within the limits, else cut at the plan's borders."""
+    from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.crop_merge import crop_merge
 
     task = read_json(folder / "task.json")
+    aggregate = AggregateConfig(**task["aggregate"])
     inbox = read_inbox(folder, task["edges"], stage, emit)
+    outputs = ["scene.ply", "summary.json", *save_frames(folder, inbox)]
+    if aggregate.cloud == "retrain":
+        result = retrained_at_cloud(task, inbox, stage, emit, _fit_options(stage, task["backend"], emit))
+        if result is not None:
+            emit(Decided(decision=_retrain_decision(stage, aggregate, [len(model) for model in inbox.models], result)))
+            save_ply(folder / "scene.ply", result.splats)
+            write_json(folder / "summary.json", _training_summary(result))
+            return outputs
     rows = [task["edges"].index(name) for name in inbox.senders]
-    merged = crop_merge(inbox.models, np.array(task["sites"])[rows], np.array(task["weights"])[rows])
-    share = merged.num_filled / max(1, len(merged.splats))
-    emit(
-        Decided(
-            decision=Decision(
-                stage=stage,
-                topic="blind spots",
-                choice=f"kept {merged.num_filled:,} Gaussians outside their own region and dropped {merged.num_dropped:,}",
-                figure=100 * share,
-                unit="% of the scene",
-                reason="the owner of that place has no Gaussian near it",
-            )
-        )
-    )
+    sites, weights = np.array(task["sites"])[rows], np.array(task["weights"])[rows]
+    merged = crop_merge(inbox.models, sites, weights, fill_blind_spots=aggregate.fill_blind_spots)
+    emit(Decided(decision=_blind_spots_decision(stage, merged, wanted=aggregate.fill_blind_spots)))
     save_ply(folder / "scene.ply", merged.splats)
     counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
     write_json(folder / "summary.json", counts)
-    return ["scene.ply", "summary.json", *save_frames(folder, inbox)]
+    return outputs
 
 
 def place_of(images: Path, folder: Path) -> str:
@@ -197,6 +202,7 @@ def _training_summary(result: Any) -> dict[str, float | int]:
         "train_s": result.seconds,
         "first_loss": result.first_loss,
         "last_loss": result.last_loss,
+        **asdict(result.density),
     }
 
 
@@ -205,37 +211,69 @@ def sfm_progress(stage: str, progress: Any) -> StageProgress:
     return StageProgress(stage=stage, done=progress.done, total=progress.total, note=progress.phase)
 
 
-def _sky_decision(stage: str, share: float) -> Decision:
+def _sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
     from radiant_core.train.initialize import MIN_SKY_SHARE
 
-    looks_up = share >= MIN_SKY_SHARE
+    looks_up = wanted and share >= MIN_SKY_SHARE
     return Decision(
         stage=stage,
         topic="sky",
         choice="Gaussians on a far half sphere were added" if looks_up else "no sky was added",
         figure=100 * share,
         unit="% above the horizon in the image that has most",
-        reason=f"a sky is modelled from {100 * MIN_SKY_SHARE:.0f} % of one image on",
+        reason=f"a sky is modelled from {100 * MIN_SKY_SHARE:.0f} % of one image on" if wanted else _BY_PRESET,
+        forced=not wanted,
     )
 
 
-def _fill_decision(stage: str, num_filled: int, num_points: int) -> Decision:
+def _fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool) -> Decision:
     return Decision(
         stage=stage,
         topic="fill-in points",
         choice=f"{num_filled:,} points were added to {num_points:,} sparse ones",
         figure=float(num_filled),
-        unit="image cells without a sparse point",
-        reason="places without sparse points would start empty",
+        unit="image cells without a sparse point" if wanted else "points",
+        reason="places without sparse points would start empty" if wanted else _BY_PRESET,
+        forced=not wanted,
     )
 
 
-def _single_device_decision(stage: str) -> Decision:
+def _density_decision(stage: str, counts: Any, num_before: int, num_after: int) -> Decision:
+    pruned = f"{counts.num_pruned_transparent:,} transparent and {counts.num_pruned_large:,} large ones pruned"
+    refused = f"; the limit of Gaussians refused {counts.num_refused:,}" if counts.num_refused else ""
     return Decision(
         stage=stage,
-        topic="retraining",
-        choice="skipped",
-        figure=1.0,
-        unit="device models",
-        reason="a single model would only learn from its own pictures",
+        topic="densification",
+        choice=f"{counts.num_cloned:,} Gaussians cloned, {counts.num_split:,} split, {pruned}{refused}",
+        figure=float(num_after),
+        unit=f"Gaussians from {num_before:,}",
+        reason="adaptive density control follows the gradients of projected centres",
+    )
+
+
+def _retrain_decision(stage: str, aggregate: Any, counts: Sequence[int], result: Any) -> Decision:
+    dropped = sum(counts) - len(result.splats)
+    if len(counts) == 1 and not aggregate.retrain_single:
+        choice, figure, unit, reason = "skipped", 1.0, "models", "a single model would only learn from its own pictures"
+    elif aggregate.drop_unseen:
+        choice = f"{result.num_steps:,} steps; {dropped:,} of {sum(counts):,} Gaussians were left out first"
+        figure, unit = 100 * dropped / max(1, sum(counts)), "% of the Gaussians"
+        reason = "only another model's cameras see what was left out"
+    else:
+        choice = f"{result.num_steps:,} steps on all Gaussians and whole pictures"
+        figure, unit, reason = float(result.num_steps), "steps", _BY_PRESET
+    return Decision(
+        stage=stage, topic="retraining", choice=choice, figure=figure, unit=unit, reason=reason, forced=not aggregate.drop_unseen
+    )
+
+
+def _blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
+    return Decision(
+        stage=stage,
+        topic="blind spots",
+        choice=f"kept {merged.num_filled:,} Gaussians outside their own region and dropped {merged.num_dropped:,}",
+        figure=100 * merged.num_filled / max(1, len(merged.splats)),
+        unit="% of the scene",
+        reason="the owner of that place has no Gaussian near it" if wanted else _BY_PRESET,
+        forced=not wanted,
     )

@@ -88,13 +88,14 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> CloudP
     held_out = held_out_mask(scene.cameras.names)
     training = scene.restricted_to(np.flatnonzero(~held_out))
     origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
-    _, cloud_plan, edge_plans = plan_stage(config, system, training.cameras.centers[:, :2], origin, progress)
+    system, cloud_plan, edge_plans = plan_stage(config, system, training.cameras.centers[:, :2], origin, progress)
     train, aggregate, backend = training_settings(config, progress)
     _require_size(scene, train)
     dealer = SharedDealer(
         run=config.out,
         images=images,
         scene=training,
+        system=system,
         cloud_plan=cloud_plan,
         edge_plans=edge_plans,
         train=train,

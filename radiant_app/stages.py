@@ -10,7 +10,7 @@ from radiant_app.config import RunConfig
 from radiant_app.events import Decided, Event, Listener, StageSkipped
 from radiant_app.nodes import read_notes
 from radiant_app.run_folder import Manifest
-from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
@@ -91,8 +91,8 @@ def training_settings(config: RunConfig, progress: Progress) -> tuple[TrainConfi
     backend = resolve_backend("auto")
     preset = replace(train_preset(config.train_preset), seed=config.seed)
     train, decisions = fit_to_backend(preset, backend, config.overrides)
-    aggregate = AggregateConfig(preset=config.aggregate_preset)
-    if backend == "reference":
+    aggregate = aggregate_preset(config.aggregate_preset)
+    if backend == "reference" and train.reduce_on_cpu:
         aggregate = replace(aggregate, max_num_steps=REFERENCE_RETRAIN_STEPS)
         decisions = (*decisions, _retrain_decision())
     for decision in decisions:

@@ -15,6 +15,11 @@
     max_cameras = 400                    # left out: no limit
     relative_speed = 2.0                 # divides init_s and train_s
 
+    [cloud]                              # limits of retraining at the cloud, where it is asked for; beyond them it crop-merges
+    memory_gb = 16.0                     # each left out: no limit
+    time_s = 3600.0
+    max_cameras = 2000
+
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
 left out has the value above, except position, memory limit (none) and relative_speed (1).
 """
@@ -30,12 +35,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.system import Device, Edge, System
+from radiant_core.plan.system import Cloud, Device, Edge, System
 
 MAX_FILE_BYTES = 1 << 20
 """A fleet of thousands fits; a file of another kind given by mistake does not."""
 _BYTES_PER_S_PER_MBIT = 1e6 / 8
-_BYTES_PER_MB = 1e6
+_BYTES_PER_MB, _BYTES_PER_GB = 1e6, 1e9
 
 _NonNegative = Annotated[float, Field(ge=0, le=1e12)]
 _Positive = Annotated[float, Field(gt=0, le=1e12)]
@@ -107,8 +112,19 @@ class _Edge(_Strict):
         )
 
 
+class _Cloud(_Strict):
+    memory_gb: _NonNegative | None = None
+    time_s: _NonNegative | None = None
+    max_cameras: Annotated[int, Field(ge=0)] | None = None
+
+    def built(self) -> Cloud:
+        memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
+        return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras)
+
+
 class _File(_Strict):
     edge: Annotated[list[_Edge], Field(min_length=1)]
+    cloud: _Cloud = _Cloud()
 
 
 def load_system(path: Path) -> System:
@@ -119,7 +135,8 @@ def load_system(path: Path) -> System:
     except (ValueError, RecursionError) as error:  # ValueError: also integers of thousands of digits
         raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
     try:
-        return System(edges=tuple(edge.built() for edge in _File.model_validate(tables).edge))
+        file = _File.model_validate(tables)
+        return System(edges=tuple(edge.built() for edge in file.edge), cloud=file.cloud.built())
     except ValidationError as error:
         raise BadInput(f"{path}: {_sentence(error)}") from error
     except BadInput as error:
@@ -128,7 +145,7 @@ def load_system(path: Path) -> System:
 
 def dump_system(system: System) -> str:
     """The system as TOML text that `load_system` reads back, curves written out."""
-    return "\n".join(line for edge in system.edges for line in _edge_lines(edge)) + "\n"
+    return "\n".join([*(line for edge in system.edges for line in _edge_lines(edge)), *_cloud_lines(system.cloud)]) + "\n"
 
 
 def even_system(num_edges: int, devices_per_edge: int) -> System:
@@ -191,6 +208,16 @@ def _device_lines(device: Device) -> list[str]:
         _bandwidth_line(device.uplink_bytes_per_s),
         *([] if device.max_cameras is None else [f"max_cameras = {device.max_cameras}"]),
     ]
+
+
+def _cloud_lines(cloud: Cloud) -> list[str]:
+    limits = {
+        "memory_gb": None if cloud.memory_bytes is None else cloud.memory_bytes / _BYTES_PER_GB,
+        "time_s": cloud.time_s,
+        "max_cameras": cloud.max_cameras,
+    }
+    lines = [f"{name} = {limit}" for name, limit in limits.items() if limit is not None]
+    return ["[cloud]", *lines] if lines else []
 
 
 def _bandwidth_line(bytes_per_s: float) -> str:

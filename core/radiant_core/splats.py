@@ -17,6 +17,8 @@ SH_BASES = (1, 4, 9, 16)
 SH_C0 = 0.28209479177387814
 """Value of the constant basis function, sqrt(1/4π): colour = 0.5 + SH_C0 · sh0."""
 
+_MORTON_MASKS = (0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30C30C30C30C3, 0x1249249249249249)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Splats:
@@ -71,3 +73,19 @@ def concatenate_splats(parts: Sequence[Splats]) -> Splats:
     bases = max(part.shN.shape[1] for part in parts)
     padded = [{**part.arrays(), "shN": np.pad(part.shN, ((0, 0), (0, bases - part.shN.shape[1]), (0, 0)))} for part in parts]
     return Splats(**{name: np.concatenate([arrays[name] for arrays in padded]) for name in padded[0]})
+
+
+def morton_order(means: ArrayLike) -> NDArray[np.int64]:
+    """Order (N,) of points (N,3) along a Z curve: neighbours in space stand near each other in memory. 21 bits an axis; stable.
+
+    The bits of a coordinate are spread by doubling gaps (x | x ≪ 32, 16, 8, 4, 2), five steps for any number of bits.
+    """
+    points = np.asarray(means, np.float64)
+    if not len(points):
+        return np.zeros(0, np.int64)
+    low, high = points.min(0), points.max(0)
+    side = float((high - low).max()) or 1.0
+    cells = ((points - low) / side * (2**21 - 1)).astype(np.uint64)
+    for shift, mask in zip((32, 16, 8, 4, 2), _MORTON_MASKS, strict=True):
+        cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
+    return np.argsort(cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2)), kind="stable")

@@ -56,17 +56,6 @@ def drone_scene(size: SceneSize, seed: int = 0) -> tuple[Splats, Cameras]:
     return _splats(points[chosen], normals[chosen], spacing_m, rng), cameras
 
 
-def morton_order(splats: Splats, bits: int = 10) -> Splats:
-    """The same Gaussians along a Z curve through their means: neighbours in space stand near each other in memory."""
-    low, high = splats.means.min(0), splats.means.max(0)
-    cells = ((splats.means - low) / np.maximum(high - low, 1e-9) * (2**bits - 1)).astype(np.uint64)
-    codes = np.zeros(len(splats), dtype=np.uint64)
-    for bit in range(bits):
-        for axis in range(3):
-            codes |= ((cells[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return splats.select(np.argsort(codes, kind="stable"))
-
-
 def drone_camera(size: SceneSize) -> Cameras:
     """60 m above the ground, 20° from straight down."""
     cam_from_world = np.eye(4)

@@ -20,14 +20,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from radiant_app.bench.drone_scene import SIZES, drone_scene, morton_order
+from radiant_app.bench.drone_scene import SIZES, drone_scene
 from radiant_app.bench.raster_accuracy import image_gradient, num_pairs, render, tile_errors
 from radiant_app.progress import tracked
 from radiant_core import _native
 from radiant_core.cameras import Cameras
 from radiant_core.evaluate.metric import Direction, Metric
 from radiant_core.render.contract import SplatTensors
-from radiant_core.splats import Splats
+from radiant_core.splats import Splats, morton_order
 from radiant_core.train.losses import weighted_loss
 from radiant_core.train.native_loss import TargetStatistics, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
@@ -75,7 +75,7 @@ def _bench_size(size: str) -> list[Metric]:
     threads = torch.get_num_threads()
     cases = [
         Case(key=f"raster.{size}.{order}.native", splats=model, cameras=cameras)
-        for order, model in (("random", splats), ("morton", morton_order(splats)))
+        for order, model in (("random", splats), ("morton", splats.select(morton_order(splats.means))))
     ]
     peaks = []
     for _ in tracked(range(NUM_ROUNDS[size]), f"bench raster {size}"):

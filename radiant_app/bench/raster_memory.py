@@ -26,13 +26,18 @@ def main(file: str, size: str, threads: int) -> None:
         for leaf in leaves.tensors().values():
             leaf.grad = None
         render(leaves, drone_camera(SIZES[size])).images.sum().backward()
-    print(_status_bytes("VmHWM") - before)
+    print(peak_bytes() - before)
 
 
 def reset_peak_bytes() -> int:
     """Resident bytes now; the peak is counted from here on, since imports alone may have peaked higher (Linux)."""
     Path("/proc/self/clear_refs").write_text("5")
     return _status_bytes("VmRSS")
+
+
+def peak_bytes() -> int:
+    """The highest resident bytes since `reset_peak_bytes`."""
+    return _status_bytes("VmHWM")
 
 
 def _status_bytes(name: str) -> int:

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from radiant_app.bench import raster as bench
-from radiant_app.bench.drone_scene import SHARE_IN_FRUSTUM, SceneSize, drone_scene, morton_order
+from radiant_app.bench.drone_scene import SHARE_IN_FRUSTUM, SceneSize, drone_scene
+from radiant_core.splats import morton_order
 
 TINY = SceneSize(num_splats=2000, width=80, height=60)
 
@@ -22,7 +23,7 @@ def test_84_percent_stand_in_the_frustum() -> None:
 
 def test_morton_order_brings_neighbours_together_and_loses_none() -> None:
     splats, _ = drone_scene(TINY)
-    ordered = morton_order(splats)
+    ordered = splats.select(morton_order(splats.means))
     steps_m = [np.linalg.norm(np.diff(model.means, axis=0), axis=1).mean() for model in (splats, ordered)]
     assert steps_m[1] < 0.2 * steps_m[0]
     np.testing.assert_array_equal(np.sort(ordered.means[:, 0]), np.sort(splats.means[:, 0]))

@@ -33,10 +33,11 @@ class MergeResult:
     """Cut away."""
 
 
-def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray) -> MergeResult:
+def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray, *, fill_blind_spots: bool = True) -> MergeResult:
     """Merge M models by the power diagram of `sites` (M,2) m with `weights` (M,) m²: Gaussian x belongs to argmin ‖x − s‖² − w.
 
-    Regions reach to infinity, so every place has exactly one owner. Raises BadInput when the counts differ or there is no model.
+    Regions reach to infinity, so every place has exactly one owner. Without `fill_blind_spots` it is a plain cut. Raises BadInput when
+    the counts differ or there is no model.
     """
     if not models:
         raise BadInput("no models to merge: pass at least one.")
@@ -46,7 +47,7 @@ def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray)
     kept, num_filled = [], 0
     for index, model in enumerate(models):
         own = owners[index] == index
-        filled = _blind_spots(model, owners[index], index, models, owners)
+        filled = _blind_spots(model, owners[index], index, models, owners) if fill_blind_spots else np.zeros(len(model), dtype=bool)
         num_filled += int(filled.sum())
         kept.append(model.select(own | filled))
     total = sum(len(model) for model in models)

@@ -1,4 +1,7 @@
-"""Retraining at an edge: all device models together, taught by their own synthetic views (paper Sec. III-D, Fig. 6). Once per edge."""
+"""Retraining at an edge or the cloud: all models together, taught by their own synthetic views (paper Sec. III-D, Fig. 6). Once per node.
+
+Gaussians move but are neither added nor pruned: the paper densifies on devices, from step 500 of their 20,000 on.
+"""
 
 from __future__ import annotations
 
@@ -26,20 +29,24 @@ _STEPS = {
 def retrain_on_synthetic_views(
     models: Sequence[Splats], cameras: Sequence[Cameras], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions
 ) -> TrainResult:
-    """Concatenate what `models` know and retrain it on what each shows at its own `cameras` (one set per model).
+    """Concatenate `models`, or what they know, and retrain that on what each shows at its own `cameras` (one set per model).
 
-    A single model is its own teacher and comes back unchanged. Raises BadInput when the counts differ.
+    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single`. Raises BadInput when the counts differ.
     """
     if len(models) != len(cameras) or not models:
         raise BadInput(f"{len(models)} models with {len(cameras)} sets of cameras: give one set per model, at least one.")
-    if len(models) == 1:
+    if len(models) == 1 and not aggregate.retrain_single:
         return TrainResult(splats=models[0], num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)
-    merged = concatenate_splats([model.select(known) for model, known in zip(models, known_parts(models, cameras), strict=True)])
     views = teacher_views(models, cameras, train.long_side_px)
+    if not aggregate.weight_by_alpha:
+        views = replace(views, weights=None)
+    if aggregate.drop_unseen:
+        models = [model.select(known) for model, known in zip(models, known_parts(models, cameras), strict=True)]
+    merged = concatenate_splats(models)
     num_steps = aggregate.num_epochs * len(views)
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
-    config = replace(train, num_steps=num_steps, sh_degree=merged.sh_degree)
+    config = replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, sh_degree_every=0, densify="none")
     return fit_splats(merged, views, config, replace(options, steps=_STEPS[aggregate.preset]))
 
 

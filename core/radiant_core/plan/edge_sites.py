@@ -36,7 +36,7 @@ def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayL
     num_free = len(located) - len(given)
     free = iter(_seeded_positions(positions, np.array(given).reshape(-1, 2), num_free, seed))
     edges = [edge if edge.position is not None else _moved_to(edge, next(free)) for edge in located]
-    return System(edges=tuple(edges))
+    return replace(system, edges=tuple(edges))
 
 
 def separated_sites(sites: FloatArray, extent_m: float) -> FloatArray:

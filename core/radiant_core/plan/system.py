@@ -66,10 +66,29 @@ class Edge:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Cloud:
+    """What the cloud can spend on retraining the joined scene; None: no limit. Where a limit is exceeded it crop-merges."""
+
+    memory_bytes: float | None = None
+    """Memory of the cloud's process."""
+    time_s: float | None = None
+    """Seconds of retraining."""
+    max_cameras: int | None = None
+    """|C_max| at the cloud: how many views it can retrain on."""
+
+    def __post_init__(self) -> None:
+        for name in ("memory_bytes", "time_s", "max_cameras"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value >= 0):
+                raise BadInput(f"cloud: {name} is {value}, expected a finite number of at least 0, or nothing for no limit.")
+
+
+@dataclass(frozen=True, kw_only=True)
 class System:
-    """All edges. Raises BadInput without edges, or when an edge or device id comes twice."""
+    """All edges and the cloud. Raises BadInput without edges, or when an edge or device id comes twice."""
 
     edges: tuple[Edge, ...]
+    cloud: Cloud = Cloud()
 
     def __post_init__(self) -> None:
         if not self.edges:

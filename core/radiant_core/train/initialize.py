@@ -32,24 +32,24 @@ def initial_splats(
     *,
     max_num_splats: int,
     sh_degree: int,
-    sky_rgb: ArrayLike = SKY_RGB,
+    sky_rgb: ArrayLike | None = SKY_RGB,
 ) -> Splats:
     """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour where cameras look above the horizon.
 
-    At most `max_num_splats`, a quarter of them sky. Duplicate points are merged; when there are too many, they are thinned out evenly
-    along x, their sorted order. Raises BadInput with fewer than 4 different points.
+    At most `max_num_splats`, a quarter of them sky, none where `sky_rgb` is None. Duplicate points are merged; when there are too many,
+    they are thinned out evenly along x, their sorted order. Raises BadInput with fewer than 4 different points.
     """
     points, first = np.unique(np.asarray(points, np.float64), axis=0, return_index=True)
     colors = np.asarray(colors)[first]
     if len(points) < 4:
         raise BadInput(f"only {len(points)} different sparse points, expected at least 4: take more overlapping photographs.")
-    sky = _sky_points(points, cameras, min(NUM_SKY, max_num_splats // 4))
+    sky = _sky_points(points, cameras, 0 if sky_rgb is None else min(NUM_SKY, max_num_splats // 4))
     kept = np.unique(np.linspace(0, len(points) - 1, max(4, min(len(points), max_num_splats - len(sky)))).astype(np.int64))
     points, colors = points[kept], colors[kept]
     spacing = _neighbour_distance(points)
     sky_radius = np.linalg.norm(sky - sky.mean(0), axis=1).max() if len(sky) else 0.0
     scales = np.concatenate([spacing, np.full(len(sky), 1.5 * sky_radius / np.sqrt(max(1, len(sky))))])
-    rgb = np.concatenate([colors / 255.0, np.broadcast_to(sky_rgb, (len(sky), 3))])
+    rgb = np.concatenate([colors / 255.0, np.broadcast_to(SKY_RGB if sky_rgb is None else sky_rgb, (len(sky), 3))])
     opacities = np.repeat([INITIAL_OPACITY, SKY_OPACITY], [len(points), len(sky)])
     means = np.concatenate([points, sky]).astype(np.float32)
     count = len(means)
@@ -64,12 +64,13 @@ def initial_splats(
 
 
 def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:
-    """The Gaussians that training starts from: sparse points, fill-in points and a sky; and how many were filled in.
+    """The Gaussians that training starts from: sparse points and, where `config` wants them, fill-in points and a sky; and how many
+    were filled in.
 
     `views.cameras` are those of the scene in the same order. Fill-in gets what the limit leaves, at least a quarter of it.
     """
     limit = config.max_num_splats
-    fill = fill_in_points(scene, views).thinned(max(limit - len(scene.points), limit // 4))
+    fill = fill_in_points(scene, views).thinned(max(limit - len(scene.points), limit // 4) if config.fill_in else 0)
     kept = np.linspace(0, len(scene.points) - 1, max(1, min(len(scene.points), limit - len(fill.points)))).astype(np.int64)
     initial = initial_splats(
         np.concatenate([scene.points[kept], fill.points]),
@@ -77,7 +78,7 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
         views.cameras,
         max_num_splats=limit,
         sh_degree=config.sh_degree,
-        sky_rgb=_sky_rgb(views),
+        sky_rgb=_sky_rgb(views) if config.sky else None,
     )
     return initial, len(fill.points)
 

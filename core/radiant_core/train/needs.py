@@ -33,8 +33,10 @@ _UNITS = {"long_side_px": "px", "num_steps": "steps", "max_num_splats": "Gaussia
 
 def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """The configuration that this backend can carry, and a decision for each number that differs from the preset."""
-    limits = _LIMITS.get(backend, Overrides())
+    limits = _LIMITS.get(backend, Overrides()) if config.reduce_on_cpu else Overrides()
     decisions = []
+    if backend in _LIMITS and not config.reduce_on_cpu:
+        decisions.append(_unreduced_decision(overrides.num_steps or config.num_steps, backend))
     for field, unit in _UNITS.items():
         asked, wanted, limit = getattr(overrides, field), getattr(config, field), getattr(limits, field)
         if asked is not None:
@@ -57,3 +59,15 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
             )
         )
     return config, tuple(decisions)
+
+
+def _unreduced_decision(num_steps: int, backend: str) -> Decision:
+    return Decision(
+        stage="train",
+        topic="size",
+        choice="nothing is reduced for a CPU",
+        figure=float(num_steps),
+        unit="steps",
+        reason=f"the preset is to be followed as it is; with the {backend} renderer its full size takes hours",
+        forced=True,
+    )

@@ -73,6 +73,32 @@ class SelectiveAdam:
         """First and second moments of a tensor, in its shape; changed in place by each step."""
         return self._groups[name].first_moments, self._groups[name].second_moments
 
+    def zero_moments(self, name: str) -> None:
+        """Forget both moments of a tensor, not its step counts; a name that is not optimised is left alone."""
+        if name in self._groups:
+            for moments in self.moments(name):
+                moments.zero_()
+
+    @torch.no_grad()
+    def select_rows(self, tensors: Mapping[str, Tensor], rows: Tensor, fresh: Tensor) -> None:
+        """Go on with `tensors`, whose row i stands for the old row rows[i] (M,): its moments and step count come along.
+
+        Where `fresh` (M,) is True, a new Gaussian, both are zero. Other names in `tensors` are left alone; gradients are forgotten.
+        Raises BadInput where one is missing, is not contiguous, or has another number of rows; then nothing was changed.
+        """
+        for name in self._groups:
+            if name not in tensors or len(tensors[name]) != len(rows) or not tensors[name].is_contiguous():
+                raise BadInput(f"{name} is missing, not contiguous or has other than {len(rows)} rows: pass each optimised tensor's rows.")
+        for name, group in self._groups.items():
+            group.tensor = tensors[name].requires_grad_()
+            group.tensor.grad = None
+            for moments in ("first_moments", "second_moments"):
+                chosen = getattr(group, moments)[rows]
+                chosen[fresh] = 0
+                setattr(group, moments, chosen)
+        self._row_steps = self._row_steps[rows]
+        self._row_steps[fresh] = 0
+
     def zero_grad(self) -> None:
         """Forget the gradients."""
         for group in self._groups.values():

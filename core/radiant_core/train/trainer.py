@@ -1,14 +1,14 @@
 """Fits Gaussians to views by Adam on the rendering loss (Kerbl 2023). The same loop trains devices and retrains edges.
 
 Once per model; the loop body once per step: render one view, loss, backward, one Adam step over the
-Gaussians it saw, or over all (`config.adam`).
+Gaussians it saw, or over all (`config.adam`), and density control where its schedule says so (`density.py`).
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,7 @@ from radiant_core.errors import StageFailed
 from radiant_core.render.contract import Backend, SplatTensors, device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.density import AdaptiveDensity, DensityCounts
 from radiant_core.train.initialize import camera_extent
 from radiant_core.train.native_loss import StatisticsCache, TargetStatistics, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
@@ -62,6 +63,8 @@ class TrainResult:
     last_loss: float
     """Mean loss of the last tenth."""
     seconds: float
+    density: DensityCounts = field(default_factory=DensityCounts)
+    """What density control did; zeros without it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +85,9 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
     renderer for inputs that are not.
     """
     splats = SplatTensors.from_splats(initial, device=device_of(resolve_backend(options.backend)))
-    optimizer, means_rate = _optimizer(splats, camera_extent(views.cameras), config, options.steps)
+    extent = camera_extent(views.cameras)
+    optimizer, means_rate = _optimizer(splats, extent, config, options.steps)
+    density = AdaptiveDensity(config, extent, splats) if config.densify == "adc" else None
     viewmats = torch.tensor(views.cameras.cam_from_world, dtype=torch.float32)
     Ks = torch.tensor(views.cameras.Ks, dtype=torch.float32)
     statistics = StatisticsCache()
@@ -90,14 +95,17 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
     started = last_report = options.clock()
     reported = 0
     for step, view in enumerate(_view_order(len(views), config.num_steps, config.seed)):
-        optimizer.set_rate("means", means_rate * 0.01 ** (step / config.num_steps))
+        optimizer.set_rate("means", means_rate * config.means_lr_end ** (step / config.num_steps))
         target = statistics.get(view, partial(_target, views, view)), _weights(views, view)
         if step % STEPS_BETWEEN_LIMITS == 0:
             _limit_scales(splats, views, config)
-        loss = _step(splats, optimizer, (viewmats[view : view + 1], Ks[view : view + 1]), target, config, options.backend)
+        camera = viewmats[view : view + 1], Ks[view : view + 1]
+        loss = _Step(number=step + 1, config=config, backend=options.backend, density=density).take(splats, optimizer, camera, target)
         if not np.isfinite(loss):
             raise StageFailed(f"training: the loss became {loss} at step {step + 1}: lower the learning rates or check the photographs.")
         losses.append(loss)
+        if density is not None:
+            splats = density.after_step(step + 1, splats, optimizer)
         now = options.clock()
         if now - last_report >= options.report_every_s or step + 1 == config.num_steps:
             options.report(TrainProgress(step=step + 1, num_steps=config.num_steps, loss=float(np.mean(losses[reported:]))))
@@ -110,6 +118,7 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
         first_loss=float(np.mean(losses[:tenth])),
         last_loss=float(np.mean(losses[-tenth:])),
         seconds=options.clock() - started,
+        density=DensityCounts() if density is None else density.counts,
     )
 
 
@@ -128,36 +137,43 @@ def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: 
     return SelectiveAdam(tensors, moving), rates["means"] * steps.means
 
 
-def _step(
-    splats: SplatTensors,
-    optimizer: SelectiveAdam,
-    camera: tuple[Tensor, Tensor],
-    target: tuple[TargetStatistics, Tensor | None],
-    config: TrainConfig,
-    backend: Backend,
-) -> float:
-    statistics, weights = target
-    height, width = statistics.target.shape[:2]
-    output = rasterize(splats, *camera, width, height, sh_degree=min(config.sh_degree, _degree(splats)), backend=backend)
-    loss = target_loss(output.images.view(height, width, 3), statistics, weights, config.ssim_weight)
-    if loss.requires_grad:
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step(output.visible if config.adam == "visible" else None)
-    return float(loss.detach())
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Step:
+    """One step of a run; `number` counts from 1."""
+
+    number: int
+    config: TrainConfig
+    backend: Backend
+    density: AdaptiveDensity | None
+
+    def take(
+        self, splats: SplatTensors, optimizer: SelectiveAdam, camera: tuple[Tensor, Tensor], target: tuple[TargetStatistics, Tensor | None]
+    ) -> float:
+        statistics, weights = target
+        height, width = statistics.target.shape[:2]
+        output = rasterize(splats, *camera, width, height, sh_degree=self._sh_degree(splats), backend=self.backend)
+        loss = target_loss(output.images.view(height, width, 3), statistics, weights, self.config.ssim_weight)
+        if loss.requires_grad:
+            if self.density is not None:
+                self.density.watch(self.number, output, (width, height))
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step(output.visible if self.config.adam == "visible" else None)
+        return float(loss.detach())
+
+    def _sh_degree(self, splats: SplatTensors) -> int:
+        every = self.config.sh_degree_every
+        allowed = self.number // self.config.scaled_steps(every) if every else self.config.sh_degree
+        return min(self.config.sh_degree, SH_BASES.index(splats.shN.shape[1] + 1), allowed)
 
 
 def _limit_scales(splats: SplatTensors, views: TrainingViews, config: TrainConfig) -> None:
-    if config.max_scale_per_distance == np.inf:
+    if config.max_scale_per_distance is None:
         return
     distances, _ = KDTree(views.cameras.centers).query(splats.means.detach().cpu().numpy().astype(np.float64))
     limits = np.log(np.maximum(config.max_scale_per_distance * distances, np.finfo(np.float32).tiny))
     with torch.no_grad():
         splats.log_scales.clamp_(max=torch.from_numpy(limits).to(splats.log_scales)[:, None])
-
-
-def _degree(splats: SplatTensors) -> int:
-    return SH_BASES.index(splats.shN.shape[1] + 1)
 
 
 def _target(views: TrainingViews, view: int) -> Tensor:

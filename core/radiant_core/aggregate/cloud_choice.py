@@ -1,0 +1,81 @@
+"""Whether the cloud can retrain what it was sent, from predicted memory and time (paper Sec. III-D: else it merges). Once per merge.
+
+    memory = 0.3 GB + N (7 b + 500) + 4 Σ_v p_v + min(36 Σ_v p_v, 1 GiB) + 100 max_v p_v    bytes
+    time   = Σ_e T_e N / N_e                                                                 seconds
+
+N Gaussians of b bytes each, p_v pixels of view v, T_e seconds that edge e took (or is said to take) to aggregate its N_e Gaussians: a
+step of dense Adam touches all of them. 0.3 GB is the process with its libraries; seven copies are the models, their sum, the tensors
+that move with gradient and two moments, and the result; 500 bytes are the rasterizer's; a view keeps 4 bytes a pixel, the loss 36 of
+its own (`StatisticsCache`), the step on one view 100. `python -m radiant_app.bench.retrain_memory` measures it, tests/stress compares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.plan.system import Cloud
+from radiant_core.splats import Splats
+from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+
+PROCESS_BYTES = 300_000_000
+COPIES = 7
+RASTERIZER_BYTES_PER_SPLAT = 500
+VIEW_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 4, 36, 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudNeeds:
+    """What retraining at the cloud is predicted to take."""
+
+    num_cameras: int
+    memory_bytes: float
+    time_s: float | None
+    """None where no time of any edge is known."""
+
+
+def retrain_memory_bytes(num_splats: int, bytes_per_splat: float, pixels_per_view: Sequence[int]) -> float:
+    """Peak memory in bytes of a process that retrains N Gaussians on views of so many pixels."""
+    pixels = sum(pixels_per_view)
+    models = num_splats * (COPIES * bytes_per_splat + RASTERIZER_BYTES_PER_SPLAT)
+    statistics = min(STATISTICS_BYTES_PER_PX * pixels, STATISTICS_BUDGET_BYTES)
+    return PROCESS_BYTES + models + VIEW_BYTES_PER_PX * pixels + statistics + STEP_BYTES_PER_PX * max(pixels_per_view, default=0)
+
+
+def cloud_needs(
+    models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, edge_times_s: Sequence[float] | None
+) -> CloudNeeds:
+    """Needs of retraining edge models at their virtual cameras, whose pictures are reduced to `long_side_px`; times (E,) of the edges."""
+    counts = [len(model) for model in models]
+    total = sum(counts)
+    pixels = [int(width * height) for views in cameras for width, height in views.scaled(long_side_px).sizes_wh]
+    bytes_per_splat = max((model.num_bytes / len(model) for model in models if len(model)), default=0.0)
+    time_s = None
+    if edge_times_s is not None:
+        if len(edge_times_s) != len(models):
+            raise BadInput(f"{len(edge_times_s)} times for {len(models)} edges: give one per edge.")
+        time_s = sum(seconds * total / max(1, count) for seconds, count in zip(edge_times_s, counts, strict=True))
+    return CloudNeeds(num_cameras=len(pixels), memory_bytes=retrain_memory_bytes(total, bytes_per_splat, pixels), time_s=time_s)
+
+
+def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str) -> tuple[bool, Decision]:
+    """Whether the cloud retrains (else it crop-merges), and the decision with the figure that came nearest to its limit or beyond."""
+    figures = [
+        ("memory", needs.memory_bytes / 1e9, None if cloud.memory_bytes is None else cloud.memory_bytes / 1e9, "GB"),
+        ("time", needs.time_s, cloud.time_s, "s"),
+        ("views", float(needs.num_cameras), None if cloud.max_cameras is None else float(cloud.max_cameras), "cameras"),
+    ]
+    limited = [(name, figure, limit, unit) for name, figure, limit, unit in figures if limit is not None and figure is not None]
+    if not limited:
+        name, figure, unit = "memory", needs.memory_bytes / 1e9, "GB"
+        retrains, reason = True, "its predicted memory; the system file sets the cloud no limit"
+    else:
+        name, figure, limit, unit = max(limited, key=lambda item: item[1] / item[2] if item[2] else float("inf"))
+        retrains = figure <= limit
+        word = "is within" if retrains else "exceeds"
+        reason = f"the predicted {name} of retraining, {figure:.3g} {unit}, {word} the cloud's limit of {limit:.3g} {unit}"
+    choice = "retraining, as at the edges" if retrains else "crop-merge instead of retraining"
+    return retrains, Decision(stage=stage, topic="aggregation", choice=choice, figure=figure, unit=f"{unit} predicted", reason=reason)

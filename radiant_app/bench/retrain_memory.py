@@ -1,0 +1,54 @@
+"""A process of its own that retrains two made-up edge models as the cloud does, and prints by how many bytes its memory grew at most.
+
+python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE        (the constants of `aggregate/cloud_choice.py`)
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from radiant_app.bench.drone_scene import SceneSize, drone_scene
+from radiant_app.bench.raster_memory import peak_bytes, reset_peak_bytes
+from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.cameras import Cameras
+from radiant_core.splats import SH_BASES
+from radiant_core.train.config import train_preset
+from radiant_core.train.trainer import FitOptions
+
+
+def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int) -> None:
+    """Print the growth of the peak resident memory in bytes; every view is shown once."""
+    splats, camera = drone_scene(SceneSize(num_splats=num_splats, width=long_side_px, height=long_side_px * 3 // 4))
+    splats = replace(splats, shN=np.zeros((num_splats, SH_BASES[sh_degree] - 1, 3), np.float32))
+    half = num_splats // 2
+    models = [splats.select(np.arange(half)), splats.select(np.arange(half, num_splats))]
+    del splats
+    cameras = [_copies(camera, range(half_views.start, half_views.stop)) for half_views in _halves(num_views)]
+    aggregate = replace(aggregate_preset("paper"), max_num_steps=num_views)
+    model_bytes = sum(model.num_bytes for model in models)
+    before = reset_peak_bytes()
+    retrain_on_synthetic_views(models, cameras, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, FitOptions())
+    # The models themselves were there before the count began.
+    print(peak_bytes() - before + model_bytes)
+
+
+def _halves(count: int) -> tuple[range, range]:
+    return range(count // 2), range(count // 2, count)
+
+
+def _copies(camera: Cameras, numbers: range) -> Cameras:
+    one = camera.select([0])
+    return Cameras(
+        names=tuple(f"view-{number}" for number in numbers),
+        Ks=np.repeat(one.Ks, len(numbers), axis=0),
+        cam_from_world=np.repeat(one.cam_from_world, len(numbers), axis=0),
+        sizes_wh=np.repeat(one.sizes_wh, len(numbers), axis=0),
+    )
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:5]))

@@ -1,0 +1,66 @@
+"""The cloud's retraining (paper Sec. III-D): what the cloud is dealt for it, and how its node decides and does it. Once per run.
+
+The cloud gets virtual cameras of each edge and how long its aggregation took, never a device's id, count or pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.events import Decided, Event
+from radiant_app.inbox import Inbox
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.io.run_store import content_key, read_json
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.system import System
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig
+
+
+def virtual_cameras_of(folder: Path, cameras: Sequence[Cameras], splats: Splats) -> Cameras:
+    """Virtual cameras of the edge in `folder` for its devices' `cameras` and its own model.
+
+    They are drawn by a seed made of what the edge was sent: the same run gives the same cameras, and the cloud cannot undo the draw.
+    """
+    from radiant_core.aggregate.virtual_cameras import virtual_cameras
+
+    rng = np.random.default_rng(int(content_key(folder / "inbox")[:32], 16))
+    return virtual_cameras(concatenate_cameras(cameras), splats.means, rng)
+
+
+def retrain_settings(run: Path, edges: Sequence[str], plan: CloudPlan, system: System, aggregate: AggregateConfig) -> dict[str, Any]:
+    """What the cloud's task says besides the plan: how to aggregate, its limits and, where time is limited, seconds of each edge."""
+    settings: dict[str, Any] = {"aggregate": asdict(aggregate)}
+    if aggregate.cloud == "retrain":
+        settings["limits"] = asdict(system.cloud)
+        # Measured times differ from run to run: they are dealt only where they decide.
+        settings["edge_times_s"] = None if system.cloud.time_s is None else [_edge_time_s(run, edge, plan, system) for edge in edges]
+    return settings
+
+
+def retrained_at_cloud(task: dict[str, Any], inbox: Inbox, stage: str, emit: Callable[[Event], None], options: Any) -> Any:
+    """The TrainResult of retraining at the cloud, or None where its limits forbid it; the choice is emitted as a decision."""
+    from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
+    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.plan.system import Cloud
+
+    train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
+    needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, task["edge_times_s"])
+    retrains, decision = choose_at_cloud(needs, Cloud(**task["limits"]), stage)
+    emit(Decided(decision=decision))
+    return retrain_on_synthetic_views(inbox.models, inbox.cameras, train, aggregate, options) if retrains else None
+
+
+def _edge_time_s(run: Path, edge: str, plan: CloudPlan, system: System) -> float:
+    """Seconds that the edge's retraining took; by its cost curve where it did none."""
+    summary = read_json(run / "edges" / edge / "summary.json", ("train_s", "num_steps"))
+    if summary["num_steps"]:
+        return float(summary["train_s"])
+    row = plan.edge_ids.index(edge)
+    return float(system.edges[row].aggregate_s(int(plan.counts[row])))
