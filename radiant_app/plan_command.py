@@ -148,7 +148,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
     cloud = made.cloud
     idle = [name for plan in made.edges for name in plan.device_ids if not len(plan.cameras_of(name))]
     if idle:
-        warnings = (*warnings, f"{len(idle)} devices get no camera: {', '.join(idle)}.")
+        warnings = (*warnings, f"Devices without anything to capture: {', '.join(idle)}.")
     return {
         "makespan_s": cloud.makespan_s,
         "lower_bound_s": cloud.lower_bound_s,

@@ -44,8 +44,8 @@ def _local(tag: str) -> str:
 
 
 def _add_placemark(rows: WaypointRows, placemark: Element) -> None:
-    name = next((child.text or "" for child in placemark if _local(child.tag) == "name"), "")
-    place = f"the placemark {name.strip()[:40]!r}" if name.strip() else f"the placemark after {len(rows.names)} waypoints"
+    name = next((child.text or "" for child in placemark if _local(child.tag) == "name"), "").strip()
+    place = f"the placemark {name[:40]!r}" if name else f"the placemark after {len(rows.names)} waypoints"
     for geometry in placemark.iter():
         kind = _local(geometry.tag)
         if kind in ("Polygon", "Track", "Model"):
@@ -56,7 +56,7 @@ def _add_placemark(rows: WaypointRows, placemark: Element) -> None:
         if not tuples or (kind == "Point" and len(tuples) > 1):
             raise BadInput(f"{place} has a {kind} with {len(tuples)} coordinates, expected longitude,latitude,altitude without blanks.")
         for index, written in enumerate(tuples, start=1):
-            _add_tuple(rows, place, f"{name}-{index}" if name.strip() and kind == "LineString" else name, written)
+            _add_tuple(rows, place, f"{name}-{index}" if name and kind == "LineString" else name, written)
 
 
 def _add_tuple(rows: WaypointRows, place: str, name: str, written: str) -> None:

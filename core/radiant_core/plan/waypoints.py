@@ -214,7 +214,7 @@ def _wrapped(degrees: FloatArray) -> FloatArray:
 
 
 def _count(some: int, of_all: int) -> str:
-    return f"{some} of {of_all} waypoints {'is' if some == 1 else 'are'}"
+    return f"{some} of {of_all} waypoints"
 
 
 def _named(names: Sequence[str], index: int) -> str:

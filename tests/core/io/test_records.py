@@ -18,6 +18,7 @@ from radiant_core.frames import Frame
 from radiant_core.io.records import (
     load_cameras,
     load_plan,
+    load_plan_waypoints,
     load_scene,
     load_splats,
     save_cameras,
@@ -27,6 +28,7 @@ from radiant_core.io.records import (
 )
 from radiant_core.numerics import rotmats_from_quats
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 
@@ -99,6 +101,10 @@ def some_plan() -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     return cloud, (north, south)
 
 
+def some_waypoints() -> Waypoints:
+    return Waypoints(names=("a", "ö b", 'c"'), lat_lon_alt=[[47.1, 8.1, 1 / 3], [47.2, 8.2, 0.0], [47.3, 8.3, -1.0]])
+
+
 def assert_same(a: Any, b: Any) -> None:
     """Equal down to type and bits, dataclasses and tuples field by field."""
     assert type(a) is type(b)
@@ -138,6 +144,45 @@ def test_plans_come_back_with_empty_regions(tmp_path: Path) -> None:
     cloud, edges = some_plan()
     save_plan(tmp_path / "plan.json", cloud, edges)
     assert_same(load_plan(tmp_path / "plan.json"), (cloud, edges))
+
+
+def test_a_plan_brings_its_waypoints_along(tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    save_plan(path, *some_plan())
+    assert load_plan_waypoints(path) is None
+    save_plan(path, *some_plan(), some_waypoints())
+    assert_same(load_plan(path), some_plan())
+    assert_same(load_plan_waypoints(path), some_waypoints())
+
+
+def test_waypoints_that_are_not_the_plans_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    with pytest.raises(BadInput, match="3 cameras, there are 2"):
+        save_plan(path, *some_plan(), some_waypoints().select([0, 1]))
+    assert not path.exists()
+    save_plan(path, *some_plan(), some_waypoints())
+    good = json.loads(path.read_text())
+    poison: list[tuple[str, Any]] = [
+        ("names", ["a", "b"]),
+        ("names", ["a", "b", "b"]),
+        ("names", "abc"),
+        ("lat_lon_alt", [[1, 2, 3]]),
+        ("lat_lon_alt", [[47, 8, 1], [47, 8, 1], [47, None, 1]]),
+        ("lat_lon_alt", [[147, 8, 1]] * 3),
+    ]
+    for name, value in poison:
+        path.write_text(json.dumps({**good, "waypoints": {**good["waypoints"], name: value}}))
+        for load in (load_plan, load_plan_waypoints):
+            with pytest.raises(BadInput, match=r"plan\.json"):
+                load(path)
+    for waypoints in ([], 3, "x", {}):
+        path.write_text(json.dumps({**good, "waypoints": waypoints}))
+        with pytest.raises(BadInput, match=r"plan\.json"):
+            load_plan_waypoints(path)
+    good["edges"][0]["camera_indices"] = [2, 0, 7]
+    path.write_text(json.dumps(good))
+    with pytest.raises(BadInput, match="deals camera 7 of 3"):
+        load_plan_waypoints(path)
 
 
 def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
@@ -192,8 +237,9 @@ def test_what_is_not_there_or_no_file_is_store_damaged(tmp_path: Path, load: Cal
         (lambda path: save_cameras(path, some_cameras(2)), load_cameras),
         (lambda path: save_scene(path, some_scene()), load_scene),
         (lambda path: save_plan(path, *some_plan()), load_plan),
+        (lambda path: save_plan(path, *some_plan(), some_waypoints()), load_plan_waypoints),
     ],
-    ids=["splats", "cameras", "scene", "plan"],
+    ids=["splats", "cameras", "scene", "plan", "plan with waypoints"],
 )
 def test_two_thousand_mutations_raise_our_errors_only(tmp_path: Path, save: Callable[[Path], None], load: Callable[[Path], Any]) -> None:
     path = tmp_path / "a.file"

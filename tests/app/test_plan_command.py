@@ -1,0 +1,161 @@
+"""`radiant plan` before capture: waypoints or photographs with GPS in, a plan with everything beside it out, or nothing at all."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from radiant_app.demo import sample_scenes_folder
+from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.progress import ProgressDisplay
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.frames import geodetic_from_enu
+from radiant_core.io.records import load_plan, load_plan_waypoints
+from radiant_core.io.waypoints import exif_waypoints, read_waypoints
+
+HAMLET = sample_scenes_folder() / "hamlet" / "images"
+SYSTEM = """
+[[edge]]
+id = "north"
+lat_lon_deg = [47.3705, 8.54]
+[[edge.device]]
+id = "n1"
+[[edge.device]]
+id = "n2"
+max_cameras = 0
+[[edge]]
+id = "south"
+lat_lon_deg = [47.3695, 8.54]
+[[edge.device]]
+id = "s1"
+"""
+
+
+def make_plan(source: Path, out: Path, system: Path | None = None, method: Any = "exact") -> dict[str, Any]:
+    display = ProgressDisplay(Console(file=io.StringIO()))
+    return plan(PlanRequest(source=source, out=out, system=system, method=method, seed=0), display)
+
+
+def grid_csv(folder: Path, columns: int, rows: int) -> Path:
+    east, north = np.meshgrid(np.linspace(-250, 250, columns), np.linspace(-125, 125, rows))
+    positions = np.column_stack([east.ravel(), north.ravel(), np.full(columns * rows, 60.0)])
+    lines = [f"wp{index},{lat},{lon},{alt}" for index, (lat, lon, alt) in enumerate(geodetic_from_enu(positions, (47.37, 8.54, 430.0)))]
+    path = folder / "flight.csv"
+    path.write_text("\n".join(["name,latitude,longitude,altitude", *lines]))
+    return path
+
+
+def test_1600_waypoints_become_a_plan_with_lists_and_regions(tmp_path: Path) -> None:
+    source = grid_csv(tmp_path, 40, 40)
+    (tmp_path / "system.toml").write_text(SYSTEM)
+    result = make_plan(source, tmp_path / "plan.json", tmp_path / "system.toml")
+    assert result["planned"] == 1600
+    assert result["status"] == "optimal"
+    assert result["warnings"] == "Devices without anything to capture: n2."
+    waypoints = load_plan_waypoints(tmp_path / "plan.json")
+    assert waypoints is not None
+    assert waypoints.names == read_waypoints(source).waypoints.names
+    cloud, edges = load_plan(tmp_path / "plan.json")
+    assert cloud.counts.sum() == 1600
+    # Sites lie where the file says, 55.6 m north and south of the middle (a second of latitude is 30.9 m).
+    np.testing.assert_allclose(cloud.sites[:, 1], [55.6, -55.6], atol=0.1)
+    listed = [
+        name
+        for plan_of_edge in edges
+        for device in plan_of_edge.device_ids
+        if len(plan_of_edge.cameras_of(device))
+        for name in read_waypoints(tmp_path / "plan_waypoints" / f"{device}.csv").waypoints.names
+    ]
+    assert sorted(listed) == sorted(waypoints.names)
+    assert (tmp_path / "plan_waypoints" / "n2.csv").read_text() == "latitude,longitude,altitude(m),name\n"
+    assert len(json.loads((tmp_path / "plan_regions.geojson").read_text())["features"]) == 2 + 2 + 1600
+    picture = cv2.imread(str(tmp_path / "plan.png"))
+    assert picture is not None and picture.shape == (900, 1280, 3)
+    assert (picture != 255).any(axis=2).mean() > 0.2
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "flight.csv", "system.toml", "plan.json", "plan.png", "plan_waypoints", "plan_regions.geojson"
+    }  # fmt: skip
+
+
+def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) -> None:
+    for path in HAMLET.iterdir():
+        shutil.copy(path, tmp_path)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    image = cv2.imread(str(tmp_path / names[1]))
+    assert image is not None
+    cv2.imwrite(str(tmp_path / names[1]), image)  # loses its EXIF
+    (tmp_path / "out").mkdir()
+    result = make_plan(tmp_path, tmp_path / "out" / "plan.json")
+    held_out = held_out_mask(names)
+    waypoints = load_plan_waypoints(tmp_path / "out" / "plan.json")
+    assert waypoints is not None
+    assert list(waypoints.names) == [name for name, held in zip(names, held_out, strict=True) if not held and name != names[1]]
+    assert f"without GPS in EXIF are not planned: {names[1]}" in result["warnings"]
+    assert f"{held_out.sum()} of {len(names)} photographs" in result["warnings"]
+    found = exif_waypoints(tmp_path).waypoints
+    index = found.names.index(waypoints.names[0])
+    np.testing.assert_array_equal(waypoints.lat_lon_alt[0], found.lat_lon_alt[index])
+
+
+def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    source, one = grid_csv(tmp_path, 4, 3), tmp_path / "one"
+    one.mkdir()
+    shutil.copy(sorted(HAMLET.iterdir())[0], one)
+    (tmp_path / "full.toml").write_text(SYSTEM.replace('id = "n1"', 'id = "n1"\nmax_cameras = 1').replace('"s1"', '"s1"\nmax_cameras = 1'))
+    (tmp_path / "twice.csv").write_text("lat,lon\n47,8\nnan,8\n")
+    (tmp_path / "taken_regions.geojson").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    out = tmp_path / "plan.json"
+    cases: list[tuple[Path, Path, Path | None, str]] = [
+        (tmp_path / "none.csv", out, None, "does not exist"),
+        (tmp_path / "twice.csv", out, None, "1 of 2 waypoints with a position that is not finite, 'wp-2'"),
+        (source, tmp_path / "plan.txt", None, r"ends in \.json"),
+        (source, tmp_path / "taken.json", None, r"taken_regions\.geojson exists"),
+        (source, tmp_path / "nowhere" / "plan.json", None, "there is no folder"),
+        (source, out, tmp_path / "full.toml", "can hold 2 of 12 cameras"),
+        (one, out, None, "held out for scoring"),
+        (tmp_path, out, None, "no photographs"),
+    ]
+    for origin, target, system, told in cases:
+        with pytest.raises(BadInput, match=told):
+            make_plan(origin, target, system)
+        assert sorted(tmp_path.rglob("*")) == before, told
+
+
+def test_a_disk_that_fails_in_the_middle_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = grid_csv(tmp_path, 4, 3)
+
+    def refuse(*_: object) -> None:
+        raise BadInput("cannot write: no space left.")
+
+    monkeypatch.setattr("radiant_app.plan_command.save_plan", refuse)  # the last of the files
+    with pytest.raises(BadInput, match="no space"):
+        make_plan(source, tmp_path / "plan.json")
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_the_command_line_prints_json_and_refuses_with_code_2(tmp_path: Path) -> None:
+    source = grid_csv(tmp_path, 1, 1)
+
+    def radiant(*arguments: object) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "radiant_app", "plan", *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+    good = radiant(source, "--out", tmp_path / "plan.json", "--json")
+    assert good.returncode == 0, good.stderr
+    assert json.loads(good.stdout)["counts"] == "edge-1 1, edge-2 0"
+    refused = radiant(tmp_path / "plan.png", "--out", tmp_path / "other.json")
+    assert refused.returncode == 2
+    assert len(refused.stderr.strip().splitlines()) == 1
+    assert "must end in .csv" in refused.stderr

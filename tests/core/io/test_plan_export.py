@@ -1,0 +1,146 @@
+"""Exported plans: what a flight planner reads is what was planned, polygon for polygon and waypoint for waypoint."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from shapely.geometry import MultiPolygon, Point, Polygon, shape
+from shapely.geometry.base import BaseGeometry
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import geodetic_from_enu
+from radiant_core.io.plan_export import CSV_HEADER, save_device_waypoints, save_regions_geojson
+from radiant_core.io.waypoints import read_waypoints
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.waypoints import Waypoints
+from tests.core.plan.instances import random_system
+
+Planned = tuple[Waypoints, CloudPlan, tuple[EdgePlan, ...]]
+
+
+def planned(origin: tuple[float, float, float] = (47.37, 8.54, 430.0), reach_m: float = 500.0, count: int = 240) -> Planned:
+    rng = np.random.default_rng(3)
+    positions = rng.uniform(-1, 1, (count, 3)) * [reach_m, reach_m / 2, 10.0]
+    waypoints = Waypoints(names=tuple(f'f,"{index}" ö' for index in range(count)), lat_lon_alt=geodetic_from_enu(positions, origin))
+    system = place_edges(random_system(rng, 3), waypoints.positions_m[:, :2], waypoints.origin, 0)
+    cloud = plan_regions(waypoints.positions_m[:, :2], system)
+    assert isinstance(cloud, CloudPlan)
+    return waypoints, cloud, split_edges(waypoints.positions_m[:, :2], cloud, system)
+
+
+def features(path: Path, kind: str) -> list[dict[str, Any]]:
+    collection = json.loads(path.read_text())
+    assert collection["type"] == "FeatureCollection"
+    return [feature for feature in collection["features"] if feature["properties"]["kind"] == kind]
+
+
+def test_a_devices_list_is_read_back_as_its_waypoints_in_order(tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned()
+    written = save_device_waypoints(tmp_path, cloud, edges, waypoints)
+    assert [path.name for path in written] == [f"{device}.csv" for plan in edges for device in plan.device_ids]
+    total = 0
+    for plan in edges:
+        for device in plan.device_ids:
+            with (tmp_path / f"{device}.csv").open(newline="", encoding="utf-8") as file:
+                rows = list(csv.reader(file))
+            assert tuple(rows[0]) == CSV_HEADER
+            indices = np.sort(plan.cameras_of(device))
+            assert len(rows) - 1 == len(indices)
+            total += len(indices)
+            if not len(indices):
+                continue
+            back = read_waypoints(tmp_path / f"{device}.csv").waypoints
+            assert back.names == tuple(waypoints.names[index] for index in indices)
+            # Half of the last of 9 decimals is 0.06 mm of a degree; metres have 3.
+            np.testing.assert_allclose(back.lat_lon_alt, waypoints.lat_lon_alt[indices], atol=5.1e-4)
+            np.testing.assert_allclose(back.lat_lon_alt[:, :2], waypoints.lat_lon_alt[indices, :2], atol=5.1e-10)
+    assert total == len(waypoints)
+
+
+@pytest.mark.parametrize(
+    ("origin", "reach_m"),
+    [((47.37, 8.54, 430.0), 500.0), ((-33.9, 151.2, 5.0), 20_000.0), ((-17.0, 180.0, 0.0), 500.0), ((64.0, -180.0, 90.0), 5000.0)],
+)
+def test_every_waypoint_lies_in_the_polygons_of_its_edge_and_device(
+    tmp_path: Path, origin: tuple[float, float, float], reach_m: float
+) -> None:
+    waypoints, cloud, edges = planned(origin, reach_m)
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints)
+    strips = {feature["properties"]["device"]: feature for feature in features(tmp_path / "r.geojson", "strip")}
+    regions = {feature["properties"]["edge"]: feature for feature in features(tmp_path / "r.geojson", "region")}
+    points = features(tmp_path / "r.geojson", "waypoint")
+    assert len(points) == len(waypoints)
+    # Strips end midway between cameras; a straight side in degrees may bend by 1 cm, a millionth of a degree is 11 cm.
+    for point in points:
+        about, place = point["properties"], Point(point["geometry"]["coordinates"])
+        assert shape(strips[about["device"]]["geometry"]).distance(place) < 1e-6
+        assert shape(regions[about["edge"]]["geometry"]).distance(place) < 1e-6
+    counts = Counter(point["properties"]["device"] for point in points)
+    assert {name: feature["properties"]["cameras"] for name, feature in strips.items()} == dict(counts)
+    assert [regions[edge]["properties"]["planned_s"] for edge in cloud.edge_ids if edge in regions] == [
+        time_s for edge, time_s in zip(cloud.edge_ids, cloud.edge_time_s, strict=True) if edge in regions
+    ]
+
+
+def rings(geometry: BaseGeometry) -> list[Polygon]:
+    assert isinstance(geometry, Polygon | MultiPolygon)
+    return list(geometry.geoms) if isinstance(geometry, MultiPolygon) else [geometry]
+
+
+@pytest.mark.parametrize("lon", [8.54, 179.999, -179.999, 180.0])
+def test_polygons_follow_rfc_7946(tmp_path: Path, lon: float) -> None:
+    waypoints, cloud, edges = planned((-17.0, lon, 5.0))
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints)
+    region_area = 0.0
+    for kind in ("region", "strip"):
+        found = features(tmp_path / "r.geojson", kind)
+        assert found
+        for feature in found:
+            for polygon in rings(shape(feature["geometry"])):
+                assert polygon.is_valid
+                assert polygon.exterior.is_ccw, "outer rings run counter-clockwise"
+                west, south, east, north = polygon.bounds
+                assert -180 <= west < east <= 180 and -90 <= south < north <= 90
+                assert east - west < 0.1, "cut at the meridian, not round the globe"
+                region_area += polygon.area if kind == "region" else 0.0
+    # The regions tile the rectangle around the site: same area in square degrees as in metres, to the bending of the ground.
+    corners = np.concatenate([border for border in cloud.borders if len(border)])
+    width_m, height_m = np.ptp(corners, axis=0)
+    square_degree_m2 = 110_657.0 * 106_486.0  # of latitude and longitude at 17° (WGS84)
+    assert region_area * square_degree_m2 == pytest.approx(width_m * height_m, rel=1e-3)
+
+
+def test_long_sides_are_divided_so_that_straight_lines_stay_straight(tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned((60.0, 8.0, 0.0), reach_m=20_000.0)
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints)
+    coordinates = np.array(features(tmp_path / "r.geojson", "region")[0]["geometry"]["coordinates"][0])
+    steps_m = np.diff(coordinates, axis=0) * [111_320.0 * 0.5, 111_320.0]
+    assert np.hypot(*steps_m.T).max() < 520
+
+
+def test_our_own_regions_file_is_a_waypoint_file(tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned(count=30)
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints)
+    found = read_waypoints(tmp_path / "r.geojson")
+    assert sorted(found.waypoints.names) == sorted(waypoints.names)
+    assert "Polygon ignored" in found.warnings[0]
+
+
+def test_other_waypoints_than_the_plans_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned(count=30)
+    for write in (
+        lambda: save_device_waypoints(tmp_path, cloud, edges, waypoints.select(np.arange(29))),
+        lambda: save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints.select(np.arange(29))),
+    ):
+        with pytest.raises(BadInput, match="plan is of 30 cameras, there are 29"):
+            write()
+    assert list(tmp_path.iterdir()) == []
