@@ -101,9 +101,7 @@ class TrainConfig:
 
 # Short runs have no time for small steps: `draft` and `default` start from rates found on the sample scene's validation images.
 _SHORT = TrainConfig(means_lr=3.2e-4, scales_lr=2e-2, quats_lr=5e-3, opacities_lr=1e-1, sh0_lr=2e-2)
-_PLAIN = TrainConfig(
-    sh_degree=3, sh_degree_every=1_000, max_scale_per_distance=None, adam="dense", densify="adc", sky=False, fill_in=False
-)
+_PLAIN = TrainConfig(sh_degree=3, sh_degree_every=1_000, max_scale_per_distance=None, adam="dense", densify="adc", sky=False, fill_in=False)
 _PRESETS: dict[str, TrainConfig] = {
     "draft": replace(_SHORT, num_steps=2_000, long_side_px=576),
     "default": _SHORT,
