@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from radiant_app import system_file
 from radiant_app.system_file import dump_system, even_system, load_system
 from radiant_core.errors import BadInput
-from radiant_core.plan.system import System
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.system import Cloud, System
 
 ROOT = Path(__file__).parents[2]
 WHOLE = """
@@ -51,6 +54,26 @@ def test_every_key_arrives_in_base_units(tmp_path: Path) -> None:
     assert float(device.model_bytes(3)) == 1.5e6
     assert device.max_cameras == 400
     assert (south.position, south.lat_lon_deg, south.devices[0].max_cameras) == (None, (47.37, 8.54), None)
+
+
+def test_limits_of_the_cloud_arrive_in_base_units_and_are_none_when_left_out(tmp_path: Path) -> None:
+    assert loaded(tmp_path, WHOLE).cloud == Cloud()
+    system = loaded(tmp_path, WHOLE + "[cloud]\nmemory_gb = 16\ntime_s = 90.5\nmax_cameras = 2000\n")
+    assert system.cloud == Cloud(memory_bytes=16e9, time_s=90.5, max_cameras=2000)
+    assert loaded(tmp_path, dump_system(system)) == system
+    for limit in ("memory_gb = -1", "time_s = inf", "max_cameras = 2.5", "cameras = 3"):
+        with pytest.raises(BadInput, match=f"cloud.{limit.split()[0]} is"):
+            loaded(tmp_path, WHOLE + "[cloud]\n" + limit)
+
+
+def test_a_limit_of_cameras_from_the_file_holds_in_the_plan(tmp_path: Path) -> None:
+    """|C_max| as a count (paper Eqn. 13): a device in memory for 2 of 9 cameras gets no third one, and 8 for all are too few."""
+    text = WHOLE.replace("max_cameras = 400", "max_cameras = 2").replace("lat_lon_deg = [47.37, 8.54]", "position_m = [0.0, 0.0]")
+    positions = np.stack(np.meshgrid([0.0, 10, 20], [0.0, 20, 40]), axis=-1).reshape(-1, 2)
+    plan = plan_regions(positions, loaded(tmp_path, text))
+    assert isinstance(plan, CloudPlan) and plan.counts[0] <= 2 and plan.counts.sum() == 9
+    too_few = plan_regions(positions, loaded(tmp_path, text + "max_cameras = 6\n"))
+    assert isinstance(too_few, PlanInfeasible) and "can hold 8 of 9 cameras" in too_few.reason
 
 
 def test_what_is_left_out_has_the_documented_default(tmp_path: Path) -> None:

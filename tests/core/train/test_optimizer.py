@@ -230,3 +230,41 @@ def test_presets_that_promise_plain_3dgs_are_dense() -> None:
     }
     with pytest.raises(BadInput, match="adam is 'sparse'"):
         TrainConfig(adam="sparse")  # pyright: ignore[reportArgumentType]
+
+
+def test_rows_that_are_chosen_keep_moments_and_counts_and_fresh_ones_begin_anew() -> None:
+    """After a selection, each old row goes on as in a run that always had it there, each fresh one as in a new run."""
+    whole = tensors()
+    adam = SelectiveAdam(whole, RATES)
+    for step in range(5):
+        set_gradients(whole, step)
+        adam.step(visible_rows(step))
+    rows = torch.tensor([7, 3, 3, 0, N - 1])
+    fresh = torch.tensor([False, False, True, False, False])
+    chosen = {name: tensor.detach()[rows].clone() for name, tensor in whole.items()}
+    before = {name: [moments.clone() for moments in adam.moments(name)] for name in SHAPES}
+    adam.select_rows(chosen, rows, fresh)
+    for name in SHAPES:
+        for now, old in zip(adam.moments(name), before[name], strict=True):
+            torch.testing.assert_close(now, torch.where(fresh.view(-1, *(1,) * (old.ndim - 1)), 0, old[rows]), rtol=0, atol=0)
+    anew = {name: tensor.detach()[2:3].clone() for name, tensor in chosen.items()}
+    twin = SelectiveAdam(anew, RATES)
+    for step in range(5, 9):
+        found = gradients(step)
+        for name in SHAPES:
+            whole[name].grad, chosen[name].grad, anew[name].grad = found[name], found[name][rows].clone(), found[name][rows[2:3]].clone()
+        adam.step(torch.ones(len(rows), dtype=torch.bool))
+        twin.step(torch.ones(1, dtype=torch.bool))
+    for name in SHAPES:
+        torch.testing.assert_close(chosen[name][2:3], anew[name], rtol=1e-6, atol=1e-7)
+        assert not torch.equal(chosen[name][1], chosen[name][2])  # the same row, one with its history and one without
+
+
+def test_a_selection_that_does_not_fit_changes_nothing() -> None:
+    whole = tensors(num_rows=4)
+    adam = SelectiveAdam(whole, RATES)
+    rows, fresh = torch.tensor([0, 1]), torch.tensor([False, False])
+    part = {name: tensor.detach()[:3].clone() for name, tensor in whole.items()}
+    with pytest.raises(BadInput, match="other than 2 rows"):
+        adam.select_rows(part, rows, fresh)
+    assert adam.moments("means")[0].shape == (4, 3)

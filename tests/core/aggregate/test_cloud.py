@@ -1,0 +1,161 @@
+"""The cloud's retraining: what it is predicted to take, when crop-merge takes its place, and cameras that tell nothing of devices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs, retrain_memory_bytes
+from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.crop_merge import crop_merge
+from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.virtual_cameras import MAX_MOVE, MAX_TURN_DEG, virtual_cameras
+from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.errors import BadInput
+from radiant_core.plan.system import Cloud
+from radiant_core.train.config import train_preset
+from radiant_core.train.trainer import FitOptions
+from tests.core.scenes import cameras_above, ground_splats
+
+PLACES = [(x, y) for x in (-2.0, -1.0, 0.0, 1.0, 2.0) for y in (-1.5, 0.0, 1.5)]
+CAMERAS = cameras_above(PLACES)
+MODEL = ground_splats()
+NEEDS = CloudNeeds(num_cameras=40, memory_bytes=2e9, time_s=100.0)
+
+
+def drawn(seed: int = 0, cameras: Cameras = CAMERAS) -> Cameras:
+    return virtual_cameras(cameras, MODEL.means, np.random.default_rng(seed))
+
+
+class TestVirtualCameras:
+    def test_each_stands_near_one_camera_and_looks_the_same_way(self) -> None:
+        virtual = drawn()
+        gaps = np.linalg.norm(virtual.centers[:, None] - CAMERAS.centers, axis=2)
+        nearest = gaps.argmin(axis=1)
+        assert sorted(nearest) == list(range(len(CAMERAS)))
+        distances = [np.median(np.linalg.norm(MODEL.means - center, axis=1)) for center in CAMERAS.centers]
+        assert (gaps.min(axis=1) <= MAX_MOVE * np.array(distances)[nearest] * (1 + 1e-9)).all()
+        turns = virtual.cam_from_world[:, :3, :3] @ CAMERAS.cam_from_world[nearest, :3, :3].transpose(0, 2, 1)
+        angles_deg = np.degrees(np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1) / 2, -1, 1)))
+        assert (angles_deg <= MAX_TURN_DEG + 1e-6).all() and angles_deg.max() > 0.3
+
+    def test_no_pose_name_or_order_of_a_device_is_left(self) -> None:
+        virtual = drawn()
+        assert not np.isclose(virtual.centers[:, None], CAMERAS.centers, atol=1e-6).all(axis=2).any()
+        assert not set(virtual.names) & set(CAMERAS.names)
+        order = np.linalg.norm(virtual.centers[:, None] - CAMERAS.centers, axis=2).argmin(axis=1)
+        assert (order != np.arange(len(CAMERAS))).any()
+
+    def test_the_optics_of_two_devices_become_one(self) -> None:
+        wide = replace(
+            cameras_above([(0.3, 0.2), (0.1, 0.9)], size_wh=(64, 48)), Ks=cameras_above([(0, 0), (0, 1)]).Ks * [[[0.5], [0.5], [1]]]
+        )
+        virtual = drawn(cameras=concatenate_cameras([CAMERAS, wide]))
+        assert len(np.unique(virtual.Ks, axis=0)) == 1 and len(np.unique(virtual.sizes_wh, axis=0)) == 1
+
+    def test_equal_seeds_give_equal_cameras_and_names_of_two_edges_differ(self) -> None:
+        first, again, other = drawn(1), drawn(1), drawn(2)
+        np.testing.assert_array_equal(first.cam_from_world, again.cam_from_world)
+        assert first.names == again.names and not set(first.names) & set(other.names)
+        concatenate_cameras([first, other])
+
+    def test_one_camera_is_moved_too(self) -> None:
+        one = CAMERAS.select([4])
+        assert (drawn(cameras=one).centers != one.centers).all()
+
+    def test_nothing_to_look_at_or_from_is_refused(self) -> None:
+        with pytest.raises(BadInput, match="at least one of either"):
+            virtual_cameras(CAMERAS.select([]), MODEL.means, np.random.default_rng(0))
+        with pytest.raises(BadInput, match="model of 0 Gaussians"):
+            virtual_cameras(CAMERAS, MODEL.means[:0], np.random.default_rng(0))
+
+
+class TestChoice:
+    def test_without_limits_the_cloud_retrains_and_says_its_memory(self) -> None:
+        retrains, decision = choose_at_cloud(NEEDS, Cloud(), "cloud")
+        assert retrains and decision.figure == 2.0 and decision.unit == "GB predicted"
+
+    @pytest.mark.parametrize(
+        ("cloud", "retrains", "figure", "told"),
+        [
+            (Cloud(memory_bytes=2e9), True, 2.0, "within the cloud's limit of 2 GB"),
+            (Cloud(memory_bytes=1.9e9), False, 2.0, "exceeds the cloud's limit of 1.9 GB"),
+            (Cloud(time_s=100), True, 100.0, "limit of 100 s"),
+            (Cloud(time_s=99.0, memory_bytes=1e12), False, 100.0, "exceeds the cloud's limit of 99 s"),
+            (Cloud(max_cameras=40), True, 40.0, "limit of 40 cameras"),
+            (Cloud(max_cameras=39, time_s=1e9), False, 40.0, "exceeds the cloud's limit of 39 cameras"),
+            (Cloud(max_cameras=0), False, 40.0, "exceeds the cloud's limit of 0 cameras"),
+        ],
+    )
+    def test_the_figure_that_decides_is_told_both_ways(self, cloud: Cloud, retrains: bool, figure: float, told: str) -> None:
+        chosen, decision = choose_at_cloud(NEEDS, cloud, "cloud")
+        assert (chosen, decision.figure) == (retrains, figure) and told in decision.reason
+        assert decision.choice.startswith("retraining" if retrains else "crop-merge")
+
+    def test_a_time_limit_without_a_known_time_does_not_decide(self) -> None:
+        assert choose_at_cloud(replace(NEEDS, time_s=None), Cloud(time_s=1.0), "cloud")[0]
+
+    @pytest.mark.parametrize("limit", [-1.0, np.nan, np.inf])
+    def test_a_limit_that_is_none_is_refused(self, limit: float) -> None:
+        with pytest.raises(BadInput, match="cloud: time_s is"):
+            Cloud(time_s=limit)
+
+
+class TestNeeds:
+    def test_they_follow_gaussians_pixels_and_the_edges_times(self) -> None:
+        models = [ground_splats(100), ground_splats(300)]
+        views = [CAMERAS.select([0, 1]), CAMERAS.select([2])]
+        needs = cloud_needs(models, views, 24, [10.0, 30.0])
+        assert needs.num_cameras == 3
+        assert needs.time_s == pytest.approx(10 * 400 / 100 + 30 * 400 / 300)
+        assert needs.memory_bytes == retrain_memory_bytes(400, 56, [24 * 18] * 3)
+        assert cloud_needs(models, views, 48, None).memory_bytes > needs.memory_bytes
+        assert cloud_needs(models, views, 48, None).time_s is None
+
+    def test_more_of_anything_never_takes_less(self) -> None:
+        base = retrain_memory_bytes(1000, 236, [1000] * 10)
+        assert retrain_memory_bytes(1001, 236, [1000] * 10) > base
+        assert retrain_memory_bytes(1000, 237, [1000] * 10) > base
+        assert retrain_memory_bytes(1000, 236, [1000] * 11) > base
+        assert retrain_memory_bytes(0, 236, []) > 0
+
+    def test_a_time_per_edge_is_demanded(self) -> None:
+        with pytest.raises(BadInput, match="1 times for 2 edges"):
+            cloud_needs([MODEL, MODEL], [CAMERAS, CAMERAS], 48, [1.0])
+
+
+class TestPaperAggregation:
+    def test_the_preset_turns_every_skip_off(self) -> None:
+        paper = aggregate_preset("paper")
+        assert (paper.preset, paper.num_epochs, paper.max_num_steps, paper.cloud) == ("paper", 10, None, "retrain")
+        assert (paper.retrain_single, paper.drop_unseen, paper.weight_by_alpha, paper.fill_blind_spots) == (True, False, False, False)
+        assert aggregate_preset("default") == AggregateConfig()
+        with pytest.raises(BadInput, match="default, paper"):
+            aggregate_preset("papers")
+
+    def test_all_gaussians_stay_a_lone_model_is_retrained_and_density_control_rests(self) -> None:
+        train = replace(train_preset("paper"), long_side_px=48, densify_from_step=0, densify_every=1)
+        paper = replace(aggregate_preset("paper"), num_epochs=1)
+        west, east = MODEL.select(MODEL.means[:, 0] < 1), MODEL.select(MODEL.means[:, 0] > -1)
+        both = retrain_on_synthetic_views([west, east], [CAMERAS.select([0, 1]), CAMERAS.select([13])], train, paper, FitOptions())
+        assert both.num_steps == 3 and len(both.splats) == len(west) + len(east)
+        lone = retrain_on_synthetic_views([west], [CAMERAS.select([0, 1])], train, paper, FitOptions())
+        assert lone.num_steps == 2 and (lone.splats.means != west.means).any()
+
+    def test_transparent_pixels_teach_black_without_weights(self) -> None:
+        thin = replace(MODEL, logit_opacities=MODEL.logit_opacities - 4)
+        train = replace(train_preset("draft"), long_side_px=48)
+        losses = []
+        for weigh in (True, False):
+            config = replace(aggregate_preset("paper"), num_epochs=1, weight_by_alpha=weigh)
+            losses.append(retrain_on_synthetic_views([thin], [CAMERAS], train, config, FitOptions()).first_loss)
+        assert losses[0] != losses[1]
+
+    def test_a_plain_cut_keeps_nothing_outside_its_region(self) -> None:
+        sites = np.array([[-2.0, 0.0], [2.0, 0.0]])
+        blind = MODEL.select(MODEL.means[:, 0] > 2)
+        merged = crop_merge([MODEL, blind], sites, np.zeros(2), fill_blind_spots=False)
+        assert merged.num_filled == 0
+        assert len(merged.splats) == (MODEL.means[:, 0] <= 0).sum() + len(blind)
