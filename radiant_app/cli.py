@@ -28,6 +28,8 @@ TrainPreset = Literal["draft", "default", "standard", "paper"]
 AggregatePreset = Literal["default", "paper"]
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 Matching = Literal["auto", "spatial", "exhaustive"]
+UploadFormat = Literal["float32", "float16", "spz"]
+Teachers = Literal["early", "late"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
@@ -50,6 +52,8 @@ def run(
     aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
     plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
     matching: Annotated[Matching, typer.Option(help="Compare neighbours by GPS, or all photographs with all.")] = "auto",
+    upload: Annotated[UploadFormat, typer.Option(help="What devices and edges send: exact, half the bytes, or a fifth.")] = "float16",
+    teachers: Annotated[Teachers, typer.Option(help="Render an edge's teachers as each device arrives, or after the last.")] = "early",
     long_side_px: LongSide = None,
     steps: NumSteps = None,
     max_splats: MaxSplats = None,
@@ -70,6 +74,8 @@ def run(
         aggregate_preset=aggregate_preset,
         plan_method=plan_method,
         matching=matching,
+        upload=upload,
+        teachers=teachers,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
         seed=seed,
         max_workers=workers,
@@ -204,10 +210,12 @@ def export(
 
 @app.command()
 def bench(
-    name: Annotated[Literal["sfm", "plan", "raster"], typer.Argument(help="What to measure.")],
+    name: Annotated[Literal["sfm", "plan", "raster", "upload", "teachers"], typer.Argument(help="What to measure.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
-    scene: Annotated[Path | None, typer.Option(help="Scene with known cameras; the sample town without it.")] = None,
+    scene: Annotated[
+        Path | None, typer.Option(help="sfm: scene with known cameras, else the sample town; upload, teachers: a finished run.")
+    ] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of the rasterizer; all cores without it.")] = None,
 ) -> None:
     """Run time beside error."""

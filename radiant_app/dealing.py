@@ -17,10 +17,14 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
 from radiant_core.cameras import Cameras
 from radiant_core.io.records import save_cameras, save_scene
-from radiant_core.io.run_store import content_key, write_json
+from radiant_core.io.run_store import content_key, is_sealed, write_json
+from radiant_core.io.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
+
+MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
+"""What a device or edge keeps, and what it sends where that is not the same file. In an inbox both are called by the first name."""
 
 
 @dataclass
@@ -36,43 +40,76 @@ class Dealer:
     train: TrainConfig
     aggregate: AggregateConfig
     backend: str
+    upload: UploadFormat = "float32"
     ledger: list[dict[str, Any]] = field(default_factory=list)
+    teacher_keys: dict[str, str] = field(default_factory=dict)
+    """Key of every teacher prepared so far."""
 
     def prepare(self, node: Tree) -> NodeTask:
         """Fill the node's folder and say what to run there."""
         folder = self.run / node.id
         folder.mkdir(parents=True, exist_ok=True)
-        fill = {"device": self._fill_device, "edge": self._fill_edge, "cloud": self._fill_cloud}[node.tier]
-        task, inputs = fill(node, folder)
-        write_json(folder / "task.json", task)
-        self.ledger.append({"node": node.id, "tier": node.tier, **_received(inputs)})
-        return NodeTask(kind=node.tier, stage=node.id, folder=folder, key=content_key(__version__, task, *inputs))
+        fills = {"device": self._fill_device, "teacher": self._fill_teacher, "edge": self._fill_edge, "cloud": self._fill_cloud}
+        task, inputs = fills[node.tier](node, folder)
+        key = content_key(__version__, task, *inputs)
+        if node.tier == "teacher":
+            # A part of its edge: what it was sent counts once, when the edge takes it.
+            self.teacher_keys[node.id] = key
+        else:
+            self.ledger.append({"node": node.id, "tier": node.tier, **_received(inputs)})
+        # Who rendered a teacher's views does not change them, so it is not in the edge's key.
+        rendered = {"rendered": self._rendered(node)} if node.tier == "edge" else {}
+        write_json(folder / "task.json", {**task, **rendered})
+        return NodeTask(kind=node.tier, stage=node.id, folder=folder, key=key)
 
     def _fill_device(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
-        own = self.scene.restricted_to(self._camera_indices(_name(node)))
+        own = self.scene.restricted_to(self._camera_indices(node.name))
         deal_files(self.images, own.cameras.names, folder / "photos")
         save_scene(folder / "scene.safetensors", own)
-        task = {"train": asdict(self.train), "backend": self.backend}
+        task = {"train": asdict(self.train), "backend": self.backend, "upload": self.upload}
         return task, [folder / "photos", folder / "scene.safetensors"]
 
+    def _fill_teacher(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
+        shutil.rmtree(folder / "inbox", ignore_errors=True)
+        self._deal_device(node.name, folder / "inbox")
+        return {"long_side_px": self.train.long_side_px, "backend": self.backend}, [folder / "inbox"]
+
     def _fill_edge(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
-        devices = [_name(child) for child in node.children]
+        devices = [child.name for child in node.children]
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         for device in devices:
-            place = folder / "inbox" / device
-            deal_files(self.run / "devices" / device, ["model.safetensors"], place)
-            save_cameras(place / "cameras.safetensors", self.scene.cameras.select(self._camera_indices(device)))
-        task = {"devices": devices, "train": asdict(self.train), "aggregate": asdict(self.aggregate), "backend": self.backend}
+            self._deal_device(device, folder / "inbox" / device)
+        task = {
+            "devices": devices,
+            "train": asdict(self.train),
+            "aggregate": asdict(self.aggregate),
+            "backend": self.backend,
+            "upload": self.upload,
+        }
         return task, [folder / "inbox"]
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
-        edges = [_name(child) for child in node.children]
+        edges = [child.name for child in node.children]
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         for edge in edges:
-            deal_files(self.run / "edges" / edge, ["model.safetensors"], folder / "inbox" / edge)
+            self._deal_upload(self.run / "edges" / edge, folder / "inbox" / edge)
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
         task = {"edges": edges, "sites": self.cloud_plan.sites[rows].tolist(), "weights": self.cloud_plan.weights[rows].tolist()}
         return task, [folder / "inbox"]
+
+    def _deal_device(self, device: str, place: Path) -> None:
+        """What an edge gets of a device: its model as it was uploaded, and its cameras."""
+        self._deal_upload(self.run / "devices" / device, place)
+        save_cameras(place / "cameras.safetensors", self.scene.cameras.select(self._camera_indices(device)))
+
+    def _deal_upload(self, sender: Path, place: Path) -> None:
+        place.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(sender / (MODEL_NAME if self.upload == "float32" else UPLOAD_NAME), place / MODEL_NAME)
+
+    def _rendered(self, edge: Tree) -> list[str]:
+        """The devices whose views the edge's teachers have rendered."""
+        keys = {node: self.teacher_keys[node.id] for node in edge.children if node.tier == "teacher"}
+        return [node.name for node, key in keys.items() if is_sealed(self.run / node.id, key)]
 
     def _camera_indices(self, device: str) -> Any:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
@@ -109,7 +146,3 @@ def _received(inputs: Sequence[Path]) -> dict[str, int]:
         "photograph_bytes": sum(file.stat().st_size for file in photographs),
         "other_bytes": sum(file.stat().st_size for file in files if file not in photographs),
     }
-
-
-def _name(node: Tree) -> str:
-    return node.id.rsplit("/", 1)[-1]

@@ -3,8 +3,9 @@
 | kind     | reads                                               | writes                                   |
 |----------|-----------------------------------------------------|------------------------------------------|
 | sfm      | task.json, the source it names                      | scene.safetensors, result.json, undistorted/ |
-| device   | task.json, scene.safetensors, photos/               | model.safetensors, summary.json          |
-| edge     | task.json, inbox/<device>/{model,cameras}.safetensors | model.safetensors, summary.json        |
+| device   | task.json, scene.safetensors, photos/               | model.safetensors, upload.safetensors (unless float32), summary.json |
+| teacher  | task.json, inbox/{model,cameras}.safetensors        | views/<number>.safetensors               |
+| edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device              |
 | cloud    | task.json, inbox/<edge>/model.safetensors           | scene.ply, summary.json                  |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
 """
@@ -25,8 +26,10 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import save_ply
-from radiant_core.io.records import load_cameras, load_scene, load_splats, save_scene, save_splats
+from radiant_core.io.records import load_cameras, load_scene, save_scene, save_splats
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.upload import UploadFormat, load_upload, save_upload, upload_problem
+from radiant_core.splats import Splats
 
 Emit = Callable[[Event], None]
 
@@ -35,7 +38,7 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json."""
     from radiant_app.evaluation import run_evaluate
 
-    runners = {"sfm": run_sfm, "device": run_device, "edge": run_edge, "cloud": run_cloud, "evaluate": run_evaluate}
+    runners = {"sfm": run_sfm, "device": run_device, "teacher": run_teacher, "edge": run_edge, "cloud": run_cloud, "evaluate": run_evaluate}
     if kind not in runners:
         raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join(runners)}.")
     notes: dict[str, list[Any]] = {"decisions": [], "warnings": []}
@@ -95,7 +98,24 @@ def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     save_splats(folder / "model.safetensors", result.splats)
     summary = {**_training_summary(result), "num_photographs": len(cameras), "num_points": len(scene.points)}
     write_json(folder / "summary.json", summary)
-    return ["model.safetensors", "summary.json"]
+    return ["model.safetensors", "summary.json", *_save_upload(folder, result.splats, task["upload"], stage, emit)]
+
+
+def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+    """Render what one device's model shows at its cameras, for the retraining of its edge."""
+    from radiant_core.aggregate.synthetic_views import views_in_bytes
+    from radiant_core.io.view_file import save_view
+
+    task = read_json(folder / "task.json", ("long_side_px", "backend"))
+    model = load_upload(folder / "inbox" / "model.safetensors")
+    cameras = load_cameras(folder / "inbox" / "cameras.safetensors").scaled(task["long_side_px"])
+    (folder / "views").mkdir(exist_ok=True)
+    names = []
+    for name, (image, weight) in zip(cameras.names, views_in_bytes(model, cameras, task["backend"]), strict=True):
+        names.append(_view_name(len(names)))
+        save_view(folder / names[-1], image, weight)
+        emit(StageProgress(stage=stage, done=len(names), total=len(cameras), note=name))
+    return names
 
 
 def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -106,15 +126,19 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
     task = read_json(folder / "task.json")
     inbox = [folder / "inbox" / name for name in task["devices"]]
-    models = [load_splats(place / "model.safetensors") for place in inbox]
+    models = [load_upload(place / "model.safetensors") for place in inbox]
     cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
-    if len(models) == 1:
-        emit(Decided(decision=_single_device_decision(stage)))
+    train = TrainConfig(**task["train"])
+    teachers = [folder / "teachers" / name if name in task["rendered"] else None for name in task["devices"]]
+    rendered = [
+        None if place is None else load_views(place, own.scaled(train.long_side_px)) for place, own in zip(teachers, cameras, strict=True)
+    ]
+    emit(Decided(decision=_single_device_decision(stage) if len(models) == 1 else _teachers_decision(stage, rendered)))
     options = _fit_options(stage, task["backend"], emit)
-    result = retrain_on_synthetic_views(models, cameras, TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"]), options)
+    result = retrain_on_synthetic_views(models, cameras, train, AggregateConfig(**task["aggregate"]), options, rendered)
     save_splats(folder / "model.safetensors", result.splats)
     write_json(folder / "summary.json", {**_training_summary(result), "num_models": len(models)})
-    return ["model.safetensors", "summary.json"]
+    return ["model.safetensors", "summary.json", *_save_upload(folder, result.splats, task["upload"], stage, emit)]
 
 
 def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -122,7 +146,7 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     from radiant_core.aggregate.crop_merge import crop_merge
 
     task = read_json(folder / "task.json")
-    models = [load_splats(folder / "inbox" / name / "model.safetensors") for name in task["edges"]]
+    models = [load_upload(folder / "inbox" / name / "model.safetensors") for name in task["edges"]]
     merged = crop_merge(models, np.array(task["sites"]), np.array(task["weights"]))
     share = merged.num_filled / max(1, len(merged.splats))
     emit(
@@ -141,6 +165,16 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
     write_json(folder / "summary.json", counts)
     return ["scene.ply", "summary.json"]
+
+
+def load_views(teacher: Path, cameras: Cameras) -> Any:
+    """The `TrainingViews` that a teacher left in its folder, of exactly these cameras; raises as `load_view`."""
+    from radiant_core.io.view_file import load_view
+    from radiant_core.train.views import TrainingViews
+
+    sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
+    views = [load_view(teacher / _view_name(index), *size) for index, size in enumerate(sizes)]
+    return TrainingViews(cameras=cameras, images=tuple(image for image, _ in views), weights=tuple(weight for _, weight in views))
 
 
 def place_of(images: Path, folder: Path) -> str:
@@ -164,6 +198,21 @@ def _fit_options(stage: str, backend: Any, emit: Emit):  # noqa: ANN202 - FitOpt
         emit(StageProgress(stage=stage, done=progress.step, total=progress.num_steps, note=f"loss {progress.loss:.4f}"))
 
     return FitOptions(backend=backend, report=report)
+
+
+def _view_name(index: int) -> str:
+    return f"views/{index:05d}.safetensors"
+
+
+def _save_upload(folder: Path, splats: Splats, upload: UploadFormat, stage: str, emit: Emit) -> list[str]:
+    """Write what is sent in place of model.safetensors, if it is not that file itself; the names written."""
+    if upload == "float32":
+        return []
+    problem = upload_problem(splats, upload)
+    if problem is not None:
+        emit(Warned(stage=stage, message=f"the model is uploaded as float32 instead of {upload}: {problem}"))
+    save_upload(folder / "upload.safetensors", splats, upload if problem is None else "float32")
+    return ["upload.safetensors"]
 
 
 def _training_summary(result: Any) -> dict[str, float | int]:
@@ -203,6 +252,18 @@ def _fill_decision(stage: str, num_filled: int, num_points: int) -> Decision:
         figure=float(num_filled),
         unit="image cells without a sparse point",
         reason="places without sparse points would start empty",
+    )
+
+
+def _teachers_decision(stage: str, rendered: Sequence[Any]) -> Decision:
+    ready = sum(views is not None for views in rendered)
+    return Decision(
+        stage=stage,
+        topic="teachers",
+        choice=f"the views of {ready} of {len(rendered)} devices were rendered before the last one arrived",
+        figure=float(sum(len(views) for views in rendered if views is not None)),
+        unit="views",
+        reason="a device's views need no other device; those of the last are rendered by the edge itself",
     )
 
 

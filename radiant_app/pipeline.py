@@ -33,6 +33,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_plan, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.io.upload import BYTES_FACTORS, UploadFormat
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -101,6 +102,7 @@ def run(
         scene, images = _sfm_stage(config, progress)
         held_out = held_out_mask(scene.cameras.names)
         training = scene.restricted_to(np.flatnonzero(~held_out))
+        system = _with_uploads(system, config.upload, progress)
         system, cloud_plan, edge_plans = _plan_stage(config, system, training, progress)
         train, aggregate, backend = _training_settings(config, progress)
         _require_size(scene, train)
@@ -113,8 +115,9 @@ def run(
             train=train,
             aggregate=aggregate,
             backend=backend,
+            upload=config.upload,
         )
-        tree = tree_of_plan(cloud_plan, edge_plans)
+        tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.teachers == "early")
         manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
         executor = LocalExecutor(num_workers=config.num_workers, clock=clock)
         executor.fold(tree, dealer.prepare, progress.listen)
@@ -169,6 +172,15 @@ def _plan_stage(
     return system, cloud_plan, edge_plans
 
 
+def _with_uploads(system: System, upload: UploadFormat, progress: _Progress) -> System:
+    """The system as the plan has to see it: a model's bytes are those of its upload."""
+    factor = BYTES_FACTORS[upload]
+    if factor == 1:
+        return system
+    progress.listen(Decided(decision=_upload_decision(upload, factor)))
+    return system.with_uploads_of(factor)
+
+
 def _training_settings(config: RunConfig, progress: _Progress) -> tuple[TrainConfig, AggregateConfig, str]:
     backend = resolve_backend("auto")
     preset = replace(train_preset(config.train_preset), seed=config.seed)
@@ -207,6 +219,17 @@ def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan) -> dict
     metrics = {**result, "seconds": seconds, "planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
     write_json(run / "metrics.json", metrics)
     return metrics
+
+
+def _upload_decision(upload: UploadFormat, factor: float) -> Decision:
+    return Decision(
+        stage="plan",
+        topic="uploads",
+        choice=f"{upload}: models count {factor:.2f} times their bytes",
+        figure=100 * factor,
+        unit="% of the bytes of float32",
+        reason="the plan's sizes are those of float32 models, uploads take less",
+    )
 
 
 def _retrain_decision() -> Decision:

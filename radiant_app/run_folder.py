@@ -166,11 +166,11 @@ def _undone_after_bad_input(out: Path, made: list[Path], keep: Path | None = Non
 
 
 def recorded_config(config: RunConfig) -> dict[str, Any]:
-    """The settings as the manifest keeps them: all but where the run lies and how many processes work on it."""
+    """The settings as the manifest keeps them: all but where the run lies and in which order and how many processes work on it."""
     fields = asdict(config)
     fields["source"] = str(config.source.resolve())
     fields["system"] = None if config.system is None else str(config.system.resolve())
-    del fields["out"], fields["max_workers"]
+    del fields["out"], fields["max_workers"], fields["teachers"]
     return fields
 
 

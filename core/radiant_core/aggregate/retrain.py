@@ -24,18 +24,24 @@ _STEPS = {
 
 
 def retrain_on_synthetic_views(
-    models: Sequence[Splats], cameras: Sequence[Cameras], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions
+    models: Sequence[Splats],
+    cameras: Sequence[Cameras],
+    train: TrainConfig,
+    aggregate: AggregateConfig,
+    options: FitOptions,
+    rendered: Sequence[TrainingViews | None] | None = None,
 ) -> TrainResult:
     """Concatenate what `models` know and retrain it on what each shows at its own `cameras` (one set per model).
 
-    A single model is its own teacher and comes back unchanged. Raises BadInput when the counts differ.
+    `rendered` holds the views of those models that were rendered before, see `teacher_views`. A single model is its own teacher and
+    comes back unchanged. Raises BadInput when the counts differ.
     """
     if len(models) != len(cameras) or not models:
         raise BadInput(f"{len(models)} models with {len(cameras)} sets of cameras: give one set per model, at least one.")
     if len(models) == 1:
         return TrainResult(splats=models[0], num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)
     merged = concatenate_splats([model.select(known) for model, known in zip(models, known_parts(models, cameras), strict=True)])
-    views = teacher_views(models, cameras, train.long_side_px)
+    views = teacher_views(models, cameras, train.long_side_px, rendered)
     num_steps = aggregate.num_epochs * len(views)
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
@@ -49,6 +55,17 @@ def known_parts(models: Sequence[Splats], cameras: Sequence[Cameras]) -> list[ND
     return [rows[own] | ~np.any(np.delete(rows, own, axis=0), axis=0) for own, rows in enumerate(seen)]
 
 
-def teacher_views(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int) -> TrainingViews:
-    """Every model's synthetic views at its own cameras, reduced to `long_side_px`."""
-    return concatenate_views([synthetic_views(model, own.scaled(long_side_px)) for model, own in zip(models, cameras, strict=True)])
+def teacher_views(
+    models: Sequence[Splats],
+    cameras: Sequence[Cameras],
+    long_side_px: int,
+    rendered: Sequence[TrainingViews | None] | None = None,
+) -> TrainingViews:
+    """Every model's synthetic views at its own cameras, reduced to `long_side_px`: those in `rendered`, and where it has None, new ones."""
+    ready = rendered or [None] * len(models)
+    return concatenate_views(
+        [
+            synthetic_views(model, own.scaled(long_side_px)) if views is None else views
+            for model, own, views in zip(models, cameras, ready, strict=True)
+        ]
+    )

@@ -5,7 +5,10 @@ A teacher knows nothing where it is transparent: each pixel weighs as much as th
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.render.contract import Backend
@@ -16,10 +19,11 @@ from radiant_core.train.views import TrainingViews
 
 def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> TrainingViews:
     """Render `splats` at all `cameras` at their sizes: images (H,W,3) uint8, weights (H,W) uint8 from alpha."""
-    rendered = list(_in_bytes(splats, cameras, backend))
+    rendered = list(views_in_bytes(splats, cameras, backend))
     return TrainingViews(cameras=cameras, images=tuple(image for image, _ in rendered), weights=tuple(weight for _, weight in rendered))
 
 
-def _in_bytes(splats: Splats, cameras: Cameras, backend: Backend):  # noqa: ANN202 - pairs (image, weight) of uint8 arrays
+def views_in_bytes(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+    """Image (H,W,3) and weight (H,W) of every camera, uint8, one view in memory at a time."""
     for view in render_views(splats, cameras, backend):
         yield view.image_bytes, (view.alpha * 255).round().astype(np.uint8)
