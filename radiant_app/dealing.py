@@ -42,8 +42,6 @@ class Dealer:
     backend: str
     upload: UploadFormat = "float32"
     ledger: list[dict[str, Any]] = field(default_factory=list)
-    teacher_keys: dict[str, str] = field(default_factory=dict)
-    """Key of every teacher prepared so far."""
 
     def prepare(self, node: Tree) -> NodeTask:
         """Fill the node's folder and say what to run there."""
@@ -52,14 +50,14 @@ class Dealer:
         fills = {"device": self._fill_device, "teacher": self._fill_teacher, "edge": self._fill_edge, "cloud": self._fill_cloud}
         task, inputs = fills[node.tier](node, folder)
         key = content_key(__version__, task, *inputs)
+        # A teacher is a part of its edge: what it is sent counts once, when the edge takes it.
         if node.tier == "teacher":
-            # A part of its edge: what it was sent counts once, when the edge takes it.
-            self.teacher_keys[node.id] = key
+            _drop_other_views(folder, key)
         else:
             self.ledger.append({"node": node.id, "tier": node.tier, **_received(inputs)})
-        # Who rendered a teacher's views does not change them, so it is not in the edge's key.
-        rendered = {"rendered": self._rendered(node)} if node.tier == "edge" else {}
-        write_json(folder / "task.json", {**task, **rendered})
+        # Who rendered a view does not change it, so it is not in the edge's key.
+        teachers = {"teachers": [child.name for child in node.children if child.tier == "teacher"]} if node.tier == "edge" else {}
+        write_json(folder / "task.json", {**task, **teachers})
         return NodeTask(kind=node.tier, stage=node.id, folder=folder, key=key)
 
     def _fill_device(self, node: Tree, folder: Path) -> tuple[dict[str, Any], Sequence[Path]]:
@@ -106,11 +104,6 @@ class Dealer:
         place.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(sender / (MODEL_NAME if self.upload == "float32" else UPLOAD_NAME), place / MODEL_NAME)
 
-    def _rendered(self, edge: Tree) -> list[str]:
-        """The devices whose views the edge's teachers have rendered."""
-        keys = {node: self.teacher_keys[node.id] for node in edge.children if node.tier == "teacher"}
-        return [node.name for node, key in keys.items() if is_sealed(self.run / node.id, key)]
-
     def _camera_indices(self, device: str) -> Any:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
         return plan.cameras_of(device)
@@ -127,6 +120,12 @@ def evaluation_task(run: Path, images: Path, cameras: Cameras, backend: str) -> 
     write_json(folder / "task.json", task)
     inputs = [folder / name for name in ("photos", "scene.ply", "plan.json", "cameras.safetensors", "initial.safetensors")]
     return NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=content_key(__version__, task, *inputs))
+
+
+def _drop_other_views(teacher: Path, key: str) -> None:
+    """What a teacher left of another model, or half-written: its edge takes whatever view lies there."""
+    if not is_sealed(teacher, key):
+        shutil.rmtree(teacher / "views", ignore_errors=True)
 
 
 def deal_files(source: Path, names: Sequence[str], target: Path) -> None:

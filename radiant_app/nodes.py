@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ from radiant_core.io.records import load_cameras, load_scene, save_scene, save_s
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.upload import UploadFormat, load_upload, save_upload, upload_problem
 from radiant_core.splats import Splats
+
+if TYPE_CHECKING:
+    from radiant_core.aggregate.synthetic_views import Rendered
 
 Emit = Callable[[Event], None]
 
@@ -102,7 +105,7 @@ def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
 
 def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Render what one device's model shows at its cameras, for the retraining of its edge."""
+    """Render what one device's model shows at its cameras, for the retraining of its edge; may be stopped at any time."""
     from radiant_core.aggregate.synthetic_views import views_in_bytes
     from radiant_core.io.view_file import save_view
 
@@ -129,11 +132,11 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     models = [load_upload(place / "model.safetensors") for place in inbox]
     cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
     train = TrainConfig(**task["train"])
-    teachers = [folder / "teachers" / name if name in task["rendered"] else None for name in task["devices"]]
     rendered = [
-        None if place is None else load_views(place, own.scaled(train.long_side_px)) for place, own in zip(teachers, cameras, strict=True)
+        load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if name in task["teachers"] else {}
+        for name, own in zip(task["devices"], cameras, strict=True)
     ]
-    emit(Decided(decision=_single_device_decision(stage) if len(models) == 1 else _teachers_decision(stage, rendered)))
+    emit(Decided(decision=_single_device_decision(stage) if len(models) == 1 else _teachers_decision(stage, rendered, cameras)))
     options = _fit_options(stage, task["backend"], emit)
     result = retrain_on_synthetic_views(models, cameras, train, AggregateConfig(**task["aggregate"]), options, rendered)
     save_splats(folder / "model.safetensors", result.splats)
@@ -167,14 +170,13 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     return ["scene.ply", "summary.json"]
 
 
-def load_views(teacher: Path, cameras: Cameras) -> Any:
-    """The `TrainingViews` that a teacher left in its folder, of exactly these cameras; raises as `load_view`."""
+def load_views(teacher: Path, cameras: Cameras) -> Rendered:
+    """The views that a teacher has written for `cameras`, all or the first ones; raises as `load_view`."""
     from radiant_core.io.view_file import load_view
-    from radiant_core.train.views import TrainingViews
 
-    sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
-    views = [load_view(teacher / _view_name(index), *size) for index, size in enumerate(sizes)]
-    return TrainingViews(cameras=cameras, images=tuple(image for image, _ in views), weights=tuple(weight for _, weight in views))
+    sizes = {index: (int(width), int(height)) for index, (width, height) in enumerate(cameras.sizes_wh)}
+    written = {index: size for index, size in sizes.items() if (teacher / _view_name(index)).exists()}
+    return {index: load_view(teacher / _view_name(index), *size) for index, size in written.items()}
 
 
 def place_of(images: Path, folder: Path) -> str:
@@ -255,15 +257,15 @@ def _fill_decision(stage: str, num_filled: int, num_points: int) -> Decision:
     )
 
 
-def _teachers_decision(stage: str, rendered: Sequence[Any]) -> Decision:
-    ready = sum(views is not None for views in rendered)
+def _teachers_decision(stage: str, rendered: Sequence[Rendered], cameras: Sequence[Cameras]) -> Decision:
+    num_early, num_views = sum(map(len, rendered)), sum(map(len, cameras))
     return Decision(
         stage=stage,
         topic="teachers",
-        choice=f"the views of {ready} of {len(rendered)} devices were rendered before the last one arrived",
-        figure=float(sum(len(views) for views in rendered if views is not None)),
+        choice=f"{num_early} of {num_views} views were rendered before the last device arrived",
+        figure=float(num_early),
         unit="views",
-        reason="a device's views need no other device; those of the last are rendered by the edge itself",
+        reason="a device's views need no other device; the edge renders the rest itself",
     )
 
 

@@ -5,7 +5,7 @@ which the teachers of the first two can run. Equal for both: photographs, plan, 
 must be equal to the bit. Runs are interleaved (late, early, late, …), medians of three; `quick`: one run of each with 30 steps.
 
 The simulated figures are for separate machines, where nobody shares cores: from this run's measured times, with devices that end when
-the plan says, latency = start + Σ (decoding of views rendered before the last arrival, rendering of the others) + retraining.
+the plan says, latency = start + Σ (reading of views rendered before the last arrival, rendering of the others) + retraining.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def bench_teachers(run: Path, quick: bool) -> list[Metric]:
     dealer = _dealer(run, edges[0], quick)
     for name in tracked(order, "bench teachers"):
         with TemporaryDirectory(prefix="radiant-bench-teachers-") as folder:
-            runs[name].append(_timed(replace(dealer, run=Path(folder), ledger=[], teacher_keys={}), name))
+            runs[name].append(_timed(replace(dealer, run=Path(folder), ledger=[]), name))
     hashes = {one.model_sha256 for done in runs.values() for one in done}
     if len(hashes) != 1:
         raise StageFailed("early and late teachers gave edges of different bits: the time of one is not that of the other.")
@@ -88,18 +88,16 @@ def bench_teachers(run: Path, quick: bool) -> list[Metric]:
 def simulated_latency_s(arrival_s: ArrayLike, counts: Sequence[int], views: ViewTimes, start_s: float, early: bool) -> float:
     """Seconds from the last arrival to the begin of retraining on an edge's own machine, devices with `counts` views each.
 
-    A process takes `start_s` to begin; teachers run one after the other, and one that has begun is waited for.
+    A process takes `start_s` to begin; teachers run one after the other and are stopped by the last arrival.
     """
     arrivals_s = np.asarray(arrival_s, np.float64)
     last_s = float(arrivals_s.max())
-    free_s, ready = 0.0, set()
+    free_s, num_early = 0.0, 0
     for device in np.argsort(arrivals_s, kind="stable") if early else ():
-        begin_s = max(free_s, float(arrivals_s[device]))
-        if begin_s < last_s:
-            free_s = begin_s + start_s + counts[device] * views.render_s
-            ready.add(int(device))
-    each_s = [count * (views.read_s if device in ready else views.render_s) for device, count in enumerate(counts)]
-    return max(0.0, free_s - last_s) + start_s + sum(each_s)
+        begin_s = max(free_s, float(arrivals_s[device])) + start_s
+        free_s = begin_s + counts[device] * views.render_s
+        num_early += int(np.clip((last_s - begin_s) / views.render_s, 0, counts[device]))
+    return start_s + num_early * views.read_s + (sum(counts) - num_early) * views.render_s
 
 
 def _dealer(run: Path, edge: EdgeOfRun, quick: bool) -> Dealer:

@@ -65,6 +65,8 @@ class _Running:
     reader: threading.Thread
     started_s: float
     failure: Failed | None = None
+    stopped: bool = False
+    """Whether it was told to end because nobody needs it any more."""
 
 
 @dataclass
@@ -88,22 +90,30 @@ class _Fold:
         self.origin_s = self.executor.clock()
         try:
             while waiting or self.running:
-                while (node := self._next(waiting, edges)) is not None:
+                while (node := self._next(waiting)) is not None:
                     waiting.remove(node)
                     self._start(node)
+                    self._drop_needless(edges)
                 if self.running:
                     self._handle(*self.lines.get())
+                    self._drop_needless(edges)
         finally:
             self._stop_all()
         return self.times
 
-    def _next(self, waiting: list[Tree], edges: list[Tree]) -> Tree | None:
-        """The most urgent node that can start now, if a worker is free."""
-        if len(self.running) >= self.executor.num_workers:
-            return None
+    def _drop_needless(self, edges: list[Tree]) -> None:
+        """An edge whose devices are all there takes what its teachers have rendered so far and does the rest itself."""
         for edge in edges:
             if all(device.id in self.times for teacher in edge.children for device in teacher.children):
                 self.needless.update(child.id for child in edge.children if child.tier == "teacher")
+        for node_id in self.needless & self.running.keys():
+            self.running[node_id].stopped = True
+            _signal_group(self.running[node_id].process, signal.SIGTERM)
+
+    def _next(self, waiting: list[Tree]) -> Tree | None:
+        """The most urgent node that can start now, if a worker is free."""
+        if len(self.running) >= self.executor.num_workers:
+            return None
         ready = [node for node in waiting if all(child.id in self.times for child in node.children)]
         # What needs no worker must not wait behind what does: an edge waits for it.
         return next((node for node in ready if node.id in self.needless), ready[0] if ready else None)
@@ -151,6 +161,9 @@ class _Fold:
 
     def _finish(self, running: _Running) -> None:
         task, code = running.task, running.process.returncode
+        if running.stopped:
+            self._done(running)
+            return
         if running.failure is not None:
             error = BadInput if running.failure.exit_code == BadInput.exit_code else StageFailed
             raise error(f"{task.stage}: {running.failure.message}")
@@ -161,9 +174,12 @@ class _Fold:
             raise StageFailed(
                 f"{task.stage}: its process {reason} before it was done; see {_log_path(task.folder)}, then run again with --resume."
             )
+        self._done(running)
+
+    def _done(self, running: _Running) -> None:
         now_s = self._now_s()
         self.times[running.node.id] = NodeTime(started_s=running.started_s, ended_s=now_s)
-        self.listen(StageDone(stage=task.stage, seconds=now_s - running.started_s))
+        self.listen(StageDone(stage=running.task.stage, seconds=now_s - running.started_s))
 
     def _stop_all(self) -> None:
         for running in self.running.values():

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.synthetic_views import synthetic_views
+from radiant_core.aggregate.synthetic_views import Rendered, synthetic_views
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.splats import Splats, concatenate_splats
@@ -29,12 +29,12 @@ def retrain_on_synthetic_views(
     train: TrainConfig,
     aggregate: AggregateConfig,
     options: FitOptions,
-    rendered: Sequence[TrainingViews | None] | None = None,
+    rendered: Sequence[Rendered] | None = None,
 ) -> TrainResult:
     """Concatenate what `models` know and retrain it on what each shows at its own `cameras` (one set per model).
 
-    `rendered` holds the views of those models that were rendered before, see `teacher_views`. A single model is its own teacher and
-    comes back unchanged. Raises BadInput when the counts differ.
+    `rendered` holds per model the views that need not be rendered any more. A single model is its own teacher and comes back
+    unchanged. Raises BadInput when the counts differ.
     """
     if len(models) != len(cameras) or not models:
         raise BadInput(f"{len(models)} models with {len(cameras)} sets of cameras: give one set per model, at least one.")
@@ -59,13 +59,10 @@ def teacher_views(
     models: Sequence[Splats],
     cameras: Sequence[Cameras],
     long_side_px: int,
-    rendered: Sequence[TrainingViews | None] | None = None,
+    rendered: Sequence[Rendered] | None = None,
 ) -> TrainingViews:
-    """Every model's synthetic views at its own cameras, reduced to `long_side_px`: those in `rendered`, and where it has None, new ones."""
-    ready = rendered or [None] * len(models)
+    """Every model's synthetic views at its own cameras, reduced to `long_side_px`; those in `rendered` are taken as they are."""
+    ready = [{}] * len(models) if rendered is None else rendered
     return concatenate_views(
-        [
-            synthetic_views(model, own.scaled(long_side_px)) if views is None else views
-            for model, own, views in zip(models, cameras, ready, strict=True)
-        ]
+        [synthetic_views(model, own.scaled(long_side_px), rendered=views) for model, own, views in zip(models, cameras, ready, strict=True)]
     )
