@@ -13,12 +13,14 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from radiant_core.errors import BadInput, RadiantError, StoreDamaged
+from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.io.open3d_formats import splats_from_spz
 from radiant_core.io.records import save_cameras
 from radiant_core.io.upload import BYTES_FACTORS, UploadFormat, load_upload, save_upload, upload_problem
 from radiant_core.numerics import rotmats_from_quats
+from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import SH_BASES, Splats
-from tests.core.scenes import cameras_above
+from tests.core.scenes import cameras_above, ground_splats
 
 FORMATS: tuple[UploadFormat, ...] = ("float32", "float16", "spz")
 EXTENT_M = 500.0
@@ -89,6 +91,16 @@ def test_spz_keeps_what_its_steps_allow(tmp_path: Path, degree: int) -> None:
     # Rounded twice: to 1/128, then to its own step.
     assert errors["shN"] <= (0.5 / 16 if degree == 1 else 0.5 / 8) + 0.5 / 128 + 1e-6
     assert errors["rotations"] <= 0.01  # 9 bits and a sign for each of the three smaller components
+
+
+@pytest.mark.parametrize(("name", "least_db"), [("float16", 55), ("spz", 35)])
+def test_a_decoded_model_looks_like_the_sent_one(tmp_path: Path, name: UploadFormat, least_db: float) -> None:
+    ground, rng = ground_splats(), np.random.default_rng(1)
+    spread = replace(ground, quats=rng.normal(size=(300, 4)), log_scales=ground.log_scales + rng.normal(size=(300, 3)) / 2)
+    sent = replace(spread, shN=rng.normal(size=(300, 8, 3)) / 10)
+    cameras = cameras_above([(-1, 0), (1, 1)])
+    pairs = zip(render_views(sent, cameras), render_views(there_and_back(tmp_path, sent, name), cameras), strict=True)
+    assert min(psnr_db(before.image, after.image) for before, after in pairs) > least_db
 
 
 def test_files_take_the_bytes_that_the_planner_counts_with(tmp_path: Path) -> None:
