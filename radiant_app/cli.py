@@ -30,6 +30,8 @@ PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 Matching = Literal["auto", "spatial", "exhaustive"]
 Frames = Literal["shared", "gps", "known"]
 RunPreset = Literal["default", "paper"]
+UploadFormat = Literal["float32", "float16", "spz"]
+Teachers = Literal["early", "late"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
@@ -67,6 +69,8 @@ def run(
         Path | None, typer.Option(help="Plan made by `radiant plan` before capture; else what was captured is planned.")
     ] = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
+    upload: Annotated[UploadFormat, typer.Option(help="What devices and edges send: exact, half the bytes, or a fifth.")] = "float16",
+    teachers: Annotated[Teachers, typer.Option(help="Render an edge's teachers as each device arrives, or after the last.")] = "early",
     long_side_px: LongSide = None,
     steps: NumSteps = None,
     max_splats: MaxSplats = None,
@@ -89,6 +93,8 @@ def run(
         poses=poses,
         plan=plan,
         single_owner=single_owner,
+        upload=upload,
+        teachers=teachers,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
         seed=seed,
         max_workers=workers,
@@ -227,10 +233,12 @@ def export(
 
 @app.command()
 def bench(
-    name: Annotated[Literal["sfm", "plan", "raster"], typer.Argument(help="What to measure.")],
+    name: Annotated[Literal["sfm", "plan", "raster", "upload", "teachers"], typer.Argument(help="What to measure.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
-    scene: Annotated[Path | None, typer.Option(help="Scene with known cameras; the sample town without it.")] = None,
+    scene: Annotated[
+        Path | None, typer.Option(help="sfm: scene with known cameras, else the sample town; upload, teachers: a finished run.")
+    ] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of the rasterizer; all cores without it.")] = None,
 ) -> None:
     """Run time beside error."""

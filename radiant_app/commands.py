@@ -23,6 +23,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_scene
 from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.io.upload import load_upload
 from radiant_core.scene import SfmScene
 from radiant_core.train.needs import Overrides
 
@@ -98,7 +99,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
         inbox = [run / "edges" / edge / "inbox" / device for device in task["devices"]]
         with stage_bar(display, f"edges/{edge}") as report:
             options = FitOptions(report=lambda p, report=report: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
-            device_models = [load_splats(place / "model.safetensors") for place in inbox]
+            device_models = [load_upload(place / "model.safetensors") for place in inbox]
             device_cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
             result = retrain_on_synthetic_views(device_models, device_cameras, train, config, options)
         models.append(result.splats)

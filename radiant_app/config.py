@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 from radiant_core.aggregate.config import AggregatePreset
 from radiant_core.errors import BadInput
+from radiant_core.io.upload import UploadFormat
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
@@ -60,6 +61,10 @@ class RunConfig:
     """With frames "gps" or "known": all devices are one owner's, so comparison pictures may be collected in the run."""
     matching: Literal["auto", "spatial", "exhaustive"] = "auto"
     """Which photographs are compared: neighbours by GPS, or all with all."""
+    upload: UploadFormat = "float16"
+    """What devices and edges send: exact, half the bytes, or SPZ with a fifth of them."""
+    teachers: Literal["early", "late"] = "early"
+    """early: an edge renders the views of a device when it has arrived; late: of all when the last has. The result is the same."""
     seed: int = 0
     """Seed of every random choice."""
     max_workers: int = 0

@@ -19,11 +19,15 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
 from radiant_core.cameras import Cameras
 from radiant_core.io.records import save_cameras, save_scene
-from radiant_core.io.run_store import content_key, write_json
+from radiant_core.io.run_store import content_key, is_sealed, write_json
+from radiant_core.io.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
+
+MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
+"""What a device or edge keeps, and what it sends where that is not the same file. In an inbox both are called by the first name."""
 
 Filled = tuple[dict[str, Any], Sequence[Path]]
 """The content of a node's task.json and the files it may read besides."""
@@ -40,49 +44,84 @@ class Dealer:
     train: TrainConfig
     aggregate: AggregateConfig
     backend: str
+    upload: UploadFormat = "float32"
     ledger: list[dict[str, Any]] = field(default_factory=list)
 
     def prepare(self, node: Tree) -> NodeTask | None:
         """Fill the node's folder and say what to run there; None where nothing arrived that could be joined."""
         folder = self.run / node.id
         folder.mkdir(parents=True, exist_ok=True)
-        fill = {"device": self.fill_device, "edge": self.fill_edge, "cloud": self.fill_cloud}[node.tier]
-        filled = fill(node, folder)
+        fills = {"device": self.fill_device, "teacher": self.fill_teacher, "edge": self.fill_edge, "cloud": self.fill_cloud}
+        filled = fills[node.tier](node, folder)
         if filled is None:
             return None
         task, inputs = filled
-        write_json(folder / "task.json", task)
-        self.ledger.append({"node": node.id, "tier": node.tier, **received(inputs)})
-        return NodeTask(kind=self.kinds[node.tier], stage=node.id, folder=folder, key=content_key(__version__, task, *inputs))
+        key = content_key(__version__, task, *inputs)
+        # A teacher is a part of its edge: what it is sent counts once, when the edge takes it.
+        if node.tier == "teacher":
+            _drop_other_views(folder, key)
+        else:
+            self.ledger.append({"node": node.id, "tier": node.tier, **received(inputs)})
+        # Who rendered a view does not change it, so it is not in the edge's key.
+        teachers = {"teachers": [child.name for child in node.children if child.tier == "teacher"]} if node.tier == "edge" else {}
+        write_json(folder / "task.json", {**task, **teachers})
+        return NodeTask(kind=self.kinds[node.tier], stage=node.id, folder=folder, key=key)
 
     @property
     def kinds(self) -> dict[str, str]:
         """Which worker runs the nodes of a tier."""
-        return {"device": "device", "edge": "edge", "cloud": "cloud"}
+        return {"device": "device", "teacher": "teacher", "edge": "edge", "cloud": "cloud"}
 
     def fill_device(self, node: Tree, folder: Path) -> Filled:
         """Settings and files of a device."""
         raise NotImplementedError
 
-    def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
-        """Settings and files of an edge: what its devices delivered."""
+    def deal_device(self, device: str, place: Path) -> None:
+        """What an edge gets of a device: its model as it was uploaded, and its cameras."""
         raise NotImplementedError
 
-    def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
-        """Settings and files of the cloud: what the edges delivered, and the plan's borders."""
-        edges = [name_of(child) for child in node.children]
-        return self.cloud_task(
-            edges, folder, ["model.safetensors", VIRTUAL_CAMERAS] if self.aggregate.cloud == "retrain" else ["model.safetensors"]
-        )
+    def delivered(self, node: Tree) -> bool:
+        """Whether a device or edge that has run has a model; False where devices may fail."""
+        return True
 
-    def cloud_task(self, edges: Sequence[str], folder: Path, files: Sequence[str]) -> Filled:
-        """The cloud's settings with `files` of these edges in its inbox."""
+    def fill_teacher(self, node: Tree, folder: Path) -> Filled | None:
+        """What the teacher's device uploaded."""
+        (device,) = node.children
+        if not self.delivered(device):
+            return None
         shutil.rmtree(folder / "inbox", ignore_errors=True)
+        self.deal_device(node.name, folder / "inbox")
+        return {"long_side_px": self.train.long_side_px, "backend": self.backend}, [folder / "inbox"]
+
+    def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
+        """What its devices uploaded."""
+        leaves = [next(iter(child)) for child in node.children]
+        devices = [device.name for device in leaves if self.delivered(device)]
+        shutil.rmtree(folder / "inbox", ignore_errors=True)
+        if not devices:
+            return None
+        for device in devices:
+            self.deal_device(device, folder / "inbox" / device)
+        task = {
+            "devices": devices,
+            "train": asdict(self.train),
+            "aggregate": asdict(self.aggregate),
+            "backend": self.backend,
+            "upload": self.upload,
+        }
+        return task, [folder / "inbox"]
+
+    def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
+        """What the edges uploaded, and the plan's borders."""
+        edges = [edge.name for edge in node.children if self.delivered(edge)]
+        shutil.rmtree(folder / "inbox", ignore_errors=True)
+        if not edges:
+            return None
         for edge in edges:
-            deal_files(self.run / "edges" / edge, files, folder / "inbox" / edge)
+            self.deal_edge(edge, folder / "inbox" / edge)
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
         task = {
-            "edges": list(edges),
+            "edges": edges,
             "sites": self.cloud_plan.sites[rows].tolist(),
             "weights": self.cloud_plan.weights[rows].tolist(),
             "train": asdict(self.train),
@@ -91,9 +130,16 @@ class Dealer:
         }
         return task, [folder / "inbox"]
 
-    def edge_task(self, devices: Sequence[str]) -> dict[str, Any]:
-        """An edge's settings for the devices whose models are in its inbox."""
-        return {"devices": list(devices), "train": asdict(self.train), "aggregate": asdict(self.aggregate), "backend": self.backend}
+    def deal_edge(self, edge: str, place: Path) -> None:
+        """What the cloud gets of an edge: its model as it was uploaded, and virtual cameras where it retrains."""
+        self.deal_upload(self.run / "edges" / edge, place)
+        if self.aggregate.cloud == "retrain":
+            deal_files(self.run / "edges" / edge, [VIRTUAL_CAMERAS], place)
+
+    def deal_upload(self, sender: Path, place: Path) -> None:
+        """The model that a device or edge sends."""
+        place.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(sender / (MODEL_NAME if self.upload == "float32" else UPLOAD_NAME), place / MODEL_NAME)
 
 
 @dataclass(kw_only=True)
@@ -106,21 +152,16 @@ class SharedDealer(Dealer):
 
     def fill_device(self, node: Tree, folder: Path) -> Filled:
         """The device's photographs and its part of the scene."""
-        own = self.scene.restricted_to(self._camera_indices(name_of(node)))
+        own = self.scene.restricted_to(self._camera_indices(node.name))
         deal_files(self.images, own.cameras.names, folder / "photos")
         save_scene(folder / "scene.safetensors", own)
-        task = {"train": asdict(self.train), "backend": self.backend}
+        task = {"train": asdict(self.train), "backend": self.backend, "upload": self.upload}
         return task, [folder / "photos", folder / "scene.safetensors"]
 
-    def fill_edge(self, node: Tree, folder: Path) -> Filled:
-        """The models of its devices and their cameras."""
-        devices = [name_of(child) for child in node.children]
-        shutil.rmtree(folder / "inbox", ignore_errors=True)
-        for device in devices:
-            place = folder / "inbox" / device
-            deal_files(self.run / "devices" / device, ["model.safetensors"], place)
-            save_cameras(place / "cameras.safetensors", self.scene.cameras.select(self._camera_indices(device)))
-        return self.edge_task(devices), [folder / "inbox"]
+    def deal_device(self, device: str, place: Path) -> None:
+        """Its upload, and its cameras in the owner's scene."""
+        self.deal_upload(self.run / "devices" / device, place)
+        save_cameras(place / "cameras.safetensors", self.scene.cameras.select(self._camera_indices(device)))
 
     def _camera_indices(self, device: str) -> Any:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
@@ -138,6 +179,12 @@ def evaluation_task(run: Path, images: Path, cameras: Cameras, backend: str) -> 
     write_json(folder / "task.json", task)
     inputs = [folder / name for name in ("photos", "scene.ply", "plan.json", "cameras.safetensors", "initial.safetensors")]
     return NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=content_key(__version__, task, *inputs))
+
+
+def _drop_other_views(teacher: Path, key: str) -> None:
+    """What a teacher left of another model, or half-written: its edge takes whatever view lies there."""
+    if not is_sealed(teacher, key):
+        shutil.rmtree(teacher / "views", ignore_errors=True)
 
 
 def deal_files(source: Path, names: Sequence[str], target: Path) -> None:
@@ -158,8 +205,3 @@ def received(inputs: Sequence[Path]) -> dict[str, int]:
         "photograph_bytes": sum(file.stat().st_size for file in photographs),
         "other_bytes": sum(file.stat().st_size for file in files if file not in photographs),
     }
-
-
-def name_of(node: Tree) -> str:
-    """The id of a device or edge in the plan."""
-    return node.id.rsplit("/", 1)[-1]

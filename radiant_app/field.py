@@ -24,7 +24,7 @@ from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field_dealing import DeviceShare, FieldDealer, Scorer
 from radiant_app.field_results import collect_scores, save_delivered
-from radiant_app.stages import Progress, plan_around, plan_stage, training_settings
+from radiant_app.stages import Progress, plan_around, plan_stage, training_settings, with_uploads
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
@@ -77,6 +77,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> C
     poses = given_poses(config.source, config.poses) if config.frames == "known" else None
     captured = _by_poses(poses, folders, config.source) if poses is not None else _by_gps(config, folders, progress)
     _tell_unplaced(captured, progress)
+    system = with_uploads(system, config.upload, progress)
     system, cloud_plan, edge_plans, shares = _planned(config, system, captured, folders, progress)
     train, aggregate, backend = training_settings(config, progress)
     dealer = FieldDealer(
@@ -87,19 +88,20 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> C
         train=train,
         aggregate=aggregate,
         backend=backend,
+        upload=config.upload,
         frames=config.frames,
         shares=shares,
         origin=captured.origin,
         poses=poses,
         sfm={"matching": config.matching, "seed": config.seed},
     )
-    tree = tree_of_plan(cloud_plan, edge_plans)
+    tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.teachers == "early")
     executor = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=lambda node: node.tier != "cloud")
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
     progress.manifest.keep_stages({"positions", *scores, *(node.id for node in tree)})
     executor.fold(tree, dealer.prepare, progress.listen)
     missing = dealer.missing()
-    if not dealer.delivered("cloud"):
+    if not dealer.has_model("cloud"):
         raise StageFailed("no device delivered a model. " + " ".join(f"{name}: {reason}" for name, reason in missing.items()))
     scorer = Scorer(dealer=dealer, moves=dealer.moves(), long_side_px=train.long_side_px)
     executor.fold(_scoring_tree(scorer.moves), scorer.prepare, progress.listen)

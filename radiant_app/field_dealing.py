@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from radiant_app.dealing import Dealer, Filled, deal_files, name_of, received
+from radiant_app.dealing import Dealer, Filled, deal_files, received
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
 from radiant_core import __version__
@@ -19,9 +19,6 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.given_poses import GivenPoses
-
-MODEL_FILES = ("model.safetensors", "cameras.safetensors", "frame.json")
-"""What goes up to an edge: a model, poses under numbers, and how sure the frame is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +47,7 @@ class FieldDealer(Dealer):
     @property
     def kinds(self) -> dict[str, str]:
         """Devices reconstruct before they train."""
-        return {"device": "field", "edge": "edge", "cloud": "cloud"}
+        return {**super().kinds, "device": "field"}
 
     def prepare(self, node: Tree) -> NodeTask | None:
         """As in a shared run; the keys are kept, so that only what this run finished is used."""
@@ -61,7 +58,7 @@ class FieldDealer(Dealer):
 
     def fill_device(self, node: Tree, folder: Path) -> Filled:
         """The names of its photographs; the given poses where there are some."""
-        share = self.shares[name_of(node)]
+        share = self.shares[node.name]
         names = [*share.names, *share.held_out]
         files = [(share.source / name).stat() for name in names]
         task = {
@@ -75,6 +72,7 @@ class FieldDealer(Dealer):
             "sfm": self.sfm,
             "train": asdict(self.train),
             "backend": self.backend,
+            "upload": self.upload,
             "model": None,
         }
         if self.poses is None:
@@ -82,21 +80,22 @@ class FieldDealer(Dealer):
         task["model"] = self.poses.deal(names, folder)
         return task, [folder / ("poses" if task["model"] else "poses.safetensors")]
 
-    def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
-        """The models of the devices that delivered one."""
-        devices = [name_of(child) for child in node.children if self.delivered(child.id)]
-        shutil.rmtree(folder / "inbox", ignore_errors=True)
-        for device in devices:
-            deal_files(self.run / "devices" / device, MODEL_FILES, folder / "inbox" / device)
-        return (self.edge_task(devices), [folder / "inbox"]) if devices else None
+    def deal_device(self, device: str, place: Path) -> None:
+        """Its upload, its poses under numbers, and how sure its frame is."""
+        self.deal_upload(self.run / "devices" / device, place)
+        deal_files(self.run / "devices" / device, ["cameras.safetensors", "frame.json"], place)
 
-    def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
-        """The models of the edges that delivered one."""
-        edges = [name_of(child) for child in node.children if self.delivered(child.id)]
-        return self.cloud_task(edges, folder, ["model.safetensors", VIRTUAL_CAMERAS, "frame.json"]) if edges else None
+    def deal_edge(self, edge: str, place: Path) -> None:
+        """Its upload, virtual cameras, and how sure its frame is."""
+        self.deal_upload(self.run / "edges" / edge, place)
+        deal_files(self.run / "edges" / edge, [VIRTUAL_CAMERAS, "frame.json"], place)
 
-    def delivered(self, node_id: str) -> bool:
-        """Whether a node is done in this run and has a model."""
+    def delivered(self, node: Tree) -> bool:
+        """Whether a device or edge is done in this run and has a model."""
+        return self.has_model(node.id)
+
+    def has_model(self, node_id: str) -> bool:
+        """Whether the node with this id is done in this run and has a model."""
         folder = self.run / node_id
         done = node_id in self.keys and is_sealed(folder, self.keys[node_id])
         return done and read_json(folder / "frame.json", ("status",))["status"] == "placed"
@@ -112,7 +111,7 @@ class FieldDealer(Dealer):
 
     def missing(self) -> dict[str, str]:
         """Devices with photographs whose model is not in the scene, and why."""
-        present = set(self.moves()) if self.delivered("cloud") else set()
+        present = set(self.moves()) if self.has_model("cloud") else set()
         return {device: self._reason(device) for device in sorted(self.shares) if device not in present}
 
     def _reason(self, device: str) -> str:

@@ -45,8 +45,6 @@ def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
 def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Structure from motion, frame and model of one device's own photographs."""
-    from radiant_core.train.config import TrainConfig
-
     task = read_json(folder / "task.json")
     try:
         placed = _placed(folder, task, stage, emit)
@@ -54,7 +52,7 @@ def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         training = placed.scene.restricted_to(np.flatnonzero(~held))
         if len(training.cameras) < 2:
             raise BadInput(f"{len(training.cameras)} of its training photographs could be placed, expected at least 2.")
-        initial = train_device(folder, training, placed.images, TrainConfig(**task["train"]), (stage, task["backend"], emit))
+        initial, outputs = train_device(folder, training, placed.images, task, (stage, emit))
     except (BadInput, StageFailed) as error:
         return _missing(folder, stage, str(error), emit)
     save_splats(folder / "initial.safetensors", initial)
@@ -63,8 +61,8 @@ def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     save_cameras(folder / "cameras.safetensors", numbered(training.cameras, folder.name))
     write_json(folder / "frame.json", {"status": "placed", "reason": "", "uncertainty": placed.uncertainty})
     write_json(folder / "own.json", {"images": str(placed.images)})
-    arrays = ("model", "initial", "scene", "held_out", "cameras")
-    return [*(f"{name}.safetensors" for name in arrays), "frame.json", "own.json", "summary.json"]
+    arrays = ("initial", "scene", "held_out", "cameras")
+    return [*outputs, *(f"{name}.safetensors" for name in arrays), "frame.json", "own.json"]
 
 
 def _missing(folder: Path, stage: str, reason: str, emit: Emit) -> Sequence[str]:

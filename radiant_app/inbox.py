@@ -18,8 +18,9 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
-from radiant_core.io.records import load_cameras, load_splats
+from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.upload import load_upload
 from radiant_core.splats import Splats
 
 Emit = Callable[[Event], None]
@@ -43,7 +44,7 @@ class Inbox:
 def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> Inbox:
     """The models in inbox/<sender>/, brought together through their geometry; BadInput when none is left."""
     places = [folder / "inbox" / name for name in senders]
-    models = [load_splats(place / "model.safetensors") for place in places]
+    models = [load_upload(place / "model.safetensors") for place in places]
     cameras = [_cameras_in(place) for place in places]
     uncertainties = [
         read_json(place / "frame.json", ("uncertainty",))["uncertainty"] if (place / "frame.json").is_file() else None for place in places

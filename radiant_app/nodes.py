@@ -3,8 +3,9 @@
 | kind     | reads                                               | writes                                   |
 |----------|-----------------------------------------------------|------------------------------------------|
 | sfm      | task.json, the source it names                      | scene.safetensors, result.json, undistorted/ |
-| device   | task.json, scene.safetensors, photos/               | model.safetensors, summary.json          |
-| edge     | task.json, inbox/<device>/{model,cameras}.safetensors | {model,virtual_cameras}.safetensors, summary.json |
+| device   | task.json, scene.safetensors, photos/               | model.safetensors, upload.safetensors (unless float32), summary.json |
+| teacher  | task.json, inbox/{model,cameras}.safetensors        | views/<number>.safetensors               |
+| edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_cameras.safetensors |
 | cloud    | task.json, inbox/<edge>/{model,virtual_cameras}.safetensors | scene.ply, summary.json          |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
 """
@@ -14,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +28,14 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import save_ply
-from radiant_core.io.records import load_scene, save_cameras, save_scene, save_splats
+from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.upload import UploadFormat, load_upload, save_upload, upload_problem
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, morton_order
+
+if TYPE_CHECKING:
+    from radiant_core.aggregate.synthetic_views import Rendered
 
 Emit = Callable[[Event], None]
 _BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
@@ -46,6 +51,7 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         "positions": run_positions,
         "device": run_device,
         "field": run_field,
+        "teacher": run_teacher,
         "edge": run_edge,
         "cloud": run_cloud,
         "evaluate": run_evaluate,
@@ -93,36 +99,52 @@ def run_sfm(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
 def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Train one model from the folder's own photographs and points."""
-    from radiant_core.train.config import TrainConfig
-
-    task = read_json(folder / "task.json")
-    config = TrainConfig(**task["train"])
-    train_device(folder, load_scene(folder / "scene.safetensors"), folder / "photos", config, (stage, task["backend"], emit))
-    return ["model.safetensors", "summary.json"]
+    task = read_json(folder / "task.json", ("train", "backend", "upload"))
+    scene = load_scene(folder / "scene.safetensors")
+    return train_device(folder, scene, folder / "photos", task, (stage, emit))[1]
 
 
-def train_device(folder: Path, scene: SfmScene, images: Path, config: Any, running: tuple[str, Any, Emit]) -> Splats:
-    """Train model.safetensors from a scene and its photographs, with summary.json; returns the Gaussians before training.
+def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, Any], running: tuple[str, Emit]) -> tuple[Splats, list[str]]:
+    """Train a model from a scene and its photographs by the settings of a task; `running` is stage and listener.
 
-    `running` is stage, backend and listener.
+    Returns the Gaussians before training and the names of the files written.
     """
+    from radiant_core.train.config import TrainConfig
     from radiant_core.train.initialize import first_splats, sky_share
     from radiant_core.train.trainer import fit_splats
     from radiant_core.train.views import TrainingViews
 
-    stage, backend, emit = running
+    stage, emit = running
+    config = TrainConfig(**task["train"])
     cameras = scene.cameras.scaled(config.long_side_px)
     emit(Decided(decision=_sky_decision(stage, sky_share(cameras), wanted=config.sky)))
     views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
     initial, num_filled = first_splats(scene, views, config)
     emit(Decided(decision=_fill_decision(stage, num_filled, len(scene.points), wanted=config.fill_in)))
-    result = fit_splats(initial, views, config, _fit_options(stage, backend, emit))
+    result = fit_splats(initial, views, config, _fit_options(stage, task["backend"], emit))
     if config.densify != "none":
         emit(Decided(decision=_density_decision(stage, result.density, len(initial), len(result.splats))))
     save_splats(folder / "model.safetensors", result.splats)
     summary = {**_training_summary(result), "num_photographs": len(cameras), "num_points": len(scene.points)}
     write_json(folder / "summary.json", summary)
-    return initial
+    return initial, ["model.safetensors", "summary.json", *_save_upload(folder, result.splats, task["upload"], stage, emit)]
+
+
+def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+    """Render what one device's model shows at its cameras, for the retraining of its edge; may be stopped at any time."""
+    from radiant_core.aggregate.synthetic_views import views_in_bytes
+    from radiant_core.io.view_file import save_view
+
+    task = read_json(folder / "task.json", ("long_side_px", "backend"))
+    model = load_upload(folder / "inbox" / "model.safetensors")
+    cameras = load_cameras(folder / "inbox" / "cameras.safetensors").scaled(task["long_side_px"])
+    (folder / "views").mkdir(exist_ok=True)
+    names = []
+    for name, (image, weight) in zip(cameras.names, views_in_bytes(model, cameras, task["backend"]), strict=True):
+        names.append(_view_name(len(names)))
+        save_view(folder / names[-1], image, weight)
+        emit(StageProgress(stage=stage, done=len(names), total=len(cameras), note=name))
+    return names
 
 
 def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -133,16 +155,24 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
     task = read_json(folder / "task.json")
     inbox = read_inbox(folder, task["devices"], stage, emit)
-    aggregate = AggregateConfig(**task["aggregate"])
+    train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
+    # A device's model shows the same at its own cameras wherever both were moved to.
+    rendered = [
+        load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if name in task["teachers"] else {}
+        for name, own in zip(inbox.senders, inbox.cameras, strict=True)
+    ]
+    if len(inbox.models) > 1:
+        emit(Decided(decision=_teachers_decision(stage, rendered, inbox.cameras)))
     options = _fit_options(stage, task["backend"], emit)
-    result = retrain_on_synthetic_views(inbox.models, inbox.cameras, TrainConfig(**task["train"]), aggregate, options)
+    result = retrain_on_synthetic_views(inbox.models, inbox.cameras, train, aggregate, options, rendered)
     emit(Decided(decision=_retrain_decision(stage, aggregate, [len(model) for model in inbox.models], result)))
     # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
     splats = result.splats.select(morton_order(result.splats.means))
     save_splats(folder / "model.safetensors", splats)
     write_json(folder / "summary.json", {**_training_summary(result), "num_models": len(inbox.models)})
     save_cameras(folder / VIRTUAL_CAMERAS, virtual_cameras_of(folder, inbox.cameras, splats))
-    return ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox)]
+    uploaded = _save_upload(folder, splats, task["upload"], stage, emit)
+    return ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox), *uploaded]
 
 
 def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -171,6 +201,15 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     return outputs
 
 
+def load_views(teacher: Path, cameras: Cameras) -> Rendered:
+    """The views that a teacher has written for `cameras`, all or the first ones; raises as `load_view`."""
+    from radiant_core.io.view_file import load_view
+
+    sizes = {index: (int(width), int(height)) for index, (width, height) in enumerate(cameras.sizes_wh)}
+    written = {index: size for index, size in sizes.items() if (teacher / _view_name(index)).exists()}
+    return {index: load_view(teacher / _view_name(index), *size) for index, size in written.items()}
+
+
 def place_of(images: Path, folder: Path) -> str:
     """The images' folder relative to `folder` where it lies inside, so that a run can be moved; absolute otherwise."""
     images, folder = images.resolve(), folder.resolve()
@@ -192,6 +231,21 @@ def _fit_options(stage: str, backend: Any, emit: Emit):  # noqa: ANN202 - FitOpt
         emit(StageProgress(stage=stage, done=progress.step, total=progress.num_steps, note=f"loss {progress.loss:.4f}"))
 
     return FitOptions(backend=backend, report=report)
+
+
+def _view_name(index: int) -> str:
+    return f"views/{index:05d}.safetensors"
+
+
+def _save_upload(folder: Path, splats: Splats, upload: UploadFormat, stage: str, emit: Emit) -> list[str]:
+    """Write what is sent in place of model.safetensors, if it is not that file itself; the names written."""
+    if upload == "float32":
+        return []
+    problem = upload_problem(splats, upload)
+    if problem is not None:
+        emit(Warned(stage=stage, message=f"the model is uploaded as float32 instead of {upload}: {problem}"))
+    save_upload(folder / "upload.safetensors", splats, upload if problem is None else "float32")
+    return ["upload.safetensors"]
 
 
 def _training_summary(result: Any) -> dict[str, float | int]:
@@ -235,6 +289,18 @@ def _fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool
         unit="image cells without a sparse point" if wanted else "points",
         reason="places without sparse points would start empty" if wanted else _BY_PRESET,
         forced=not wanted,
+    )
+
+
+def _teachers_decision(stage: str, rendered: Sequence[Rendered], cameras: Sequence[Cameras]) -> Decision:
+    num_early, num_views = sum(map(len, rendered)), sum(map(len, cameras))
+    return Decision(
+        stage=stage,
+        topic="teachers",
+        choice=f"{num_early} of {num_views} views were rendered before the last device arrived",
+        figure=float(num_early),
+        unit="views",
+        reason="a device's views need no other device; the edge renders the rest itself",
     )
 
 

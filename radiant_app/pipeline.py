@@ -23,7 +23,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.field import run_in_the_field
 from radiant_app.run_folder import Manifest, opened_run
 from radiant_app.sources import detect_source
-from radiant_app.stages import Progress, plan_stage, training_settings
+from radiant_app.stages import Progress, plan_stage, training_settings, with_uploads
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
 from radiant_core.aggregate.tree import tree_of_plan
@@ -88,7 +88,9 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> CloudP
     held_out = held_out_mask(scene.cameras.names)
     training = scene.restricted_to(np.flatnonzero(~held_out))
     origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
-    system, cloud_plan, edge_plans = plan_stage(config, system, training.cameras.centers[:, :2], origin, progress)
+    system, cloud_plan, edge_plans = plan_stage(
+        config, with_uploads(system, config.upload, progress), training.cameras.centers[:, :2], origin, progress
+    )
     train, aggregate, backend = training_settings(config, progress)
     _require_size(scene, train)
     dealer = SharedDealer(
@@ -101,8 +103,9 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> CloudP
         train=train,
         aggregate=aggregate,
         backend=backend,
+        upload=config.upload,
     )
-    tree = tree_of_plan(cloud_plan, edge_plans)
+    tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.teachers == "early")
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
     executor = LocalExecutor(num_workers=config.num_workers, clock=progress.clock)
     executor.fold(tree, dealer.prepare, progress.listen)

@@ -80,9 +80,9 @@ def _timeline_rows(manifest: Manifest) -> list[Any]:
     }
     rows = []
     for stage, times in sorted(manifest.stages.items(), key=lambda item: item[1]["started_s"]):
-        kind = "evaluate" if stage.endswith("/score") else kinds[stage.split("/")[0]]
+        kind = "evaluate" if stage.endswith("/score") else "render teachers" if "/teachers/" in stage else kinds[stage.split("/")[0]]
         span = TimelineSpan(stage=kind, start_s=times["started_s"], stop_s=times["ended_s"])
-        rows.append(TimelineRow(name=stage, spans=(span,), strong=not stage.startswith("devices/")))
+        rows.append(TimelineRow(name=stage, spans=(span,), strong=not stage.startswith("devices/") and kind != "render teachers"))
     return rows
 
 

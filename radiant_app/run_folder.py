@@ -166,13 +166,13 @@ def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (
 
 
 def recorded_config(config: RunConfig) -> dict[str, Any]:
-    """The settings as the manifest keeps them: all but where the run lies and how many processes work on it."""
+    """The settings as the manifest keeps them: all but where the run lies and in which order and how many processes work on it."""
     fields = asdict(config)
     fields["source"] = str(config.source.resolve())
     for name in ("system", "poses", "plan"):
         path = getattr(config, name)
         fields[name] = None if path is None else str(path.resolve())
-    del fields["out"], fields["max_workers"]
+    del fields["out"], fields["max_workers"], fields["teachers"]
     return fields
 
 

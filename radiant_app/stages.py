@@ -15,6 +15,7 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
+from radiant_core.io.upload import BYTES_FACTORS, UploadFormat
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.captured import plan_of_captured
 from radiant_core.plan.device_split import split_edges
@@ -84,6 +85,23 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
     moved = replace(cloud_plan, sites=cloud_plan.sites + shift, borders=tuple(border + shift for border in cloud_plan.borders))
     edges = tuple(replace(plan, strips=tuple(strip + shift for strip in plan.strips)) for plan in edge_plans)
     return moved, edges, enu_from_geodetic(waypoints.lat_lon_alt, origin)[:, :2]
+
+
+def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> System:
+    """The system as the plan has to see it: a model's bytes are those of its upload."""
+    factor = BYTES_FACTORS[upload]
+    if factor == 1:
+        return system
+    decision = Decision(
+        stage="plan",
+        topic="uploads",
+        choice=f"{upload}: models count {factor:.2f} times their bytes",
+        figure=100 * factor,
+        unit="% of the bytes of float32",
+        reason="the plan's sizes are those of float32 models, uploads take less",
+    )
+    progress.listen(Decided(decision=decision))
+    return system.with_uploads_of(factor)
 
 
 def training_settings(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, str]:

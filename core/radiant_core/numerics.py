@@ -55,12 +55,17 @@ def require_finite(name: str, array: NDArray[Any]) -> None:
         raise BadInput(f"{name} has {int(bad.sum())} values that are not finite, the first at index {first}: remove them first.")
 
 
-def rotmats_from_quats(quats: ArrayLike) -> FloatArray:
-    """Rotation matrices (N,3,3) of quaternions wxyz (N,4) of any length; a zero quaternion becomes the identity."""
+def unit_quats(quats: ArrayLike) -> FloatArray:
+    """Quaternions wxyz (N,4) of length 1; a zero quaternion becomes the identity."""
     quats = np.asarray(quats, dtype=np.float64)
     largest = np.abs(quats).max(axis=-1, keepdims=True, initial=0.0)
     scaled = np.where(largest > 0, quats / np.where(largest > 0, largest, 1.0), np.array([1.0, 0.0, 0.0, 0.0]))
-    w, x, y, z = np.moveaxis(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True), -1, 0)
+    return scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
+
+
+def rotmats_from_quats(quats: ArrayLike) -> FloatArray:
+    """Rotation matrices (N,3,3) of quaternions wxyz (N,4) of any length; a zero quaternion becomes the identity."""
+    w, x, y, z = np.moveaxis(unit_quats(quats), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

@@ -13,6 +13,9 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric, metrics_to_json
 from radiant_core.io.run_store import write_json
 
+_OF_A_RUN = ("upload", "teachers")
+"""Benchmarks whose --scene is the folder of a finished run."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class BenchOptions:
@@ -21,7 +24,7 @@ class BenchOptions:
     quick: bool = False
     """Fewer and smaller cases."""
     scene: Path | None = None
-    """Scene with known cameras (sfm)."""
+    """Scene with known cameras (sfm), or a finished run (upload, teachers)."""
     threads: int | None = None
     """Threads of the rasterizer (raster)."""
 
@@ -30,8 +33,10 @@ def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
     """Run the benchmark `name` and report; BadInput for an unknown name or an unwritable file."""
     if json_file is not None and not json_file.parent.is_dir():
         raise BadInput(f"there is no folder {json_file.parent} to write {json_file.name} into: make it first.")
-    if options.scene is not None and name != "sfm":
-        raise BadInput(f"--scene is for the benchmark sfm, not for {name}: leave it out.")
+    if options.scene is not None and name not in ("sfm", *_OF_A_RUN):
+        raise BadInput(f"--scene is for the benchmarks sfm, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
+    if options.scene is None and name in _OF_A_RUN:
+        raise BadInput(f"the benchmark {name} measures a finished run: name its folder with --scene.")
     metrics = measure(name, options)
     typer.echo(table(metrics))
     if json_file is not None:
@@ -54,7 +59,15 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
 
         typer.echo(build_description(options.threads))
         return bench_raster(options.quick, options.threads)
-    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan or raster.")
+    if name == "upload" and options.scene is not None:
+        from radiant_app.bench.upload import bench_upload
+
+        return bench_upload(options.scene, options.quick)
+    if name == "teachers" and options.scene is not None:
+        from radiant_app.bench.teachers import bench_teachers
+
+        return bench_teachers(options.scene, options.quick)
+    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, raster, upload or teachers.")
 
 
 def table(metrics: Sequence[Metric]) -> str:

@@ -94,7 +94,9 @@ def test_resuming_skips_every_finished_stage_and_keeps_the_scene(finished: tuple
     events: list[Event] = []
     run(config, events.append, resume=True)
     assert not any(isinstance(event, StageDone) for event in events)
-    assert {e.stage for e in events if isinstance(e, StageSkipped)} == {e.stage for e in first if isinstance(e, StageDone)}
+    # Teachers come and go: one that the last device has stopped is not begun again.
+    skipped, done = ({e.stage for e in of if isinstance(e, kind)} for of, kind in ((events, StageSkipped), (first, StageDone)))
+    assert skipped <= done and all("/teachers/" in stage for stage in done - skipped)
     assert (config.out / "scene.ply").read_bytes() == before
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
-from radiant_core.aggregate.synthetic_views import synthetic_views
+from radiant_core.aggregate.synthetic_views import Rendered, synthetic_views
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.splats import Splats, concatenate_splats
@@ -27,17 +27,23 @@ _STEPS = {
 
 
 def retrain_on_synthetic_views(
-    models: Sequence[Splats], cameras: Sequence[Cameras], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions
+    models: Sequence[Splats],
+    cameras: Sequence[Cameras],
+    train: TrainConfig,
+    aggregate: AggregateConfig,
+    options: FitOptions,
+    rendered: Sequence[Rendered] | None = None,
 ) -> TrainResult:
     """Concatenate `models`, or what they know, and retrain that on what each shows at its own `cameras` (one set per model).
 
-    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single`. Raises BadInput when the counts differ.
+    `rendered` holds per model the views that need not be rendered any more. A single model is its own teacher and comes back unchanged
+    unless `aggregate.retrain_single`. Raises BadInput when the counts differ.
     """
     if len(models) != len(cameras) or not models:
         raise BadInput(f"{len(models)} models with {len(cameras)} sets of cameras: give one set per model, at least one.")
     if len(models) == 1 and not aggregate.retrain_single:
         return TrainResult(splats=models[0], num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)
-    views = teacher_views(models, cameras, train.long_side_px)
+    views = teacher_views(models, cameras, train.long_side_px, rendered)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
     if aggregate.drop_unseen:
@@ -56,6 +62,14 @@ def known_parts(models: Sequence[Splats], cameras: Sequence[Cameras]) -> list[ND
     return [rows[own] | ~np.any(np.delete(rows, own, axis=0), axis=0) for own, rows in enumerate(seen)]
 
 
-def teacher_views(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int) -> TrainingViews:
-    """Every model's synthetic views at its own cameras, reduced to `long_side_px`."""
-    return concatenate_views([synthetic_views(model, own.scaled(long_side_px)) for model, own in zip(models, cameras, strict=True)])
+def teacher_views(
+    models: Sequence[Splats],
+    cameras: Sequence[Cameras],
+    long_side_px: int,
+    rendered: Sequence[Rendered] | None = None,
+) -> TrainingViews:
+    """Every model's synthetic views at its own cameras, reduced to `long_side_px`; those in `rendered` are taken as they are."""
+    ready = [{}] * len(models) if rendered is None else rendered
+    return concatenate_views(
+        [synthetic_views(model, own.scaled(long_side_px), rendered=views) for model, own, views in zip(models, cameras, ready, strict=True)]
+    )

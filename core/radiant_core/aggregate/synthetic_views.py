@@ -5,7 +5,10 @@ A teacher knows nothing where it is transparent: each pixel weighs as much as th
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.render.contract import Backend
@@ -13,13 +16,21 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.views import TrainingViews
 
+ViewBytes = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+"""Image (H,W,3) and weight (H,W)."""
+Rendered = Mapping[int, ViewBytes]
+"""Views that were rendered before, by the index of their camera."""
 
-def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> TrainingViews:
-    """Render `splats` at all `cameras` at their sizes: images (H,W,3) uint8, weights (H,W) uint8 from alpha."""
-    rendered = list(_in_bytes(splats, cameras, backend))
-    return TrainingViews(cameras=cameras, images=tuple(image for image, _ in rendered), weights=tuple(weight for _, weight in rendered))
+
+def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", rendered: Rendered = {}) -> TrainingViews:  # noqa: B006
+    """`splats` at all `cameras` at their sizes, images and weights from alpha in 8 bits; what is in `rendered` is not rendered again."""
+    missing = [index for index in range(len(cameras)) if index not in rendered]
+    views = {**rendered, **dict(zip(missing, views_in_bytes(splats, cameras.select(missing), backend), strict=True))}
+    images, weights = zip(*(views[index] for index in range(len(cameras))), strict=True)
+    return TrainingViews(cameras=cameras, images=images, weights=weights)
 
 
-def _in_bytes(splats: Splats, cameras: Cameras, backend: Backend):  # noqa: ANN202 - pairs (image, weight) of uint8 arrays
+def views_in_bytes(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> Iterator[ViewBytes]:
+    """Render `splats` at all `cameras`, one view in memory at a time."""
     for view in render_views(splats, cameras, backend):
         yield view.image_bytes, (view.alpha * 255).round().astype(np.uint8)

@@ -6,33 +6,25 @@ Runs once per stage.
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
 from radiant_core.cameras import Cameras
-from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.io.array_file import VERSION, load_arrays, naming, require_schema, save_arrays
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 
-VERSION = "1"
-METADATA_NAME = "radiant"
 MAX_PLAN_BYTES = 512 * 2**20
 """A plan of a million waypoints takes some 150 MB."""
-
 SPLATS_DTYPES: dict[str, str] = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"), "F32")
 CAMERAS_DTYPES = {"Ks": "F64", "cam_from_world": "F64", "sizes_wh": "I64"}
 SCENE_DTYPES = {**CAMERAS_DTYPES, "points": "F64", "colors": "U8", "observations": "I64", "origin_lat_lon_alt": "F64"}
@@ -40,25 +32,25 @@ SCENE_DTYPES = {**CAMERAS_DTYPES, "points": "F64", "colors": "U8", "observations
 
 def save_splats(path: Path, splats: Splats) -> None:
     """Write a model (N Gaussians) to `path`, atomically; raises as `write_atomic`."""
-    _save_arrays(path, "radiant.splats", splats.arrays(), {})
+    save_arrays(path, "radiant.splats", splats.arrays(), {})
 
 
 def load_splats(path: Path) -> Splats:
     """The model that `save_splats` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
-    arrays, _ = _load_arrays(path, "radiant.splats", SPLATS_DTYPES)
-    with _naming(path):
+    arrays, _ = load_arrays(path, "radiant.splats", SPLATS_DTYPES)
+    with naming(path):
         return Splats(**arrays)
 
 
 def save_cameras(path: Path, cameras: Cameras) -> None:
     """Write C cameras to `path`, atomically; raises as `write_atomic`."""
-    _save_arrays(path, "radiant.cameras", _camera_arrays(cameras), {"names": list(cameras.names)})
+    save_arrays(path, "radiant.cameras", _camera_arrays(cameras), {"names": list(cameras.names)})
 
 
 def load_cameras(path: Path) -> Cameras:
     """The cameras that `save_cameras` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
-    arrays, about = _load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
-    with _naming(path):
+    arrays, about = load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
+    with naming(path):
         return Cameras(names=_texts(about["names"]), **arrays)
 
 
@@ -72,13 +64,13 @@ def save_scene(path: Path, scene: SfmScene) -> None:
         "origin_lat_lon_alt": scene.frame.origin_lat_lon_alt,
     }
     about = {"names": list(scene.cameras.names), "frame_kind": scene.frame.kind, "frame_residual_m": scene.frame.residual_m}
-    _save_arrays(path, "radiant.scene", arrays, about)
+    save_arrays(path, "radiant.scene", arrays, about)
 
 
 def load_scene(path: Path) -> SfmScene:
     """The scene that `save_scene` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
-    arrays, about = _load_arrays(path, "radiant.scene", SCENE_DTYPES)
-    with _naming(path):
+    arrays, about = load_arrays(path, "radiant.scene", SCENE_DTYPES)
+    with naming(path):
         residual_m = about["frame_residual_m"]
         return SfmScene(
             cameras=Cameras(names=_texts(about["names"]), **{name: arrays[name] for name in CAMERAS_DTYPES}),
@@ -116,10 +108,10 @@ def load_plan_waypoints(path: Path) -> Waypoints | None:
 
 def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints | None]:
     record = read_json(path, max_bytes=MAX_PLAN_BYTES)
-    with _naming(path):
+    with naming(path):
         if not isinstance(record, dict):
             raise BadInput("it holds no plan: pass the plan.json of a run.")
-        _require_schema(record, "radiant.plan")
+        require_schema(record, "radiant.plan")
         cloud = CloudPlan(**_plan_fields(CloudPlan, record["cloud"]))
         edges = tuple(EdgePlan(**_plan_fields(EdgePlan, edge)) for edge in record["edges"])
         stored = record.get("waypoints")
@@ -132,46 +124,6 @@ def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypo
 
 def _camera_arrays(cameras: Cameras) -> dict[str, NDArray]:
     return {name: getattr(cameras, name) for name in CAMERAS_DTYPES}
-
-
-def _save_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about: Mapping[str, Any]) -> None:
-    # One entry only: safetensors writes several in an order that differs from process to process, and keys hash these bytes.
-    record = json.dumps({"schema": schema, "version": VERSION, "about": dict(about)}, allow_nan=False, sort_keys=True)
-    write_atomic(path, save(dict(arrays), {METADATA_NAME: record}))
-
-
-def _load_arrays(path: Path, schema: str, dtypes: Mapping[str, str]) -> tuple[dict[str, NDArray], dict[str, Any]]:
-    """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes are exactly these."""
-    if not Path(path).is_file():
-        raise StoreDamaged(f"cannot read {path}: there is no such file: run the stage that writes it again.")
-    try:
-        with safe_open(os.fspath(path), framework="np") as file, _naming(path):
-            record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
-            _require_schema(record, schema)
-            found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
-            if found != dtypes:
-                raise BadInput(f"it holds the arrays {found}, expected {dict(dtypes)}: write it anew with this version.")
-            return {name: file.get_tensor(name) for name in dtypes}, record["about"]
-    except (SafetensorError, OSError) as error:
-        raise StoreDamaged(f"{path} is not a whole safetensors file: {error}: run the stage that writes it again.") from error
-
-
-def _require_schema(record: Any, schema: str) -> None:
-    if not isinstance(record, dict):
-        raise BadInput("it does not say what it holds: write it anew with this version.")
-    found = (record.get("schema"), record.get("version"))
-    if found != (schema, VERSION):
-        raise BadInput(f"it says schema and version {found}, expected {(schema, VERSION)}: check which file it is.")
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Turn whatever a wrong content raises into BadInput that names the file."""
-    try:
-        yield
-    except (BadInput, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        reason = error if isinstance(error, BadInput) else f"its content is not as written ({type(error).__name__}: {error})."
-        raise BadInput(f"cannot use {path}: {reason}") from error
 
 
 def _texts(values: Any) -> tuple[str, ...]:

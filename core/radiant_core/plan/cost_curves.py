@@ -38,6 +38,15 @@ class CostCurve:
         if self.exponent > 4:
             raise BadInput(f"cost curve: exponent is {self.exponent}, expected at most 4.")
 
+    def scaled(self, factor: float) -> CostCurve:
+        """The curve times `factor`."""
+        return CostCurve(
+            constant=self.constant * factor,
+            linear=self.linear * factor,
+            power_coefficient=self.power_coefficient * factor,
+            exponent=self.exponent,
+        )
+
     def __call__(self, num_cameras: ArrayLike) -> FloatArray:
         """Cost for camera counts of any shape."""
         counts = np.asarray(num_cameras, dtype=np.float64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -102,6 +102,14 @@ class System:
     def devices(self) -> tuple[Device, ...]:
         """Devices of all edges in order."""
         return tuple(device for edge in self.edges for device in edge.devices)
+
+    def with_uploads_of(self, factor: float) -> System:
+        """The same system with models that are uploaded in `factor` times their bytes."""
+
+        def resized(edge: Edge) -> Edge:
+            return replace(edge, devices=tuple(replace(d, model_bytes=d.model_bytes.scaled(factor)) for d in edge.devices))
+
+        return System(edges=tuple(resized(edge) for edge in self.edges))
 
 
 def _require_id(kind: str, name: str) -> None:

@@ -135,12 +135,12 @@ class TestSchedule:
     def policy(self, splats: SplatTensors, **fields) -> AdaptiveDensity:
         return AdaptiveDensity(replace(train_preset("paper"), **fields), EXTENT, splats)
 
-    def test_the_paper_edits_after_step_500_every_100_until_15000_and_resets_every_3000(self) -> None:
+    def test_the_paper_edits_after_step_500_every_100_until_15000_and_resets_every_3000(self, monkeypatch: pytest.MonkeyPatch) -> None:
         splats = SplatTensors.from_splats(ground_splats(5))
         optimizer = SelectiveAdam({}, {})
         policy = self.policy(splats)
         edits, resets = [], []
-        policy._edited = lambda step, model, _: edits.append(step) or model
+        monkeypatch.setattr(policy, "_edited", lambda step, model, _: edits.append(step) or model)
         for step in range(1, 20_001):
             before = policy.counts.num_resets
             policy.after_step(step, splats, optimizer)

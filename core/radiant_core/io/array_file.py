@@ -1,0 +1,81 @@
+"""A file of arrays: safetensors with one entry of metadata that says schema, version and what else is known about the arrays.
+
+Strict when read: another schema, version, name or number type is refused. Runs once per file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.run_store import write_atomic
+
+VERSION = "1"
+METADATA_NAME = "radiant"
+
+
+def save_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about: Mapping[str, Any]) -> None:
+    """Write `arrays` and what is said `about` them to `path`, atomically; raises as `write_atomic`."""
+    # One entry only: safetensors writes several in an order that differs from process to process, and keys hash these bytes.
+    record = json.dumps({"schema": schema, "version": VERSION, "about": dict(about)}, allow_nan=False, sort_keys=True)
+    write_atomic(path, save(dict(arrays), {METADATA_NAME: record}))
+
+
+def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str]) -> tuple[dict[str, NDArray], dict[str, Any]]:
+    """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes are exactly these.
+
+    Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
+    """
+    with _opened(path) as file, naming(path):
+        record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        require_schema(record, schema)
+        found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
+        if found != dtypes:
+            raise BadInput(f"it holds the arrays {found}, expected {dict(dtypes)}: write it anew with this version.")
+        return {name: file.get_tensor(name) for name in dtypes}, record["about"]
+
+
+def schema_of(path: Path) -> str:
+    """The schema that a file of `save_arrays` says it has; "" where it says none. Raises StoreDamaged when it is missing or broken."""
+    with _opened(path) as file, naming(path):
+        record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        return str(record.get("schema", "")) if isinstance(record, dict) else ""
+
+
+def require_schema(record: Any, schema: str) -> None:
+    """Raise BadInput unless `record` says that it is `schema` in this version."""
+    if not isinstance(record, dict):
+        raise BadInput("it does not say what it holds: write it anew with this version.")
+    found = (record.get("schema"), record.get("version"))
+    if found != (schema, VERSION):
+        raise BadInput(f"it says schema and version {found}, expected {(schema, VERSION)}: check which file it is.")
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Turn whatever a wrong content raises into BadInput that names the file."""
+    try:
+        yield
+    except (BadInput, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        reason = error if isinstance(error, BadInput) else f"its content is not as written ({type(error).__name__}: {error})."
+        raise BadInput(f"cannot use {path}: {reason}") from error
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    if not Path(path).is_file():
+        raise StoreDamaged(f"cannot read {path}: there is no such file: run the stage that writes it again.")
+    try:
+        with safe_open(os.fspath(path), framework="np") as file:
+            yield file
+    except (SafetensorError, OSError) as error:
+        raise StoreDamaged(f"{path} is not a whole safetensors file: {error}: run the stage that writes it again.") from error

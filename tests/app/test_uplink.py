@@ -1,0 +1,223 @@
+"""Uploads and early teachers through dealing and nodes, on a made-up ground, every node in this process."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from radiant_app.bench.teachers import ViewTimes, simulated_latency_s
+from radiant_app.dealing import SharedDealer
+from radiant_app.events import Decided, Event, StageProgress, Warned
+from radiant_app.nodes import run_node
+from radiant_app.system_file import even_system
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame
+from radiant_core.io.ply import load_ply
+from radiant_core.io.records import load_splats
+from radiant_core.io.run_store import is_sealed, seal
+from radiant_core.io.upload import BYTES_FACTORS, UploadFormat, load_upload
+from radiant_core.plan.deadline import device_time_s
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.region_plan import plan_regions
+from radiant_core.render.rendered_view import render_views
+from radiant_core.scene import SfmScene
+from radiant_core.train.config import train_preset
+from tests.core.scenes import cameras_above, ground_splats
+
+Note = Callable[[Event], None]
+
+
+@pytest.fixture(scope="module")
+def dealt(tmp_path_factory: pytest.TempPathFactory) -> SharedDealer:
+    """A planned run of one edge with two devices, in float32; every test deals into a folder of its own."""
+    folder = tmp_path_factory.mktemp("ground")
+    truth, cameras = ground_splats(), cameras_above([(-2, -1), (-2, 1), (0, 0), (2, -1), (2, 1)], size_wh=(64, 48))
+    (folder / "photos").mkdir()
+    for view in render_views(truth, cameras):
+        cv2.imwrite(str(folder / "photos" / view.name), view.image_bytes[..., ::-1])
+    points, everyone = truth.means.astype(float), np.indices((len(truth), len(cameras))).reshape(2, -1).T
+    frame = Frame(kind="metric", origin_lat_lon_alt=np.zeros(3), residual_m=0.0)
+    colors = np.full((len(points), 3), 128, np.uint8)
+    scene = SfmScene(cameras=cameras, points=points, colors=colors, observations=everyone, frame=frame)
+    positions = cameras.centers[:, :2]
+    system = place_edges(even_system(1, 2), positions, None, 0)
+    cloud_plan = plan_regions(positions, system)
+    assert isinstance(cloud_plan, CloudPlan)
+    return SharedDealer(
+        system=system,
+        run=folder / "run",
+        images=folder / "photos",
+        scene=scene,
+        cloud_plan=cloud_plan,
+        edge_plans=split_edges(positions, cloud_plan, system),
+        train=replace(train_preset("draft"), num_steps=20, long_side_px=64, max_num_splats=300),
+        aggregate=AggregateConfig(num_epochs=1),
+        backend="native",
+    )
+
+
+def folded(dealer: SharedDealer, *, teachers: bool, listen: Note = lambda event: None, without: str = "") -> Tree:
+    """Run every node but those of the tier `without` and what needs them, as an executor would, here."""
+    tree = tree_of_plan(dealer.cloud_plan, dealer.edge_plans, teachers=teachers)
+    for node in tree:
+        if without and (node.tier == without or any(child.tier == without for child in node)):
+            continue
+        task = dealer.prepare(node)
+        assert task is not None
+        if not is_sealed(task.folder, task.key):
+            seal(task.folder, task.key, run_node(task.kind, task.folder, task.stage, listen))
+    return tree
+
+
+def teacher_choice(events: list[Event]) -> str:
+    return next(event.decision.choice for event in events if isinstance(event, Decided) and event.decision.topic == "teachers")
+
+
+def scene_bytes(dealer: SharedDealer) -> bytes:
+    return (dealer.run / "cloud" / "scene.ply").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def late(dealt: SharedDealer) -> SharedDealer:
+    folded(dealt, teachers=False)
+    return dealt
+
+
+def with_devices_of(late: SharedDealer, folder: Path) -> SharedDealer:
+    """Another run whose devices are done."""
+    shutil.copytree(late.run / "devices", folder / "devices")
+    return replace(late, run=folder, ledger=[])
+
+
+def test_early_teachers_change_no_bit_of_the_scene(late: SharedDealer, tmp_path: Path) -> None:
+    early, events = with_devices_of(late, tmp_path), []
+    tree = folded(early, teachers=True, listen=events.append)
+    assert [node.tier for node in tree] == ["device", "teacher", "device", "teacher", "edge", "cloud"]
+    assert teacher_choice(events) == "5 of 5 views were rendered before the last device arrived"
+    assert sum(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in events) == 5
+    assert scene_bytes(early) == scene_bytes(late)
+    assert [row["tier"] for row in early.ledger] == ["device", "device", "edge", "cloud"], "what an edge is sent counts once"
+
+
+def test_a_teacher_that_was_killed_leaves_the_rest_to_its_edge(late: SharedDealer, tmp_path: Path) -> None:
+    early = with_devices_of(late, tmp_path)
+    tree = folded(early, teachers=True, without="edge")
+    for teacher in (node for node in tree if node.tier == "teacher"):
+        (tmp_path / teacher.id / "done.json").unlink()
+    # As an executor does: the first is prepared again and left, the second was stopped after a view and is not prepared any more.
+    first, second = (node for node in tree if node.tier == "teacher")
+    early.prepare(first)
+    assert not (tmp_path / first.id / "views").exists(), "what is not sealed may be of another model"
+    (tmp_path / second.id / "views" / "00001.safetensors").unlink()
+    events: list[Event] = []
+    for node in (node for node in tree if node.tier in ("edge", "cloud")):
+        task = early.prepare(node)
+        assert task is not None
+        seal(task.folder, task.key, run_node(task.kind, task.folder, task.stage, events.append))
+    num_left = len(late.edge_plans[0].cameras_of(second.name)) - 1
+    assert teacher_choice(events) == f"{num_left} of 5 views were rendered before the last device arrived"
+    assert scene_bytes(early) == scene_bytes(late)
+
+
+def test_resuming_after_a_kill_between_teacher_and_edge_takes_the_views(late: SharedDealer, tmp_path: Path) -> None:
+    early = with_devices_of(late, tmp_path)
+    folded(early, teachers=True, without="edge")
+    again: list[Event] = []
+    folded(replace(early, ledger=[]), teachers=True, listen=again.append)
+    assert not any(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in again), "no view is rendered twice"
+    assert teacher_choice(again).startswith("5 of 5")
+    assert scene_bytes(early) == scene_bytes(late)
+
+
+def test_views_of_another_run_are_not_taken_when_teachers_are_late(late: SharedDealer, tmp_path: Path) -> None:
+    early = with_devices_of(late, tmp_path)
+    folded(early, teachers=True, without="edge")
+    events: list[Event] = []
+    folded(early, teachers=False, listen=events.append)
+    assert teacher_choice(events).startswith("0 of 5")
+
+
+def test_other_models_make_teachers_render_anew(late: SharedDealer, tmp_path: Path) -> None:
+    early = with_devices_of(late, tmp_path)
+    folded(early, teachers=True)
+    seeded = replace(early, train=replace(early.train, seed=5), ledger=[])
+    events: list[Event] = []
+    folded(seeded, teachers=True, listen=events.append)
+    assert sum(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in events) == 5
+    assert scene_bytes(seeded) != scene_bytes(late)
+
+
+@pytest.mark.parametrize("upload", ["float16", "spz"])
+def test_a_run_with_compressed_uploads_keeps_its_models_and_sends_less(late: SharedDealer, tmp_path: Path, upload: UploadFormat) -> None:
+    small = replace(late, run=tmp_path, upload=upload, ledger=[])
+    tree = folded(small, teachers=True)
+    for node in tree:
+        if node.tier == "device":
+            kept, sent = load_splats(tmp_path / node.id / "model.safetensors"), load_upload(tmp_path / node.id / "upload.safetensors")
+            assert len(kept) == len(sent) and (kept.sh0 != sent.sh0).any()
+            inbox = tmp_path / "edges" / "edge-1" / "inbox" / node.name / "model.safetensors"
+            assert inbox.read_bytes() == (tmp_path / node.id / "upload.safetensors").read_bytes()
+    received = {row["tier"]: row["other_bytes"] for row in small.ledger}
+    exact = {row["tier"]: row["other_bytes"] for row in late.ledger}
+    assert received["edge"] < 0.75 * exact["edge"] and received["cloud"] < 0.6 * exact["cloud"]
+    scene, same = load_ply(tmp_path / "cloud" / "scene.ply"), load_ply(late.run / "cloud" / "scene.ply")
+    assert len(scene) == pytest.approx(len(same), rel=0.05)
+    folded(replace(small, ledger=[]), teachers=True, listen=lambda event: pytest.fail(f"a sealed node ran again: {event}"))
+
+
+def test_a_model_that_the_format_cannot_hold_is_sent_as_float32_with_a_warning(late: SharedDealer, tmp_path: Path) -> None:
+    scattered = late.scene.points.copy()
+    scattered[0] = 1e8
+    far = replace(late, run=tmp_path, upload="spz", scene=replace(late.scene, points=scattered), ledger=[])
+    events: list[Event] = []
+    folded(far, teachers=False, listen=events.append, without="edge")
+    warned = [event for event in events if isinstance(event, Warned)]
+    assert warned and all("uploaded as float32 instead of spz" in event.message for event in warned)
+    device = warned[0].stage
+    kept, sent = (load_upload(tmp_path / device / name) for name in ("model.safetensors", "upload.safetensors"))
+    np.testing.assert_array_equal(kept.means, sent.means)
+
+
+def test_the_plan_counts_the_bytes_of_the_upload() -> None:
+    system = even_system(1, 2)
+    device, small = system.devices[0], system.with_uploads_of(BYTES_FACTORS["spz"]).devices[0]
+    sending_s = device.model_bytes(40) / device.uplink_bytes_per_s
+    saved_s = device_time_s(device, 40) - device_time_s(small, 40)
+    np.testing.assert_allclose(saved_s, sending_s * (1 - BYTES_FACTORS["spz"]), rtol=1e-12)
+
+
+def test_single_devices_get_no_teacher(dealt: SharedDealer) -> None:
+    lonely = replace(dealt.edge_plans[0], device_of_camera=np.zeros(5, np.int64))
+    assert [node.tier for node in tree_of_plan(dealt.cloud_plan, [lonely], teachers=True)] == ["device", "edge", "cloud"]
+
+
+def test_simulated_latency_by_hand() -> None:
+    views = ViewTimes(render_s=1.0, read_s=0.25)
+    arrivals, counts = [10.0, 100.0, 20.0], [4, 5, 6]
+    assert simulated_latency_s(arrivals, counts, views, 3.0, early=False) == 3 + 15
+    # Both others are rendered long before 100 s; the last one's 5 views are not.
+    assert simulated_latency_s(arrivals, counts, views, 3.0, early=True) == 3 + 10 * 0.25 + 5
+    # The second begins at 17 s, is ready to render at 20 s, and is stopped at 22.5 s with two views done.
+    assert simulated_latency_s([10.0, 22.5, 10.0], counts, views, 3.0, early=True) == 3 + 6 * 0.25 + 9
+    # Nobody is early when all arrive at once.
+    assert simulated_latency_s([5.0] * 3, counts, views, 3.0, early=True) == 3 + 15
+
+
+def test_benchmarks_of_a_run_want_a_run(tmp_path: Path) -> None:
+    from radiant_app.bench.runner import BenchOptions, run_bench
+
+    for name in ("upload", "teachers"):
+        with pytest.raises(BadInput, match=f"the benchmark {name} measures a finished run: name its folder with --scene"):
+            run_bench(name, None, BenchOptions())
+        with pytest.raises(BadInput, match=r"holds no plan\.json"):
+            run_bench(name, None, BenchOptions(scene=tmp_path))

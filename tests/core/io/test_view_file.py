@@ -1,0 +1,57 @@
+"""Synthetic views on disk come back to the bit, and anything else is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput, RadiantError, StoreDamaged
+from radiant_core.io.view_file import load_view, save_view
+
+
+def view(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    return rng.integers(0, 256, (height, width, 3), np.uint8), rng.integers(0, 256, (height, width), np.uint8)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (40, 30), (7, 301)])
+def test_a_view_comes_back_to_the_bit_also_where_its_weight_is_zero(tmp_path: Path, width: int, height: int) -> None:
+    image, weight = view(width, height)
+    weight[0] = 0
+    save_view(tmp_path / "v", image, weight)
+    again = load_view(tmp_path / "v", width, height)
+    np.testing.assert_array_equal(again[0], image)
+    np.testing.assert_array_equal(again[1], weight)
+    assert all(array.dtype == np.uint8 and array.flags.c_contiguous for array in again)
+
+
+def test_other_sizes_types_and_shapes_are_refused(tmp_path: Path) -> None:
+    image, weight = view(8, 6)
+    for wrong in [(image[:5], weight), (image.astype(np.float32), weight), (image[..., :2], weight), (image[:0], weight[:0])]:
+        with pytest.raises(BadInput, match="expected \\(H,W,3\\)"):
+            save_view(tmp_path / "v", *wrong)
+    assert list(tmp_path.iterdir()) == []
+    save_view(tmp_path / "v", image, weight)
+    with pytest.raises(BadInput, match="a view of 8 × 6 px, expected 6 × 8"):
+        load_view(tmp_path / "v", 6, 8)
+    with pytest.raises(StoreDamaged):
+        load_view(tmp_path / "none", 8, 6)
+
+
+def test_mutated_bytes_give_typed_errors_or_a_view_of_that_size(tmp_path: Path) -> None:
+    save_view(tmp_path / "v", *view(12, 9))
+    whole = (tmp_path / "v").read_bytes()
+    rng = np.random.default_rng(6)
+    refused = 0
+    for _ in range(300):
+        mutated = bytearray(whole)
+        mutated[rng.integers(len(whole))] = rng.integers(256)
+        (tmp_path / "v").write_bytes(mutated[: rng.integers(len(whole))] if rng.random() < 0.2 else mutated)
+        try:
+            image, weight = load_view(tmp_path / "v", 12, 9)
+            assert image.shape == (9, 12, 3) and weight.shape == (9, 12)
+        except RadiantError:
+            refused += 1
+    assert refused > 60
