@@ -36,6 +36,9 @@ BEND = np.array([0.3, 0.3, 0.3, 0.005, 0.005, 0.005, 0.005])
 MIN_SHARE = 0.05
 EXPECTED_SHARE = 0.35
 """Models that have so much known ground in common match: on the town all pairs from 0.36 on did, one with 0.10 did not."""
+ALONE_MAX_SCALE = 0.05
+ALONE_MAX_ROTATION_RAD = np.radians(5.0)
+"""A model that no neighbour holds is not merged when GPS knows its frame to no better than this."""
 MAX_NEIGHBOURS = 4
 MAX_SURFACE_SHARE = 0.03
 """Largest Gaussian of a surface, as a share of the extent of the cameras and what they look at."""
@@ -222,7 +225,7 @@ def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int]
         if unmatched:
             why = f"both know {pair.share:.0%} common ground, but {pair.told}"
         for index in (i for i, number in enumerate(group) if number == group[small]):
-            refusals.setdefault(index, f"it does not fit model {large + 1}, which has more photographs behind it: {why}.")
+            refusals.setdefault(index, f"it does not fit model {large + 1}, which has no fewer photographs behind it: {why}.")
     return refusals
 
 
@@ -231,6 +234,14 @@ def _verdict(index: int, model: PlacedModel, solved: SolvedFrames, used: Sequenc
         return RefinedFrame(status="refused", correction=IDENTITY, uncertainty=model.uncertainty, reason=refusals[index])
     mine = [pair for pair in used if index in (pair.a, pair.b)]
     if not mine:
+        loose = model.uncertainty.scale > ALONE_MAX_SCALE or model.uncertainty.rotation_rad > ALONE_MAX_ROTATION_RAD
+        if loose:
+            told = (
+                f"no other model knows enough of the same ground, and GPS fixes its scale to {100 * model.uncertainty.scale:.1f} % and its "
+                f"rotation to {np.degrees(model.uncertainty.rotation_rad):.1f}° only, expected {100 * ALONE_MAX_SCALE:.0f} % and "
+                f"{np.degrees(ALONE_MAX_ROTATION_RAD):.0f}° or better."
+            )
+            return RefinedFrame(status="refused", correction=IDENTITY, uncertainty=model.uncertainty, reason=told)
         told = "no other model knows enough of the same ground, so it stays where its own frame puts it."
         return RefinedFrame(status="alone", correction=IDENTITY, uncertainty=model.uncertainty, reason=told)
     misses = [edge_xi(pair.edge, solved.corrections[pair.a], solved.corrections[pair.b])[:3] for pair in mine]
