@@ -1,0 +1,1 @@
+"""Geometry of trained models: moving them, comparing their surfaces, bringing their frames together."""

@@ -1,0 +1,98 @@
+"""A similarity applied to a model of 3D Gaussians. Once per model that changes its frame.
+
+    x → s R x + t      q → q_R q      ln σ → ln σ + ln s      f_l → D_l(R) f_l per degree l,
+where D_l keeps every colour at its direction:  Y_l(R d) D_l f = Y_l(d) f  for all unit d. The (2l + 1)² entries of D_l are solved for in
+float64 from 64 directions spread over the sphere; D_l is orthogonal to 1e-14, since the basis is orthonormal.
+Basis: Sloan, Stupid Spherical Harmonics Tricks (2008), appendix A2, in the signs of `render.harmonics`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import Sim3
+from radiant_core.numerics import FloatArray
+from radiant_core.splats import SH_BASES, SH_C0, Splats
+
+NUM_DIRECTIONS = 64
+SHORTEST_QUAT, LONGEST_QUAT = 1e-30, 1e30
+"""Lengths between which a quaternion keeps its own: shorter ones lose their direction in float32, longer ones overflow when turned."""
+
+
+def move_splats(splats: Splats, similarity: Sim3) -> Splats:
+    """N Gaussians in the target frame of `similarity`; opacities stay, quaternions keep their length, degree 0 to 3 its colours.
+
+    Computed in float64 and rounded to float32 once: colours in turned directions agree to 1e-6 of the coefficients.
+    A zero quaternion, which is drawn unturned, becomes the rotation itself. Raises BadInput when a result leaves float32.
+    """
+    means = similarity.apply(splats.means)
+    log_scales = splats.log_scales.astype(np.float64) + np.log(similarity.scale)
+    largest = float(np.abs(means).max(initial=0.0))
+    if largest > float(np.finfo(np.float32).max):
+        raise BadInput(
+            f"moved by scale {similarity.scale:.3g} and translation {np.abs(similarity.translation).max():.3g} m, a mean lies at "
+            f"{largest:.3g} m, beyond float32: take a local origin."
+        )
+    coefficients = splats.shN.astype(np.float64)
+    moved = [np.zeros((len(splats), 0, 3))]
+    for degree in range(1, splats.sh_degree + 1):
+        band = slice(SH_BASES[degree - 1] - 1, SH_BASES[degree] - 1)
+        moved.append(np.einsum("jk,nkc->njc", sh_rotation(similarity.rotation, degree), coefficients[:, band]))
+    return Splats(
+        means=means,
+        quats=_turned_quats(splats.quats, similarity.rotation),
+        log_scales=log_scales,
+        logit_opacities=splats.logit_opacities,
+        sh0=splats.sh0,
+        shN=np.concatenate(moved, axis=1),
+    )
+
+
+def sh_rotation(rotation: FloatArray, degree: int) -> FloatArray:
+    """D (2l+1,2l+1) that turns the coefficients of degree l by `rotation` (3,3), orthogonal: f' = D f."""
+    directions = _spread_directions(NUM_DIRECTIONS)
+    solved: FloatArray = np.linalg.lstsq(sh_basis(directions @ rotation.T, degree), sh_basis(directions, degree), rcond=None)[0]
+    return solved
+
+
+def sh_basis(directions: FloatArray, degree: int) -> FloatArray:
+    """Y_lm (N,2l+1) of unit directions (N,3) for one degree l of 0 to 3, float64."""
+    x, y, z = directions.T
+    if degree == 0:
+        return np.full((len(directions), 1), SH_C0)
+    if degree == 1:
+        return 0.4886025119029199 * np.stack([-y, z, -x], axis=1)
+    if degree == 2:
+        squares = [0.31539156525252005 * (2 * z * z - x * x - y * y), 0.5462742152960396 * (x * x - y * y)]
+        xy, yz, xz = 1.0925484305920792 * np.stack([x * y, -y * z, -x * z])
+        return np.stack([xy, yz, squares[0], xz, squares[1]], axis=1)
+    cubic = [
+        -0.5900435899266435 * y * (3 * x * x - y * y),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
+        0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
+        -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
+        1.445305721320277 * z * (x * x - y * y),
+        -0.5900435899266435 * x * (x * x - 3 * y * y),
+    ]
+    return np.stack(cubic, axis=1)
+
+
+def _turned_quats(quats: np.ndarray, rotation: FloatArray) -> FloatArray:
+    """q_R q (N,4) wxyz with the lengths of `quats` (N,4)."""
+    exact = quats.astype(np.float64)
+    lengths = np.linalg.norm(exact, axis=1, keepdims=True)
+    unit = np.where(lengths > 0, exact / np.where(lengths > 0, lengths, 1.0), (1.0, 0.0, 0.0, 0.0))
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return np.where(lengths > 0, np.clip(lengths, SHORTEST_QUAT, LONGEST_QUAT), 1.0) * (unit @ left.T)
+
+
+def _spread_directions(count: int) -> FloatArray:
+    """Unit vectors (N,3) on a Fibonacci spiral, nearly even over the sphere."""
+    index = np.arange(count) + 0.5
+    z, turn = 1 - 2 * index / count, index * np.pi * (3 - np.sqrt(5))
+    flat = np.sqrt(1 - z * z)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
