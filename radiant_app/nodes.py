@@ -7,6 +7,7 @@
 | edge     | task.json, inbox/<device>/{model,cameras}.safetensors | model.safetensors, summary.json        |
 | cloud    | task.json, inbox/<edge>/model.safetensors           | scene.ply, summary.json                  |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
+| run      | task.json, a whole run's source                     | that run's folder: a job of a batch      |
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ Emit = Callable[[Event], None]
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json."""
+    from radiant_app.batch import run_job
     from radiant_app.evaluation import run_evaluate
 
-    runners = {"sfm": run_sfm, "device": run_device, "edge": run_edge, "cloud": run_cloud, "evaluate": run_evaluate}
+    runners = {"sfm": run_sfm, "device": run_device, "edge": run_edge, "cloud": run_cloud, "evaluate": run_evaluate, "run": run_job}
     if kind not in runners:
         raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join(runners)}.")
     notes: dict[str, list[Any]] = {"decisions": [], "warnings": []}

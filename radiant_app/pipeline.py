@@ -21,7 +21,7 @@ from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.nodes import read_notes
 from radiant_app.run_folder import Manifest, opened_run
-from radiant_app.sources import detect_source
+from radiant_app.sources import detect_source, source_files
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig
@@ -134,7 +134,7 @@ def _sfm_stage(config: RunConfig, progress: _Progress) -> tuple[SfmScene, Path]:
     folder.mkdir(exist_ok=True)
     sfm = {"matching": config.matching, "seed": config.seed}
     write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm})
-    key = content_key(__version__, sfm, _source_files(config))
+    key = content_key(__version__, sfm, source_files(config.source, config.out))
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
     scene = load_scene(folder / "scene.safetensors")
     if len(scene.cameras) < 3:
@@ -143,13 +143,6 @@ def _sfm_stage(config: RunConfig, progress: _Progress) -> tuple[SfmScene, Path]:
         message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
         progress.listen(Warned(stage="sfm", message=message))
     return scene, folder / read_json(folder / "result.json", ("images",))["images"]
-
-
-def _source_files(config: RunConfig) -> list[tuple[str, int, int]]:
-    """Name, size and time of change of every file of the source, without the run itself where that lies inside."""
-    own = config.out.resolve()
-    files = [path for path in config.source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(own)]
-    return sorted((str(path.relative_to(config.source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
 def _plan_stage(

@@ -97,7 +97,7 @@ def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
     made = _made_folders(config.out)
     # A lock that somebody else holds is no reason to clean up: what lies there is that run's work.
     with RunLock(config.out):
-        _require_empty(config.out)
+        require_empty(config.out)
         fresh = Manifest(folder=config.out, config=settings)
         with _undone_after_bad_input(config.out, made, keep=Path("sfm", "done.json")), _ending(fresh) as manifest:
             yield manifest
@@ -138,13 +138,14 @@ def _made_folders(out: Path) -> list[Path]:
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file, expected a folder: choose another name.")
     if out.is_dir():
-        _require_empty(out)
+        require_empty(out)
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
     out.mkdir(parents=True, exist_ok=True)
     return missing
 
 
-def _require_empty(out: Path) -> None:
+def require_empty(out: Path) -> None:
+    """Raise BadInput when the folder holds anything but a lock."""
     if any(path.name != LOCK_NAME for path in out.iterdir()):
         raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with a run there by --resume.")
 

@@ -22,18 +22,16 @@ left out has the value above, except position, memory limit (none) and relative_
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from radiant_app.toml_file import Strict, load_toml, sentence
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.system import Device, Edge, System
 
-MAX_FILE_BYTES = 1 << 20
-"""A fleet of thousands fits; a file of another kind given by mistake does not."""
 _BYTES_PER_S_PER_MBIT = 1e6 / 8
 _BYTES_PER_MB = 1e6
 
@@ -43,11 +41,7 @@ _Speed = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Curve(_Strict):
+class _Curve(Strict):
     constant: _NonNegative = 0.0
     linear: _NonNegative = 0.0
     power_coefficient: _NonNegative = 0.0
@@ -62,7 +56,7 @@ class _Curve(_Strict):
         )
 
 
-class _Device(_Strict):
+class _Device(Strict):
     id: str
     init_s: _Curve = _Curve(linear=0.1)
     train_s: _Curve = _Curve(constant=20.0, linear=1.0)
@@ -82,7 +76,7 @@ class _Device(_Strict):
         )
 
 
-class _Edge(_Strict):
+class _Edge(Strict):
     id: str
     position_m: _Pair | None = None
     lat_lon_deg: _Pair | None = None
@@ -107,21 +101,17 @@ class _Edge(_Strict):
         )
 
 
-class _File(_Strict):
+class _File(Strict):
     edge: Annotated[list[_Edge], Field(min_length=1)]
 
 
 def load_system(path: Path) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected."""
-    text = _text(path)
-    try:
-        tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also integers of thousands of digits
-        raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
+    tables = load_toml(path, "system file")
     try:
         return System(edges=tuple(edge.built() for edge in _File.model_validate(tables).edge))
     except ValidationError as error:
-        raise BadInput(f"{path}: {_sentence(error)}") from error
+        raise BadInput(f"{path}: {sentence(error, 'system file')}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
 
@@ -138,37 +128,6 @@ def even_system(num_edges: int, devices_per_edge: int) -> System:
     names = [f"edge-{index + 1}" for index in range(num_edges)]
     edges = [_Edge(id=name, device=[_Device(id=f"{name}-{n + 1}") for n in range(devices_per_edge)]) for name in names]
     return System(edges=tuple(edge.built() for edge in edges))
-
-
-def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}): give a system file in TOML.") from error
-    if len(data) > MAX_FILE_BYTES:
-        raise BadInput(f"{path}: larger than {MAX_FILE_BYTES} bytes, which no system file is: check the path.")
-    try:
-        return data.decode()
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is not UTF-8 text: give a system file in TOML.") from error
-
-
-def _sentence(error: ValidationError) -> str:
-    """The first problem: key path, what came, what is expected."""
-    problem = error.errors(include_url=False)[0]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")
-    if problem["type"] == "missing":
-        return f"{key} is missing: add it."
-    if problem["type"] == "extra_forbidden":
-        return f"{key} is not a key of a system file: remove it or correct its spelling."
-    expected = problem["msg"].replace("Input should be", "expected")
-    return f"{key} is {_shortened(problem['input'])}; {expected[0].lower()}{expected[1:]}: correct it."
-
-
-def _shortened(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "…"
 
 
 def _edge_lines(edge: Edge) -> list[str]:

@@ -8,6 +8,7 @@ import pytest
 
 from radiant_app import system_file
 from radiant_app.system_file import dump_system, even_system, load_system
+from radiant_app.toml_file import MAX_FILE_BYTES
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import System
 
@@ -146,7 +147,7 @@ def test_a_bad_value_gets_one_sentence_with_file_key_and_expectation(tmp_path: P
         (b"\xff\xfe", "byte 0 is not UTF-8"),
         (b"{", "not a TOML file"),
         (b"a = " + b"[" * 100_000, "not a TOML file"),
-        (b"#" * (system_file.MAX_FILE_BYTES + 1), "larger than 1048576 bytes"),
+        (b"#" * (MAX_FILE_BYTES + 1), "larger than 1048576 bytes"),
     ],
     ids=["empty", "no edge", "number", "misspelt", "binary", "broken", "deeply nested", "huge"],
 )
