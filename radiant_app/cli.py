@@ -50,6 +50,7 @@ def run(
     source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, a Mill 19 folder, or a JOBS.toml.", show_default=False)],
     out: RunOut = None,
     system: SystemFile = None,
+    emulate: Annotated[Path | None, typer.Option(help="System whose speeds and uplinks are played on this machine.")] = None,
     train_preset: TrainPresetOption = "default",
     aggregate_preset: Annotated[AggregatePreset, typer.Option(help="paper: retrain every parameter at the edges.")] = "default",
     plan_method: Annotated[PlanMethod, typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")] = "exact",
@@ -73,13 +74,16 @@ def run(
         return
     if out is None:
         raise BadInput("--out is missing: name the run's folder.")
+    if system is not None and emulate is not None:
+        raise BadInput("--system and --emulate both name a system: keep one of them.")
     from radiant_app.config import RunConfig
     from radiant_core.train.needs import Overrides
 
     config = RunConfig(
         source=source,
         out=out,
-        system=system,
+        system=emulate or system,
+        emulated=emulate is not None,
         train_preset=train_preset,
         aggregate_preset=aggregate_preset,
         plan_method=plan_method,
@@ -284,6 +288,9 @@ def _run(config: Any, resume: bool, as_json: bool, listener: Any = None) -> None
         typer.echo(json.dumps(result.metrics))
         return
     typer.echo(f"held-out {result.metrics['psnr_db']:.2f} dB, {result.metrics['num_gaussians']:,} Gaussians")
+    if result.metrics.get("emulated_makespan_s") is not None:
+        emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
+        typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")
     typer.echo(f"report: {result.report}")
 
 

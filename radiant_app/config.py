@@ -25,6 +25,8 @@ class RunConfig:
     """The run's folder; made by the run."""
     system: Path | None = None
     """TOML of edges and devices; None: two edges with two equal devices each."""
+    emulated: bool = False
+    """Run devices and edges at the speeds and behind the uplinks of `system`, in wall time."""
     train_preset: Preset = "default"
     """How well to train, see `radiant_core.train.config.Preset`."""
     overrides: Overrides = Overrides()
@@ -48,6 +50,8 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.max_workers < 0:
             raise BadInput(f"max_workers is {self.max_workers}, expected 0 (one per core) or more.")
+        if self.emulated and (self.system is None or self.max_workers):
+            raise BadInput("an emulated run needs a system file and runs all its devices at once: leave the number of workers out.")
         if not 0 <= self.seed < 2**31:
             raise BadInput(f"seed is {self.seed}, expected 0 to {2**31 - 1}.")
         for path in (self.source, self.out):

@@ -17,6 +17,7 @@ import numpy as np
 from radiant_app.config import RunConfig
 from radiant_app.dealing import Dealer, deal_files, evaluation_task
 from radiant_app.events import Decided, Event, Listener, StageSkipped, Warned
+from radiant_app.executors.emulated import EmulatedExecutor, emulated_figures, require_emulable
 from radiant_app.executors.local import LocalExecutor, run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.nodes import read_notes
@@ -96,6 +97,8 @@ def run(
 
     detect_source(config.source)
     system = even_system(2, 2) if config.system is None else load_system(config.system)
+    if config.emulated:
+        require_emulable(system)
     with opened_run(config, resume) as manifest:
         progress = _Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
         scene, images = _sfm_stage(config, progress)
@@ -116,14 +119,16 @@ def run(
         )
         tree = tree_of_plan(cloud_plan, edge_plans)
         manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
-        executor = LocalExecutor(num_workers=config.num_workers, clock=clock)
+        local = LocalExecutor(num_workers=config.num_workers, clock=clock)
+        executor = EmulatedExecutor(system=system, local=local) if config.emulated else local
         executor.fold(tree, dealer.prepare, progress.listen)
         manifest.ledger = dealer.ledger
         _evaluation_stage(config, scene, train, (images, backend), progress)
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
         for kind in ("photographs", "renders", "differences"):
             shutil.copytree(config.out / "evaluation" / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
-        metrics = _write_metrics(config.out, manifest, cloud_plan)
+        emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
+        metrics = _write_metrics(config.out, manifest, cloud_plan, emulation)
         manifest.status = "done"
         write_report(config.out, manifest, metrics)
     return RunResult(folder=config.out, metrics=metrics)
@@ -194,10 +199,11 @@ def _evaluation_stage(config: RunConfig, scene: SfmScene, train: TrainConfig, re
     run_task(evaluation_task(config.out, images, held_out, backend), progress.listen, progress.clock)
 
 
-def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan) -> dict[str, Any]:
+def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:
     result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
-    metrics = {**result, "seconds": seconds, "planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
+    planned = {"planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
+    metrics = {**result, "seconds": seconds, **planned, **more}
     write_json(run / "metrics.json", metrics)
     return metrics
 

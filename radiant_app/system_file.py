@@ -14,9 +14,12 @@
     uplink_mbit_per_s = 50.0
     max_cameras = 400                    # left out: no limit
     relative_speed = 2.0                 # divides init_s and train_s
+    speed = 0.5                          # of an edge too: share of one core under `radiant run --emulate`
+
+The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in both has relative_speed and speed 0.5.
 
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
-left out has the value above, except position, memory limit (none) and relative_speed (1).
+left out has the value above, except position, memory limit and speed (none) and relative_speed (1).
 """
 
 from __future__ import annotations
@@ -37,6 +40,7 @@ _BYTES_PER_MB = 1e6
 
 _NonNegative = Annotated[float, Field(ge=0, le=1e12)]
 _Positive = Annotated[float, Field(gt=0, le=1e12)]
+_Share = Annotated[float, Field(gt=0, le=1)]
 _Speed = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
@@ -64,6 +68,7 @@ class _Device(Strict):
     uplink_mbit_per_s: _Positive = 50.0
     max_cameras: Annotated[int, Field(ge=0)] | None = None
     relative_speed: _Speed = 1.0
+    speed: _Share | None = None
 
     def built(self) -> Device:
         return Device(
@@ -73,6 +78,7 @@ class _Device(Strict):
             model_bytes=self.model_mb.scaled(_BYTES_PER_MB),
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
             max_cameras=self.max_cameras,
+            speed=self.speed,
         )
 
 
@@ -82,6 +88,7 @@ class _Edge(Strict):
     lat_lon_deg: _Pair | None = None
     uplink_mbit_per_s: _Positive = 100.0
     aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
+    speed: _Share | None = None
     device: Annotated[list[_Device], Field(min_length=1)]
 
     def built(self) -> Edge:
@@ -98,6 +105,7 @@ class _Edge(Strict):
             aggregate_s=self.aggregate_s.scaled(1.0),
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
             devices=tuple(device.built() for device in self.device),
+            speed=self.speed,
         )
 
 
@@ -136,7 +144,7 @@ def _edge_lines(edge: Edge) -> list[str]:
         lines.append(f"position_m = {list(map(float, edge.position))}")
     elif edge.lat_lon_deg is not None:
         lines.append(f"lat_lon_deg = {list(map(float, edge.lat_lon_deg))}")
-    lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}"]
+    lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}", *_speed_lines(edge)]
     return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
 
 
@@ -149,7 +157,12 @@ def _device_lines(device: Device) -> list[str]:
         f"model_mb = {_inline(device.model_bytes, _BYTES_PER_MB)}",
         _bandwidth_line(device.uplink_bytes_per_s),
         *([] if device.max_cameras is None else [f"max_cameras = {device.max_cameras}"]),
+        *_speed_lines(device),
     ]
+
+
+def _speed_lines(machine: Device | Edge) -> list[str]:
+    return [] if machine.speed is None else [f"speed = {float(machine.speed)}"]
 
 
 def _bandwidth_line(bytes_per_s: float) -> str:

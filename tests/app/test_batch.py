@@ -23,7 +23,6 @@ NIGHT = """
 steps = 2
 long-side-px = 48
 max-splats = 200
-system = "one.toml"
 
 [[job]]
 name = "crashes"
@@ -36,6 +35,7 @@ source = "nothing"
 [[job]]
 name = "good"
 source = "hamlet"
+emulate = "one.toml"
 """
 
 
@@ -48,7 +48,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("nothing", "lonely"):
         (folder / name).mkdir()
     shutil.copy(next((HAMLET / "images").iterdir()), folder / "lonely")
-    (folder / "one.toml").write_text('[[edge]]\nid = "e"\n[[edge.device]]\nid = "d"\n')
+    (folder / "one.toml").write_text('[[edge]]\nid = "e"\nspeed = 1\n[[edge.device]]\nid = "d"\nspeed = 1\n')
     (folder / "night.toml").write_text(NIGHT)
     return folder
 
@@ -103,6 +103,19 @@ def test_a_batch_goes_on_after_a_crash_and_bad_input(desk: Path, finished: subpr
     page = (desk / "night" / "summary.html").read_text()
     assert 'href="good/report.html"' in page and (desk / "night" / "good" / "report.html").is_file()
     assert not (desk / "night" / "empty").exists(), "bad input leaves nothing half-written"
+
+
+def test_an_emulated_run_keeps_emulated_times_apart(desk: Path, finished: subprocess.CompletedProcess[str]) -> None:
+    run = desk / "night" / "good"
+    manifest, metrics = (json.loads((run / f"{name}.json").read_text()) for name in ("manifest", "metrics"))
+    assert manifest["config"]["emulated"] is True
+    assert set(manifest["stages"]) == {"sfm", "cloud", "evaluation"} == set(metrics["seconds"])
+    assert set(manifest["emulated"]) == {"devices/d", "devices/d/uplink", "edges/e", "edges/e/uplink"} == set(metrics["emulated_seconds"])
+    nodes_s = metrics["emulated_seconds"]["devices/d"] + metrics["emulated_seconds"]["edges/e"]
+    assert metrics["emulated_makespan_s"] == pytest.approx(nodes_s, abs=1e-9)
+    page = (run / "report.html").read_text()
+    assert "Emulated (s)" in page and "When each emulated machine ran" in page
+    assert "done devices/d in" in finished.stderr and "(emulated)" in finished.stderr
 
 
 def test_resuming_skips_finished_jobs_and_tries_the_others_again(desk: Path, finished: subprocess.CompletedProcess[str]) -> None:

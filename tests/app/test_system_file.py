@@ -18,6 +18,7 @@ WHOLE = """
 id = "north"
 position_m = [0.0, 40]
 uplink_mbit_per_s = 100.0
+speed = 1
 aggregate_s = { constant = 5.0, linear = 0.5 }
 [[edge.device]]
 id = "north-1"
@@ -26,6 +27,7 @@ train_s = { constant = 20.0, linear = 1.0, power_coefficient = 0.01, exponent = 
 model_mb = { linear = 0.5 }
 uplink_mbit_per_s = 50.0
 max_cameras = 400
+speed = 0.3
 [[edge]]
 id = "south"
 lat_lon_deg = [47.37, 8.54]
@@ -51,6 +53,7 @@ def test_every_key_arrives_in_base_units(tmp_path: Path) -> None:
     assert float(device.train_s(100)) == pytest.approx(130.0, rel=1e-15)
     assert float(device.model_bytes(3)) == 1.5e6
     assert device.max_cameras == 400
+    assert (north.speed, device.speed, south.speed, south.devices[0].speed) == (1.0, 0.3, None, None)
     assert (south.position, south.lat_lon_deg, south.devices[0].max_cameras) == (None, (47.37, 8.54), None)
 
 
