@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -50,14 +52,17 @@ MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Up
 Seed = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of every random choice.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
 Out = Annotated[Path, typer.Option("--out", help="Where the result is written; must not exist or be empty.", show_default=False)]
+RunOut = Annotated[Path | None, typer.Option("--out", help="Folder of the run, new or empty; a batch has one beside its file.")]
 SystemFile = Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; else two edges with two each.")]
 
 
 @app.command()
 def run(
-    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
-    out: Out,
+    context: typer.Context,
+    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, a Mill 19 folder, or a JOBS.toml.", show_default=False)],
+    out: RunOut = None,
     system: SystemFile = None,
+    emulate: Annotated[Path | None, typer.Option(help="System whose speeds and uplinks are played on this machine.")] = None,
     preset: Annotated[RunPreset, typer.Option(help=_PRESET_HELP)] = "default",
     train_preset: Annotated[TrainPreset | None, typer.Option(help=f"{_TRAIN_HELP} Without it that of --preset.")] = None,
     aggregate_preset: Annotated[AggregatePreset | None, typer.Option(help=f"{_AGGREGATE_HELP} Without it that of --preset.")] = None,
@@ -79,7 +84,19 @@ def run(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Photographs in, one Gaussian model out: structure from motion, plan, devices, edges, cloud, report."""
+    """Photographs in, one Gaussian model out: structure from motion, plan, devices, edges, cloud, report.
+
+    A JOBS.toml runs several scenes, goes on after a failure and ends with a summary (radiant_app/job_file.py says what stands in it).
+    """
+    from radiant_app.job_file import is_job_file
+
+    if is_job_file(source):
+        _run_batch(context, source, out, resume, as_json)
+        return
+    if out is None:
+        raise BadInput("--out is missing: name the run's folder.")
+    if system is not None and emulate is not None:
+        raise BadInput("--system and --emulate both name a system: keep one of them.")
     from radiant_app.config import RunConfig, run_preset
     from radiant_core.train.needs import Overrides
 
@@ -87,7 +104,8 @@ def run(
     config = RunConfig(
         source=source,
         out=out,
-        system=system,
+        system=emulate or system,
+        emulated=emulate is not None,
         **chosen,
         frames=frames,
         poses=poses,
@@ -99,7 +117,7 @@ def run(
         seed=seed,
         max_workers=workers,
     )
-    _run(config, resume, as_json)
+    _run(config, resume, as_json, context.obj)
 
 
 @app.command()
@@ -260,9 +278,7 @@ def doctor(as_json: AsJson = False) -> None:
 
 def main() -> NoReturn:
     """Entry point: one sentence for what a user can mend, exit code 2 for bad input, 130 for Ctrl-C."""
-    # A polite kill ends like Ctrl-C, through the same clean-up, so that no worker outlives the run.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
-        signal.signal(number, _interrupt)
+    interrupt_on_signals()
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except RadiantError as error:
@@ -281,22 +297,67 @@ def main() -> NoReturn:
     sys.exit(code if isinstance(code, int) else 0)
 
 
+def interrupt_on_signals() -> None:
+    """A polite kill ends like Ctrl-C, through the same clean-up, so that no worker outlives the run."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
+        signal.signal(number, _interrupt)
+
+
 def _interrupt(number: int, frame: Any) -> NoReturn:
     # Raised inside a finalizer, Python drops it: ask again until somebody hears.
     signal.setitimer(signal.ITIMER_REAL, 1.0)
     raise KeyboardInterrupt
 
 
-def _run(config: Any, resume: bool, as_json: bool) -> None:
+def _run(config: Any, resume: bool, as_json: bool, listener: Any = None) -> None:
+    """`listener` gets the events instead of the terminal, where a batch runs the command."""
     from radiant_app.pipeline import run as run_pipeline
 
-    with _listener() as listener:
+    with nullcontext(listener) if listener else _listener() as listener:
         result = run_pipeline(config, listener, resume=resume)
     if as_json:
         typer.echo(json.dumps(result.metrics))
         return
     typer.echo(f"held-out {result.metrics['psnr_db']:.2f} dB, {result.metrics['num_gaussians']:,} Gaussians")
+    if result.metrics.get("emulated_makespan_s") is not None:
+        emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
+        typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")
     typer.echo(f"report: {result.report}")
+
+
+def _run_batch(context: typer.Context, source: Path, out: Path | None, resume: bool, as_json: bool) -> None:
+    from radiant_app.batch import run_batch
+
+    given = [name for name in context.params if str(context.get_parameter_source(name)).endswith("COMMANDLINE")]
+    extra = sorted(set(given) - {"source", "out", "resume", "as_json"})
+    if extra:
+        raise BadInput(f"--{extra[0].replace('_', '-')} stands beside a job file: write it into its [defaults].")
+    result = run_batch(source, out, _job_display, resume=resume)
+    if as_json:
+        typer.echo(json.dumps(result.record))
+    else:
+        _print_summary(result)
+    raise typer.Exit(result.exit_code)
+
+
+@contextmanager
+def _job_display(title: str) -> Iterator[Any]:
+    typer.echo(title, err=True)
+    with _listener() as listener:
+        yield listener
+
+
+def _print_summary(result: Any) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("job", "status", "time (s)", "PSNR (dB)", "Gaussians", "result")
+    for job in result.jobs:
+        figures = [job.seconds, job.figures.get("psnr_db"), job.figures.get("num_gaussians")]
+        texts = ["" if value is None else form.format(value) for form, value in zip(("{:.1f}", "{:.2f}", "{:,}"), figures, strict=True)]
+        table.add_row(job.name, job.status, *texts, job.message or (job.out if job.exit_code == 0 else ""))
+    Console().print(table, markup=False)
+    typer.echo(f"summary: {result.folder / 'summary.html'}")
 
 
 def _finish(result: dict[str, Any], as_json: bool) -> None:

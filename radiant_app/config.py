@@ -43,6 +43,8 @@ class RunConfig:
     """The run's folder; made by the run."""
     system: Path | None = None
     """TOML of edges and devices; None: two edges with two equal devices each."""
+    emulated: bool = False
+    """Run devices and edges at the speeds and behind the uplinks of `system`, in wall time."""
     train_preset: Preset = "default"
     """How well to train, see `radiant_core.train.config.Preset`."""
     overrides: Overrides = Overrides()
@@ -71,6 +73,11 @@ class RunConfig:
     """Processes at a time; 0: one per core."""
 
     @property
+    def early_teachers(self) -> bool:
+        """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own speed."""
+        return self.teachers == "early" and not self.emulated
+
+    @property
     def num_workers(self) -> int:
         """Processes at a time."""
         return self.max_workers or os.cpu_count() or 1
@@ -78,6 +85,8 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.max_workers < 0:
             raise BadInput(f"max_workers is {self.max_workers}, expected 0 (one per core) or more.")
+        if self.emulated and (self.system is None or self.max_workers):
+            raise BadInput("an emulated run needs a system file and runs all its devices at once: leave the number of workers out.")
         if not 0 <= self.seed < 2**31:
             raise BadInput(f"seed is {self.seed}, expected 0 to {2**31 - 1}.")
         if self.frames != "known" and self.poses is not None:

@@ -13,12 +13,17 @@ from typing import Any
 from radiant_core.decisions import Decision
 from radiant_core.errors import StageFailed
 
+UPLINK = "/uplink"
+"""Ending of the stage in which a node's product is sent to its parent over an emulated link."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class StageStarted:
     """A stage or node of the tree begins."""
 
     stage: str
+    emulated: bool = False
+    """Whether its time says how long an emulated machine or link takes, and not this one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +42,7 @@ class StageDone:
 
     stage: str
     seconds: float
+    emulated: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +50,7 @@ class StageSkipped:
     """A stage was finished by an earlier run and its files are intact."""
 
     stage: str
+    emulated: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

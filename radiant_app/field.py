@@ -20,11 +20,11 @@ from scipy.spatial import KDTree
 from radiant_app.config import RunConfig
 from radiant_app.evaluation import PICTURE_KINDS
 from radiant_app.events import Warned
-from radiant_app.executors.local import LocalExecutor, run_task
+from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field_dealing import DeviceShare, FieldDealer, Scorer
 from radiant_app.field_results import collect_scores, save_delivered
-from radiant_app.stages import Progress, plan_around, plan_stage, training_settings, with_uploads
+from radiant_app.stages import Progress, executor_of, plan_around, plan_stage, training_settings, with_uploads
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
@@ -68,7 +68,7 @@ class Captured:
         return held_out_mask([name if owner is None else f"{owner}/{name}" for name, owner in zip(self.names, self.owners, strict=True)])
 
 
-def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> CloudPlan:
+def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> tuple[CloudPlan, Tree]:
     """Plan, let every device reconstruct and train in its own folder, join, and let every device score; ends with evaluation/result.json.
 
     Raises BadInput where positions or poses are missing, StageFailed when no device delivers a model.
@@ -95,8 +95,8 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> C
         poses=poses,
         sfm={"matching": config.matching, "seed": config.seed},
     )
-    tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.teachers == "early")
-    executor = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=lambda node: node.tier != "cloud")
+    tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
+    executor = executor_of(config, system, progress, may_fail=lambda node: node.tier != "cloud")
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
     progress.manifest.keep_stages({"positions", *scores, *(node.id for node in tree)})
     executor.fold(tree, dealer.prepare, progress.listen)
@@ -111,7 +111,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> C
     write_json(config.out / "evaluation" / "result.json", {**result, "frames": config.frames, "pooled": folders is None})
     save_delivered(config.out, dealer, captured.origin)
     _collect_pictures(config, sorted(scorer.moves))
-    return cloud_plan
+    return cloud_plan, tree
 
 
 def _device_folders(source: Path, system: System) -> dict[str, Path] | None:

@@ -59,7 +59,7 @@ def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> 
         PlacedModel(splats=model, cameras=own, uncertainty=FrameUncertainty(**uncertainty))
         for model, own, uncertainty in zip(models, cameras, known, strict=True)
     ]
-    refined = refine_frames(placed, lambda done, total: emit(StageProgress(stage=stage, done=done, total=total, note="frames")))
+    refined = refine_frames(placed, lambda done, total, note: emit(StageProgress(stage=stage, done=done, total=total, note=note)))
     for name, frame in zip(senders, refined, strict=True):
         if frame.status == "refused":
             emit(Warned(stage=stage, message=f"the model of {name} is left out: {frame.reason}"))
@@ -131,7 +131,7 @@ def sim3_of(record: dict[str, Any]) -> Sim3:
 
 def _refinement_decision(stage: str, name: str, frame: Any) -> Decision:
     moved_mm_per_m = 1e3 * abs(frame.correction.scale - 1)
-    reason = frame.reason or f"geometry shared with {frame.neighbours} neighbours; scale changed by {moved_mm_per_m:.1f} mm per m"
+    reason = frame.reason or f"geometry shared with {len(frame.neighbours)} neighbours; scale changed by {moved_mm_per_m:.1f} mm per m"
     choice = "stays where GPS puts it" if frame.status == "alone" else "moved onto its neighbours"
     return Decision(stage=stage, topic=f"frame of {name}", choice=choice, figure=frame.residual_m, unit="m residual", reason=reason)
 

@@ -8,6 +8,7 @@
 | edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_cameras.safetensors |
 | cloud    | task.json, inbox/<edge>/{model,virtual_cameras}.safetensors | scene.ply, summary.json          |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
+| run      | task.json, a whole run's source                     | that run's folder: a job of a batch      |
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ _BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json."""
+    from radiant_app.batch import run_job
     from radiant_app.evaluation import run_evaluate
     from radiant_app.field_nodes import run_field, run_positions, run_score
 
@@ -56,6 +58,7 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         "cloud": run_cloud,
         "evaluate": run_evaluate,
         "score": run_score,
+        "run": run_job,
     }
     if kind not in runners:
         raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join(runners)}.")

@@ -18,15 +18,16 @@ from radiant_app.config import RunConfig
 from radiant_app.dealing import SharedDealer, deal_files, evaluation_task
 from radiant_app.evaluation import PICTURE_KINDS
 from radiant_app.events import Listener, Warned
-from radiant_app.executors.local import LocalExecutor, run_task
+from radiant_app.executors.emulated import emulated_figures, require_emulable
+from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field import run_in_the_field
 from radiant_app.run_folder import Manifest, opened_run
-from radiant_app.sources import detect_source
-from radiant_app.stages import Progress, plan_stage, training_settings, with_uploads
+from radiant_app.sources import detect_source, source_files
+from radiant_app.stages import Progress, executor_of, plan_stage, training_settings, with_uploads
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
-from radiant_core.aggregate.tree import tree_of_plan
+from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
 from radiant_core.evaluate.split import held_out_mask
@@ -72,17 +73,22 @@ def run(
     if config.frames == "shared":
         detect_source(config.source)
     system = even_system(2, 2) if config.system is None else load_system(config.system)
+    if config.emulated:
+        require_emulable(system)
     with opened_run(config, resume) as manifest:
         progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
-        cloud_plan = _run_shared(config, system, progress) if config.frames == "shared" else run_in_the_field(config, system, progress)
+        cloud_plan, tree = (
+            _run_shared(config, system, progress) if config.frames == "shared" else run_in_the_field(config, system, progress)
+        )
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
-        metrics = _write_metrics(config.out, manifest, cloud_plan)
+        emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
+        metrics = _write_metrics(config.out, manifest, cloud_plan, emulation)
         manifest.status = "done"
         write_report(config.out, manifest, metrics)
     return RunResult(folder=config.out, metrics=metrics)
 
 
-def _run_shared(config: RunConfig, system: System, progress: Progress) -> CloudPlan:
+def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[CloudPlan, Tree]:
     """One owner has all photographs: structure from motion once, then everything as planned. Ends with evaluation/result.json."""
     scene, images = _sfm_stage(config, progress)
     held_out = held_out_mask(scene.cameras.names)
@@ -105,15 +111,14 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> CloudP
         backend=backend,
         upload=config.upload,
     )
-    tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.teachers == "early")
+    tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
-    executor = LocalExecutor(num_workers=config.num_workers, clock=progress.clock)
-    executor.fold(tree, dealer.prepare, progress.listen)
+    executor_of(config, system, progress).fold(tree, dealer.prepare, progress.listen)
     progress.manifest.ledger = dealer.ledger
     _evaluation_stage(config, scene, train, (images, backend), progress)
     for kind in PICTURE_KINDS:
         shutil.copytree(config.out / "evaluation" / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
-    return cloud_plan
+    return cloud_plan, tree
 
 
 def _sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
@@ -121,7 +126,7 @@ def _sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
     folder.mkdir(exist_ok=True)
     sfm = {"matching": config.matching, "seed": config.seed}
     write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm})
-    key = content_key(__version__, sfm, _source_files(config))
+    key = content_key(__version__, sfm, source_files(config.source, config.out))
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
     scene = load_scene(folder / "scene.safetensors")
     if len(scene.cameras) < 3:
@@ -130,13 +135,6 @@ def _sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
         message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
         progress.listen(Warned(stage="sfm", message=message))
     return scene, folder / read_json(folder / "result.json", ("images",))["images"]
-
-
-def _source_files(config: RunConfig) -> list[tuple[str, int, int]]:
-    """Name, size and time of change of every file of the source, without the run itself where that lies inside."""
-    own = config.out.resolve()
-    files = [path for path in config.source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(own)]
-    return sorted((str(path.relative_to(config.source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
 def _require_size(scene: SfmScene, train: TrainConfig) -> None:
@@ -158,9 +156,10 @@ def _evaluation_stage(config: RunConfig, scene: SfmScene, train: TrainConfig, re
     run_task(evaluation_task(config.out, images, held_out, backend), progress.listen, progress.clock)
 
 
-def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan) -> dict[str, Any]:
+def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:
     result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
-    metrics = {**result, "seconds": seconds, "planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
+    planned = {"planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
+    metrics = {**result, "seconds": seconds, **planned, **more}
     write_json(run / "metrics.json", metrics)
     return metrics

@@ -61,7 +61,7 @@ class ProgressDisplay:
             self._print_line(event)
         elif isinstance(event, StageDone):
             self._remove(event.stage)
-            self._console.print(f"[green]done[/] {event.stage} in {event.seconds:.1f} s")
+            self._console.print(f"[green]done[/] {event.stage} in {event.seconds:.1f} s{' (emulated)' * event.emulated}")
         elif isinstance(event, StageSkipped):
             self._console.print(f"[dim]skipped {event.stage}: finished before[/]")
         elif isinstance(event, Warned):

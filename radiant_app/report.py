@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import cv2
 import jinja2
 import numpy as np
 
+from radiant_app.events import UPLINK
 from radiant_app.run_folder import Manifest, software_versions
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_atomic
@@ -57,7 +58,9 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
     from radiant_viewer.views import screenshot
 
     folder = run / "pictures"
-    images = {"timeline": timeline_picture(_timeline_rows(manifest), title="Measured on this machine")}
+    images = {"timeline": timeline_picture(_timeline_rows(manifest.stages), title="Measured on this machine")}
+    if manifest.emulated:
+        images["timeline_emulated"] = timeline_picture(_timeline_rows(manifest.emulated), title="Emulated speeds and links")
     for view in ("regions", "cameras", "splats", *(["seams"] if has_borders else [])):
         images[view] = screenshot(run, view)
     folder.mkdir(exist_ok=True)
@@ -66,8 +69,8 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
     return {name: folder / f"{name}.png" for name in images}
 
 
-def _timeline_rows(manifest: Manifest) -> list[Any]:
-    """One row per process in the order they started."""
+def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
+    """One row per process in the order they started; what it sends in the end is a span of its own."""
     from radiant_viewer.charts import TimelineRow, TimelineSpan
 
     kinds = {
@@ -79,10 +82,17 @@ def _timeline_rows(manifest: Manifest) -> list[Any]:
         "positions": "plan",
     }
     rows = []
-    for stage, times in sorted(manifest.stages.items(), key=lambda item: item[1]["started_s"]):
+    nodes = {stage: times for stage, times in stages.items() if not stage.endswith(UPLINK)}
+    for stage, times in sorted(nodes.items(), key=lambda item: item[1]["started_s"]):
         kind = "evaluate" if stage.endswith("/score") else "render teachers" if "/teachers/" in stage else kinds[stage.split("/")[0]]
-        span = TimelineSpan(stage=kind, start_s=times["started_s"], stop_s=times["ended_s"])
-        rows.append(TimelineRow(name=stage, spans=(span,), strong=not stage.startswith("devices/") and kind != "render teachers"))
+        sending = stages.get(stage + UPLINK, {"started_s": times["ended_s"], "ended_s": times["ended_s"]})
+        parts = ((kind, times["started_s"], sending["started_s"]), ("send", sending["started_s"], sending["ended_s"]))
+        spans = tuple(
+            TimelineSpan(stage=name, start_s=start_s, stop_s=stop_s)
+            for name, start_s, stop_s in parts
+            if name != "send" or stop_s > start_s
+        )
+        rows.append(TimelineRow(name=stage, spans=spans, strong=not stage.startswith("devices/") and kind != "render teachers"))
     return rows
 
 
@@ -116,15 +126,20 @@ def _node_row(run: Path, manifest: Manifest, node: str, num_cameras: int, planne
     idle = {"num_splats": 0, "num_steps": 0, "train_s": 0.0, "model_bytes": 0}
     path = run / node / "summary.json"
     summary = read_json(path, tuple(idle)) if num_cameras and path.is_file() else idle
-    times = manifest.stages.get(node, {"started_s": 0.0, "ended_s": 0.0})
     return {
         "node": node,
         "num_cameras": num_cameras,
         "planned_s": planned_s,
-        "measured_s": times["ended_s"] - times["started_s"],
+        "measured_s": _seconds(manifest.stages, node),
+        "emulated_s": _seconds(manifest.emulated, node),
+        "sending_s": _seconds(manifest.emulated, node + UPLINK),
         "seconds_per_step": summary["train_s"] / max(1, summary["num_steps"]),
         **{key: summary[key] for key in ("num_splats", "num_steps", "model_bytes")},
     }
+
+
+def _seconds(stages: Mapping[str, Mapping[str, float]], stage: str) -> float | None:
+    return stages[stage]["ended_s"] - stages[stage]["started_s"] if stage in stages else None
 
 
 def _frame_facts(run: Path) -> dict[str, Any]:

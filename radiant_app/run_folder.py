@@ -20,7 +20,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from radiant_app.config import RunConfig
-from radiant_app.events import Decided, Event, StageDone, StageSkipped, StageStarted, Warned
+from radiant_app.events import UPLINK, Decided, Event, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import LOCK_NAME, RunLock, write_json
@@ -37,6 +37,8 @@ class Manifest:
     status: str = "running"
     stages: dict[str, dict[str, float]] = field(default_factory=dict)
     """Stage → started_s and ended_s since the run began; a skipped stage keeps the times of the run that finished it."""
+    emulated: dict[str, dict[str, float]] = field(default_factory=dict)
+    """As `stages`, of devices, edges and their uplinks in an emulated run: never among measured times."""
     decisions: list[dict[str, Any]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     ledger: list[dict[str, Any]] = field(default_factory=list)
@@ -45,12 +47,12 @@ class Manifest:
         """Take from the stream what the record keeps."""
         if isinstance(event, StageStarted):
             self._forget(event.stage)
-            self.stages[event.stage] = {"started_s": now_s, "ended_s": now_s}
+            self._times(event)[event.stage] = {"started_s": now_s, "ended_s": now_s}
         elif isinstance(event, StageDone):
-            self.stages[event.stage]["ended_s"] = now_s
+            self._times(event)[event.stage]["ended_s"] = now_s
             self.save()
         elif isinstance(event, StageSkipped):
-            self.stages.setdefault(event.stage, {"started_s": now_s, "ended_s": now_s})
+            self._times(event).setdefault(event.stage, {"started_s": now_s, "ended_s": now_s})
         elif isinstance(event, Decided):
             fields = asdict(event.decision)
             if fields not in self.decisions:
@@ -60,6 +62,9 @@ class Manifest:
             if message not in self.warnings:
                 self.warnings.append(message)
 
+    def _times(self, event: StageStarted | StageDone | StageSkipped) -> dict[str, dict[str, float]]:
+        return self.emulated if event.emulated else self.stages
+
     def _forget(self, stage: str) -> None:
         """What an earlier try of this stage decided and warned of."""
         self.decisions = [decision for decision in self.decisions if decision["stage"] != stage]
@@ -67,18 +72,19 @@ class Manifest:
 
     def keep_stages(self, stages: Collection[str]) -> None:
         """Forget all other stages: those of devices and edges that an earlier plan had."""
-        for stage in self.stages.keys() - set(stages):
-            self._forget(stage)
-            del self.stages[stage]
+        for times in (self.stages, self.emulated):
+            for stage in [stage for stage in times if stage.removesuffix(UPLINK) not in stages]:
+                self._forget(stage)
+                del times[stage]
 
     @property
     def ended_s(self) -> float:
         """When the last stage so far ended; 0 at first. A resumed run goes on from there."""
-        return max((times["ended_s"] for times in self.stages.values()), default=0.0)
+        return max((times["ended_s"] for times in (*self.stages.values(), *self.emulated.values())), default=0.0)
 
     def save(self) -> None:
         """Write manifest.json."""
-        record = {key: getattr(self, key) for key in ("config", "status", "stages", "decisions", "warnings", "ledger")}
+        record = {key: getattr(self, key) for key in ("config", "status", "stages", "emulated", "decisions", "warnings", "ledger")}
         write_json(self.folder / "manifest.json", {"version": MANIFEST_VERSION, "software": software_versions(), **record})
 
 
@@ -97,7 +103,7 @@ def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
     made = _made_folders(config.out)
     # A lock that somebody else holds is no reason to clean up: what lies there is that run's work.
     with RunLock(config.out):
-        _require_empty(config.out)
+        require_empty(config.out)
         fresh = Manifest(folder=config.out, config=settings)
         with _undone_after_bad_input(config.out, made, keep=("sfm/done.json", "devices/*/done.json")), _ending(fresh) as manifest:
             yield manifest
@@ -138,13 +144,14 @@ def _made_folders(out: Path) -> list[Path]:
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file, expected a folder: choose another name.")
     if out.is_dir():
-        _require_empty(out)
+        require_empty(out)
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
     out.mkdir(parents=True, exist_ok=True)
     return missing
 
 
-def _require_empty(out: Path) -> None:
+def require_empty(out: Path) -> None:
+    """Raise BadInput when the folder holds anything but a lock."""
     if any(path.name != LOCK_NAME for path in out.iterdir()):
         raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with a run there by --resume.")
 
@@ -194,6 +201,7 @@ class _Record(BaseModel):
     version: Literal[1]
     config: dict[str, Any]
     stages: dict[str, dict[str, float]]
+    emulated: dict[str, dict[str, float]] = {}
     decisions: list[dict[str, Any]]
     warnings: list[str]
 
@@ -213,4 +221,5 @@ def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
         raise BadInput(
             f"{out} was begun with another {', '.join(differing)}: repeat those settings to resume, remove it, or choose another folder."
         )
-    return Manifest(folder=out, config=settings, stages=record.stages, decisions=record.decisions, warnings=record.warnings)
+    kept = {name: getattr(record, name) for name in ("stages", "emulated", "decisions", "warnings")}
+    return Manifest(folder=out, config=settings, **kept)

@@ -29,6 +29,13 @@ def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
     return "photographs", source, None
 
 
+def source_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
+    """Name, size and time of change of every file of the source, without the run `own` where that lies inside."""
+    own = own.resolve()
+    files = [path for path in source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(own)]
+    return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
+
+
 def reconstruct_source(task: dict[str, Any], folder: Path, report: Callable[[Any], None]) -> Any:
     """The `SfmResult` of the source that a task names, made in `folder`."""
     from radiant_core.sfm.reconstruct import SfmConfig, reconstruct, scene_from_colmap, scene_from_mill19

@@ -8,9 +8,13 @@ from pathlib import Path
 
 from radiant_app.config import RunConfig
 from radiant_app.events import Decided, Event, Listener, StageSkipped
+from radiant_app.executors.emulated import EmulatedExecutor
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import Executor
 from radiant_app.nodes import read_notes
 from radiant_app.run_folder import Manifest
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
@@ -85,6 +89,12 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
     moved = replace(cloud_plan, sites=cloud_plan.sites + shift, borders=tuple(border + shift for border in cloud_plan.borders))
     edges = tuple(replace(plan, strips=tuple(strip + shift for strip in plan.strips)) for plan in edge_plans)
     return moved, edges, enu_from_geodetic(waypoints.lat_lon_alt, origin)[:, :2]
+
+
+def executor_of(config: RunConfig, system: System, progress: Progress, may_fail: Callable[[Tree], bool] = lambda node: False) -> Executor:
+    """Who runs the nodes: this machine as it is, or as slow as the system says."""
+    local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=may_fail)
+    return EmulatedExecutor(system=system, local=local) if config.emulated else local
 
 
 def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> System:

@@ -14,6 +14,9 @@
     uplink_mbit_per_s = 50.0
     max_cameras = 400                    # left out: no limit
     relative_speed = 2.0                 # divides init_s and train_s
+    speed = 0.5                          # of an edge too: share of one core under `radiant run --emulate`
+
+The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in both has relative_speed and speed 0.5.
 
     [cloud]                              # limits of retraining at the cloud, where it is asked for; beyond them it crop-merges
     memory_gb = 16.0                     # each left out: no limit
@@ -21,38 +24,33 @@
     max_cameras = 2000
 
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
-left out has the value above, except position, memory limit (none) and relative_speed (1).
+left out has the value above, except position, memory limit and speed (none) and relative_speed (1).
 """
 
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from radiant_app.toml_file import Strict, load_toml, sentence
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.system import Cloud, Device, Edge, System
 
-MAX_FILE_BYTES = 1 << 20
-"""A fleet of thousands fits; a file of another kind given by mistake does not."""
 _BYTES_PER_S_PER_MBIT = 1e6 / 8
 _BYTES_PER_MB, _BYTES_PER_GB = 1e6, 1e9
 
 _NonNegative = Annotated[float, Field(ge=0, le=1e12)]
 _Positive = Annotated[float, Field(gt=0, le=1e12)]
+_Share = Annotated[float, Field(gt=0, le=1)]
 _Speed = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Curve(_Strict):
+class _Curve(Strict):
     constant: _NonNegative = 0.0
     linear: _NonNegative = 0.0
     power_coefficient: _NonNegative = 0.0
@@ -67,7 +65,7 @@ class _Curve(_Strict):
         )
 
 
-class _Device(_Strict):
+class _Device(Strict):
     id: str
     init_s: _Curve = _Curve(linear=0.1)
     train_s: _Curve = _Curve(constant=20.0, linear=1.0)
@@ -75,6 +73,7 @@ class _Device(_Strict):
     uplink_mbit_per_s: _Positive = 50.0
     max_cameras: Annotated[int, Field(ge=0)] | None = None
     relative_speed: _Speed = 1.0
+    speed: _Share | None = None
 
     def built(self) -> Device:
         return Device(
@@ -84,15 +83,17 @@ class _Device(_Strict):
             model_bytes=self.model_mb.scaled(_BYTES_PER_MB),
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
             max_cameras=self.max_cameras,
+            speed=self.speed,
         )
 
 
-class _Edge(_Strict):
+class _Edge(Strict):
     id: str
     position_m: _Pair | None = None
     lat_lon_deg: _Pair | None = None
     uplink_mbit_per_s: _Positive = 100.0
     aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
+    speed: _Share | None = None
     device: Annotated[list[_Device], Field(min_length=1)]
 
     def built(self) -> Edge:
@@ -109,10 +110,11 @@ class _Edge(_Strict):
             aggregate_s=self.aggregate_s.scaled(1.0),
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
             devices=tuple(device.built() for device in self.device),
+            speed=self.speed,
         )
 
 
-class _Cloud(_Strict):
+class _Cloud(Strict):
     memory_gb: _NonNegative | None = None
     time_s: _NonNegative | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
@@ -122,23 +124,19 @@ class _Cloud(_Strict):
         return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras)
 
 
-class _File(_Strict):
+class _File(Strict):
     edge: Annotated[list[_Edge], Field(min_length=1)]
     cloud: _Cloud = _Cloud()
 
 
 def load_system(path: Path) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected."""
-    text = _text(path)
-    try:
-        tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also integers of thousands of digits
-        raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
+    tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
         return System(edges=tuple(edge.built() for edge in file.edge), cloud=file.cloud.built())
     except ValidationError as error:
-        raise BadInput(f"{path}: {_sentence(error)}") from error
+        raise BadInput(f"{path}: {sentence(error, 'system file')}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
 
@@ -157,44 +155,13 @@ def even_system(num_edges: int, devices_per_edge: int) -> System:
     return System(edges=tuple(edge.built() for edge in edges))
 
 
-def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}): give a system file in TOML.") from error
-    if len(data) > MAX_FILE_BYTES:
-        raise BadInput(f"{path}: larger than {MAX_FILE_BYTES} bytes, which no system file is: check the path.")
-    try:
-        return data.decode()
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: byte {error.start} is not UTF-8 text: give a system file in TOML.") from error
-
-
-def _sentence(error: ValidationError) -> str:
-    """The first problem: key path, what came, what is expected."""
-    problem = error.errors(include_url=False)[0]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")
-    if problem["type"] == "missing":
-        return f"{key} is missing: add it."
-    if problem["type"] == "extra_forbidden":
-        return f"{key} is not a key of a system file: remove it or correct its spelling."
-    expected = problem["msg"].replace("Input should be", "expected")
-    return f"{key} is {_shortened(problem['input'])}; {expected[0].lower()}{expected[1:]}: correct it."
-
-
-def _shortened(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "…"
-
-
 def _edge_lines(edge: Edge) -> list[str]:
     lines = ["[[edge]]", f"id = {json.dumps(edge.id)}"]
     if edge.position is not None:
         lines.append(f"position_m = {list(map(float, edge.position))}")
     elif edge.lat_lon_deg is not None:
         lines.append(f"lat_lon_deg = {list(map(float, edge.lat_lon_deg))}")
-    lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}"]
+    lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}", *_speed_lines(edge)]
     return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
 
 
@@ -207,6 +174,7 @@ def _device_lines(device: Device) -> list[str]:
         f"model_mb = {_inline(device.model_bytes, _BYTES_PER_MB)}",
         _bandwidth_line(device.uplink_bytes_per_s),
         *([] if device.max_cameras is None else [f"max_cameras = {device.max_cameras}"]),
+        *_speed_lines(device),
     ]
 
 
@@ -218,6 +186,10 @@ def _cloud_lines(cloud: Cloud) -> list[str]:
     }
     lines = [f"{name} = {limit}" for name, limit in limits.items() if limit is not None]
     return ["[cloud]", *lines] if lines else []
+
+
+def _speed_lines(machine: Device | Edge) -> list[str]:
+    return [] if machine.speed is None else [f"speed = {float(machine.speed)}"]
 
 
 def _bandwidth_line(bytes_per_s: float) -> str:

@@ -100,7 +100,8 @@ class _Fold:
                     self._handle(*self.lines.get())
                     self._drop_needless(edges)
         finally:
-            self._stop_all()
+            with _interrupts_later():
+                self._stop_all()
         return self.times
 
     def _drop_needless(self, edges: list[Tree]) -> None:
@@ -220,12 +221,12 @@ def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Pop
 
 @contextmanager
 def _interrupts_later() -> Iterator[None]:
-    """Hold Ctrl-C and termination back while a worker is started: one not yet on the list would outlive the run."""
+    """Hold Ctrl-C and termination back while a worker is started or stopped: it would outlive the run."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     held: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
     before = {number: signal.signal(number, lambda caught, frame: held.append(caught)) for number in numbers}
     try:
         yield

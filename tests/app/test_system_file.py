@@ -9,6 +9,7 @@ import pytest
 
 from radiant_app import system_file
 from radiant_app.system_file import dump_system, even_system, load_system
+from radiant_app.toml_file import MAX_FILE_BYTES
 from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
@@ -20,6 +21,7 @@ WHOLE = """
 id = "north"
 position_m = [0.0, 40]
 uplink_mbit_per_s = 100.0
+speed = 1
 aggregate_s = { constant = 5.0, linear = 0.5 }
 [[edge.device]]
 id = "north-1"
@@ -28,6 +30,7 @@ train_s = { constant = 20.0, linear = 1.0, power_coefficient = 0.01, exponent = 
 model_mb = { linear = 0.5 }
 uplink_mbit_per_s = 50.0
 max_cameras = 400
+speed = 0.3
 [[edge]]
 id = "south"
 lat_lon_deg = [47.37, 8.54]
@@ -53,6 +56,7 @@ def test_every_key_arrives_in_base_units(tmp_path: Path) -> None:
     assert float(device.train_s(100)) == pytest.approx(130.0, rel=1e-15)
     assert float(device.model_bytes(3)) == 1.5e6
     assert device.max_cameras == 400
+    assert (north.speed, device.speed, south.speed, south.devices[0].speed) == (1.0, 0.3, None, None)
     assert (south.position, south.lat_lon_deg, south.devices[0].max_cameras) == (None, (47.37, 8.54), None)
 
 
@@ -169,7 +173,7 @@ def test_a_bad_value_gets_one_sentence_with_file_key_and_expectation(tmp_path: P
         (b"\xff\xfe", "byte 0 is not UTF-8"),
         (b"{", "not a TOML file"),
         (b"a = " + b"[" * 100_000, "not a TOML file"),
-        (b"#" * (system_file.MAX_FILE_BYTES + 1), "larger than 1048576 bytes"),
+        (b"#" * (MAX_FILE_BYTES + 1), "larger than 1048576 bytes"),
     ],
     ids=["empty", "no edge", "number", "misspelt", "binary", "broken", "deeply nested", "huge"],
 )

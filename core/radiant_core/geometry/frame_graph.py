@@ -31,7 +31,9 @@ class FrameUncertainty:
 
     def __post_init__(self) -> None:
         if not all(np.isfinite(value) and value > 0 for value in (self.position_m, self.scale, self.rotation_rad)):
-            raise BadInput(f"the uncertainty of a frame is {self}, expected three positive numbers: give what GPS or the poses are good for.")
+            raise BadInput(
+                f"the uncertainty of a frame is {self}, expected three positive numbers: give what GPS or the poses are good for."
+            )
 
     @property
     def sigmas(self) -> FloatArray:

@@ -141,7 +141,9 @@ def _tracked_from(hub_views: ModelViews, index: int, other: ModelViews, other_fr
     if not kept.any():
         return nothing
     own = {
-        j: follow(hub, hub_views, j, IDENTITY, MAX_DEPTH_ERRORS[-1]) for j in _nearest(hub_views.cameras, center, MAX_PARTNERS + 1) if j != index
+        j: follow(hub, hub_views, j, IDENTITY, MAX_DEPTH_ERRORS[-1])
+        for j in _nearest(hub_views.cameras, center, MAX_PARTNERS + 1)
+        if j != index
     }
     kept &= sum((good.astype(np.int64) for _, good in own.values()), np.zeros(len(pixels), np.int64)) >= 1
     if not kept.any():

@@ -169,10 +169,7 @@ def _beyond(xi: FloatArray, limits: FloatArray) -> bool:
 
 
 def _figures(xi: FloatArray) -> str:
-    return (
-        f"{np.linalg.norm(xi[:3]):.2f} m, {np.degrees(np.linalg.norm(xi[3:6])):.2f}° "
-        f"and {100 * abs(np.expm1(xi[6])):.2f} % of scale"
-    )
+    return f"{np.linalg.norm(xi[:3]):.2f} m, {np.degrees(np.linalg.norm(xi[3:6])):.2f}° and {100 * abs(np.expm1(xi[6])):.2f} % of scale"
 
 
 def _solved_without_open_loops(

@@ -30,12 +30,15 @@ class Device:
     """B^n: bandwidth to the edge."""
     max_cameras: int | None = None
     """|C^n_max|: how many cameras its memory can hold, None without a limit."""
+    speed: float | None = None
+    """Share of one core, at most 1, when the system is emulated; what that means for the curves above is theirs to say."""
 
     def __post_init__(self) -> None:
         _require_id("device", self.id)
         _require_bandwidth(f"device {self.id!r}", self.uplink_bytes_per_s)
         if self.max_cameras is not None and self.max_cameras < 0:
             raise BadInput(f"device {self.id!r}: max_cameras is {self.max_cameras}, expected at least 0.")
+        _require_speed(f"device {self.id!r}", self.speed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,10 +57,13 @@ class Edge:
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]
     """At least one."""
+    speed: float | None = None
+    """As a device's."""
 
     def __post_init__(self) -> None:
         _require_id("edge", self.id)
         _require_bandwidth(f"edge {self.id!r}", self.uplink_bytes_per_s)
+        _require_speed(f"edge {self.id!r}", self.speed)
         for pair in (self.position, self.lat_lon_deg):
             if pair is not None and not np.isfinite(pair).all():
                 raise BadInput(f"edge {self.id!r}: position {pair} is not finite: give two numbers.")
@@ -120,3 +126,8 @@ def _require_id(kind: str, name: str) -> None:
 def _require_bandwidth(owner: str, value: float) -> None:
     if not np.isfinite(value) or value <= 0:
         raise BadInput(f"{owner}: uplink_bytes_per_s is {value}, expected a positive number of bytes per second.")
+
+
+def _require_speed(owner: str, value: float | None) -> None:
+    if value is not None and not 0 < value <= 1:
+        raise BadInput(f"{owner}: speed is {value}, expected more than 0 and at most 1, a share of one core.")

@@ -23,7 +23,9 @@ def middle_of(x_range: tuple[float, float]) -> np.ndarray:
     return np.array([sum(x_range) / 2, 0.0, 0.0])
 
 
-def errors_without_gauge(models: list[PlacedModel], moves: list[Sim3], frames: tuple[RefinedFrame, ...]) -> list[tuple[float, float, float]]:
+def errors_without_gauge(
+    models: list[PlacedModel], moves: list[Sim3], frames: tuple[RefinedFrame, ...]
+) -> list[tuple[float, float, float]]:
     """Scale, rotation (deg) and largest place (m) each model is off by, after the one similarity common to all is taken off."""
     points = [model.splats.means.astype(np.float64)[::20] for model in models]
     got = np.concatenate([frame.correction.apply(p) for frame, p in zip(frames, points, strict=True)])

@@ -1,0 +1,97 @@
+"""The emulating executor: devices and edges as slow, and as slowly connected, as the system file says, in real wall time on this machine.
+
+Every node of a device or edge runs inside `emulated_node`: one thread at `speed` of a core, and the node only ends when its
+model's last byte would have come through its own uplink, so that its parent starts no sooner. All nodes that may run at once do.
+The cloud, structure from motion and evaluation run as ever and are measured. Whatever is emulated says so in its events.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any
+
+from radiant_app.events import Event, Listener, StageDone, StageSkipped, StageStarted
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
+from radiant_core.aggregate.tree import Tree
+from radiant_core.errors import BadInput
+from radiant_core.plan.system import Device, Edge, System
+
+PRODUCT = "model.safetensors"
+"""The file of a device's or edge's folder whose bytes go over its uplink."""
+
+
+@dataclass
+class EmulatedExecutor:
+    """Runs a tree as `local` does, but each node at its machine's speed and behind its uplink."""
+
+    system: System
+    local: LocalExecutor
+
+    def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
+        """See `Executor.fold`; BadInput when this machine cannot play the system's part."""
+        require_emulable(self.system)
+        machines = _machines(self.system)
+
+        def command(task: NodeTask) -> list[str]:
+            inner = self.local.command(task)
+            return _node_command(machines[task.stage], task, inner) if task.stage in machines else inner
+
+        def labelled(event: Event) -> None:
+            label = isinstance(event, StageStarted | StageDone | StageSkipped) and event.stage in machines
+            listen(replace(event, emulated=True) if label else event)
+
+        executor = replace(self.local, num_workers=sum(1 for _ in tree), command=command)
+        return executor.fold(tree, prepare, labelled)
+
+
+def require_emulable(system: System) -> None:
+    """Raise BadInput unless every machine has a speed and this machine's cores suffice for all that may run at once."""
+    for machine in _machines(system).values():
+        if machine.speed is None:
+            kind = "device" if isinstance(machine, Device) else "edge"
+            raise BadInput(f"{kind} {machine.id!r} has no speed to emulate: add speed = 0.5, its share of one core of this machine.")
+    cores = len(os.sched_getaffinity(0))
+    demand = sum(max(edge.speed or 0, sum(device.speed or 0 for device in edge.devices)) for edge in system.edges)
+    if demand > cores * (1 + 1e-9):
+        raise BadInput(
+            f"the devices and edges that may run at once need {demand:g} cores, this machine has {cores}: multiply every speed by "
+            f"{cores / demand:.2g}, which slows all of them alike."
+        )
+
+
+def emulated_figures(tree: Tree, emulated: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    """What metrics.json says of an emulated run: seconds per stage (stage → started_s, ended_s) and until the last edge's model arrived.
+
+    The makespan is made from the nodes' own times, devices of an edge side by side and the edge after them, as the planner does: what
+    this machine needed to lay out files in between is no part of it. None with a reason where a node's time is not known.
+    """
+
+    def arrival_s(node: Tree, arrivals_s: Sequence[float]) -> float:
+        # A node whose transfer was interrupted is finished when its run is resumed, and its time is lost.
+        return max(arrivals_s, default=0.0) + (seconds.get(node.id, 0.0) or math.inf)
+
+    seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in emulated.items()}
+    makespan_s = max((edge.fold(arrival_s) for edge in tree.children), default=math.inf)
+    if makespan_s < math.inf:
+        return {"emulated_seconds": seconds, "emulated_makespan_s": makespan_s}
+    reason = "a node was stopped while its model was on its way: run again into another folder."
+    return {"emulated_seconds": seconds, "emulated_makespan_s": None, "emulated_reason": reason}
+
+
+def _machines(system: System) -> dict[str, Device | Edge]:
+    """Node id → machine, in the order of the system."""
+    edges = ((f"edges/{edge.id}", edge) for edge in system.edges)
+    return dict(chain(((f"devices/{device.id}", device) for device in system.devices), edges))
+
+
+def _node_command(machine: Device | Edge, task: NodeTask, command: Sequence[str]) -> list[str]:
+    module = "radiant_app.executors.emulated_node"
+    numbers = map(str, (time.monotonic(), machine.speed, machine.uplink_bytes_per_s))
+    return [sys.executable, "-m", module, *numbers, task.stage, str(task.folder / PRODUCT), *command]

@@ -1,0 +1,123 @@
+"""One emulated machine: runs a command at a share of one core, then holds its product back as a slow link would.
+
+Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPEED BYTES_PER_S STAGE PRODUCT COMMAND…`. Linux only.
+
+    share   with c the command's CPU seconds and t the wall seconds since BEGUN (the machine's monotonic clock, so that the start of
+            this process costs the emulated machine nothing), it is stopped (SIGSTOP) while c − speed · t is large and runs while
+            it is small: the share is of its own CPU time, so that other work on this machine delays it but is caught up with
+    link    a token bucket without burst: byte k of the product arrives at k / bytes_per_s; this process ends with the last one
+
+A stopped process notices nothing. So the kernel kills the command when this process ends, however that comes (PR_SET_PDEATHSIG), and
+this process ends when its standard input closes, which is when the executor is gone.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import signal
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from radiant_app.events import UPLINK, Event, StageDone, StageProgress, StageStarted, Warned, encode
+
+PERIOD_S = 0.1
+"""One turn of running and standing still. Shorter turns cost more wake-ups, longer ones are felt at the end of short nodes."""
+BUSY_SHARE = 0.85
+"""A node that got less than this of its share is reported: its time then says more about this machine than about the emulated one."""
+PROGRESS_S = 0.5
+SHORTEST_S = 1e-3
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command and deliver its product; the exit code or signal is the command's."""
+    begun_s, speed, bytes_per_s = map(float, arguments[:3])
+    stage, product, command = arguments[3], Path(arguments[4]), arguments[5:]
+    code, cpu_s = _run_at_share(command, speed, begun_s)
+    if code < 0:
+        signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    if code:
+        return code
+    share = cpu_s / (time.monotonic() - begun_s)
+    if share < BUSY_SHARE * speed:
+        busy = f"it got {share:.2f} of a core instead of {speed:g}: other work kept this machine busy, so its emulated time is too long."
+        _emit(Warned(stage=stage, message=busy))
+    _deliver(f"{stage}{UPLINK}", _sent_bytes(product), bytes_per_s)
+    return 0
+
+
+def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int, float]:
+    """Exit code (negative: signal) and CPU seconds of the command."""
+    # This process has one thread, so that code between fork and exec is safe.
+    process = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, preexec_fn=_die_with(os.getpid()))  # noqa: PLW1509
+    ended = os.pidfd_open(process.pid)
+    half_s, running, wait_s = speed * PERIOD_S / 2, True, 0.0
+    while not _wait(wait_s, ended):
+        ahead_s = _cpu_s(process.pid) - speed * (time.monotonic() - begun_s)
+        if running != (ahead_s < (half_s if running else -half_s)):
+            running = not running
+            process.send_signal(signal.SIGCONT if running else signal.SIGSTOP)
+        # One thread gains less than a second in a second; while it stands still, time passes at `speed`.
+        wait_s = min(max(half_s - ahead_s, SHORTEST_S), PERIOD_S) if running else (ahead_s + half_s) / speed
+    _, status, usage = os.wait4(process.pid, 0)
+    cpu_s = usage.ru_utime + usage.ru_stime
+    _wait(cpu_s / speed - (time.monotonic() - begun_s))
+    return os.waitstatus_to_exitcode(status), cpu_s
+
+
+def _sent_bytes(product: Path) -> int:
+    """Bytes of what a node sends: its upload where it made one, none where a device delivers nothing."""
+    upload = product.with_name("upload.safetensors")
+    sent = upload if upload.is_file() else product
+    return sent.stat().st_size if sent.is_file() else 0
+
+
+def _deliver(stage: str, num_bytes: int, bytes_per_s: float) -> None:
+    _emit(StageStarted(stage=stage, emulated=True))
+    begun_s = time.monotonic()
+    total_s = num_bytes / bytes_per_s
+    while (passed_s := time.monotonic() - begun_s) < total_s:
+        arrived = passed_s * bytes_per_s
+        _emit(StageProgress(stage=stage, done=arrived, total=num_bytes, note=f"{arrived / 1e6:.2f} of {num_bytes / 1e6:.2f} MB"))
+        _wait(min(PROGRESS_S, total_s - passed_s))
+    _emit(StageDone(stage=stage, seconds=time.monotonic() - begun_s, emulated=True))
+
+
+def _wait(seconds: float, *descriptors: int) -> bool:
+    """Wait at most so long, and say whether a descriptor became readable before; ends this process when the executor is gone."""
+    # The executor holds a pipe open as our standard input and never writes; run by hand there is none.
+    pipe = [0] if stat.S_ISFIFO(os.fstat(0).st_mode) else []
+    ready, _, _ = select.select([*pipe, *descriptors], [], [], max(0.0, seconds))
+    if 0 in ready:
+        os._exit(1)
+    return bool(ready)
+
+
+def _cpu_s(pid: int) -> float:
+    """CPU seconds of all threads of a process, to the nanosecond: Linux's clock of another process, clock_getcpuclockid(3)."""
+    return time.clock_gettime((~pid << 3) | 2)
+
+
+def _die_with(parent: int):  # noqa: ANN202 - a plain callable for subprocess
+    def before_exec() -> None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(1)
+
+    return before_exec
+
+
+def _emit(event: Event) -> None:
+    sys.stdout.write(encode(event) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,54 @@
+"""Reading a user's TOML file: one sentence with file, key, what came and what is expected for everything that cannot be used."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from radiant_core.errors import BadInput
+
+MAX_FILE_BYTES = 1 << 20
+"""A fleet of thousands fits; a file of another kind given by mistake does not."""
+
+
+class Strict(BaseModel):
+    """Base of what stands in a file: no unknown keys, no numbers written as text, nothing infinite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def load_toml(path: Path, kind: str) -> dict[str, Any]:
+    """The tables of a TOML file; BadInput says what a `kind` ("system file") would have to be."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}): give a {kind} in TOML.") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise BadInput(f"{path}: larger than {MAX_FILE_BYTES} bytes, which no {kind} is: check the path.")
+    try:
+        return tomllib.loads(data.decode())
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is not UTF-8 text: give a {kind} in TOML.") from error
+    except (ValueError, RecursionError) as error:  # ValueError: also integers of thousands of digits
+        raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
+
+
+def sentence(error: ValidationError, kind: str) -> str:
+    """The first problem: key path, what came, what is expected."""
+    problem = error.errors(include_url=False)[0]
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")
+    if problem["type"] == "missing":
+        return f"{key} is missing: add it."
+    if problem["type"] == "extra_forbidden":
+        return f"{key} is not a key of a {kind}: remove it or correct its spelling."
+    expected = problem["msg"].replace("Input should be", "expected")
+    return f"{key} is {_shortened(problem['input'])}; {expected[0].lower()}{expected[1:]}: correct it."
+
+
+def _shortened(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "…"

@@ -1,0 +1,214 @@
+"""Emulated machines: shares of a core, links, labels, and that no stopped process is ever left behind. Small processes stand for work.
+
+Speeds are small, so that a busy machine can still give them; what counts is their ratio.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from radiant_app.events import Event, StageDone, StageProgress, Warned
+from radiant_app.executors.emulated import EmulatedExecutor, emulated_figures, require_emulable
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.run_folder import Manifest
+from radiant_app.system_file import load_system
+from radiant_core.aggregate.tree import Tree
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.io.run_store import SEAL_NAME, seal
+from radiant_core.plan.system import System
+
+WAIT_S = 30.0
+FAST_LINK = 8e6  # Mbit/s
+TREE = Tree(
+    id="cloud",
+    tier="cloud",
+    children=(Tree(id="edges/e", tier="edge", children=tuple(Tree(id=f"devices/{n}", tier="device") for n in "ab")),),
+)
+BURN = """
+import time
+end = time.process_time() + {cpu_s}
+while time.process_time() < end: pass
+"""
+FINISH = "import os; os.rename('sealed', 'done.json')"
+"""A stub is no Python project: the test seals its product beforehand and the stub only says so."""
+
+
+def system(folder: Path, speeds: tuple[float, float], mbit_per_s: tuple[float, float] = (FAST_LINK, FAST_LINK)) -> System:
+    device = '[[edge.device]]\nid = "{}"\nspeed = {}\nuplink_mbit_per_s = {}\n'
+    text = f'[[edge]]\nid = "e"\nspeed = 0.5\nuplink_mbit_per_s = {FAST_LINK}\n'
+    text += "".join(device.format(*values) for values in zip("ab", speeds, mbit_per_s, strict=True))
+    (folder / "system.toml").write_text(text)
+    return load_system(folder / "system.toml")
+
+
+def executor(emulated: System, scripts: dict[str, str]) -> EmulatedExecutor:
+    def command(task: NodeTask) -> list[str]:
+        return [sys.executable, "-S", "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, FINISH)}"]
+
+    return EmulatedExecutor(system=emulated, local=LocalExecutor(num_workers=1, command=command))
+
+
+def preparer(run: Path, product_bytes: dict[str, int] | None = None) -> Callable[[Tree], NodeTask]:
+    def prepare(node: Tree) -> NodeTask:
+        folder = run / node.id
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "model.safetensors").write_bytes(bytes((product_bytes or {}).get(node.id, 1)))
+        seal(folder, "key", ["model.safetensors"])
+        (folder / SEAL_NAME).rename(folder / "sealed")
+        return NodeTask(kind=node.tier, stage=node.id, folder=folder, key="key")
+
+    return prepare
+
+
+def test_a_quarter_of_the_speed_takes_four_times_as_long(tmp_path: Path) -> None:
+    work = BURN.format(cpu_s=0.12) + FINISH
+    fleet = executor(system(tmp_path, (0.12, 0.03)), {"devices/a": work, "devices/b": work})
+    ratios = []
+    # Where others keep every core busy, a process may wait for one at its very end: then it is measured again, three times at most.
+    while len(ratios) < 3 and (not ratios or ratios[-1] != pytest.approx(4.0, rel=0.15)):
+        begun_s = time.monotonic()
+        times = fleet.fold(TREE, preparer(tmp_path / str(len(ratios))), lambda event: None)
+        a_s, b_s = (times[f"devices/{name}"].ended_s - times[f"devices/{name}"].started_s for name in "ab")
+        ratios.append(b_s / a_s)
+        assert a_s > 0.12 / 0.12, "more than the work alone: the start of Python is its own CPU time too"
+        assert time.monotonic() - begun_s < a_s + b_s, "they run side by side"
+    assert ratios[-1] == pytest.approx(4.0, rel=0.15), ratios
+
+
+def test_a_model_arrives_when_its_last_byte_would_and_the_edge_waits_for_it(tmp_path: Path) -> None:
+    events: list[Event] = []
+    fleet = executor(system(tmp_path, (0.5, 0.5), (8.0, 4.0)), {})
+    sizes = {"devices/a": 3_000_000, "devices/b": 500_000}
+    times = fleet.fold(TREE, preparer(tmp_path, sizes), events.append)
+    seconds = {event.stage: event.seconds for event in events if isinstance(event, StageDone)}
+    assert seconds["devices/a/uplink"] == pytest.approx(3.0, rel=0.1)
+    assert seconds["devices/b/uplink"] == pytest.approx(1.0, rel=0.1)
+    assert times["edges/e"].started_s >= times["devices/a"].ended_s >= 3.0
+    assert times["edges/e"].started_s < 4.0 + 1.5, "each on its own link, side by side"
+    arrived = [event.done for event in events if isinstance(event, StageProgress) and event.stage == "devices/a/uplink"]
+    assert len(arrived) >= 3 and arrived == sorted(arrived) and arrived[-1] < 3_000_000
+
+
+def test_what_is_emulated_says_so_and_the_cloud_is_measured(tmp_path: Path) -> None:
+    manifest = Manifest(folder=tmp_path, config={})
+    executor(system(tmp_path, (0.5, 0.5)), {}).fold(TREE, preparer(tmp_path), lambda event: manifest.note(event, time.monotonic()))
+    assert set(manifest.stages) == {"cloud"}
+    assert set(manifest.emulated) == {f"{node}{end}" for node in ("devices/a", "devices/b", "edges/e") for end in ("", "/uplink")}
+    figures = emulated_figures(TREE, manifest.emulated)
+    seconds = figures["emulated_seconds"]
+    slowest_s = max(seconds["devices/a"], seconds["devices/b"])
+    assert figures["emulated_makespan_s"] == pytest.approx(slowest_s + seconds["edges/e"], abs=1e-9)
+    manifest.keep_stages({"cloud", "devices/a"})
+    assert set(manifest.emulated) == {"devices/a", "devices/a/uplink"}
+    lost = emulated_figures(TREE, manifest.emulated)
+    assert lost["emulated_makespan_s"] is None and "again" in lost["emulated_reason"]
+
+
+def test_a_device_that_did_not_get_its_share_is_named(tmp_path: Path) -> None:
+    events: list[Event] = []
+    idle = f"import time; time.sleep(0.5)\n{FINISH}"
+    executor(system(tmp_path, (0.5, 0.05)), {"devices/a": idle}).fold(TREE, preparer(tmp_path), events.append)
+    warned = [event for event in events if isinstance(event, Warned) and event.stage == "devices/a"]
+    assert len(warned) == 1 and "of a core instead of 0.5" in warned[0].message
+
+
+@pytest.mark.parametrize(("script", "told"), [("raise SystemExit(3)", "ended with code 3"), ("os.kill(os.getpid(), 11)", "signal 11")])
+def test_how_a_worker_ended_is_told_as_ever(tmp_path: Path, script: str, told: str) -> None:
+    with pytest.raises(StageFailed, match=told):
+        executor(system(tmp_path, (0.5, 0.5)), {"devices/b": script}).fold(TREE, preparer(tmp_path), lambda event: None)
+
+
+def test_a_machine_that_cannot_play_the_system_says_what_to_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1})
+    require_emulable(system(tmp_path, (1.0, 1.0)))
+    with pytest.raises(BadInput, match=r"need 4 cores, this machine has 2: multiply every speed by 0\.5"):
+        require_emulable(System(edges=tuple(_renamed(system(tmp_path, (1.0, 1.0)), name) for name in "xy")))
+    (tmp_path / "system.toml").write_text('[[edge]]\nid = "e"\nspeed = 1\n[[edge.device]]\nid = "d"\n')
+    with pytest.raises(BadInput, match=r"device 'd' has no speed"):
+        require_emulable(load_system(tmp_path / "system.toml"))
+    for speed in ("0", "1.01", "nan", "-1"):
+        (tmp_path / "system.toml").write_text(f'[[edge]]\nid = "e"\nspeed = {speed}\n[[edge.device]]\nid = "d"\n')
+        with pytest.raises(BadInput, match=r"edge\[0\]\.speed is"):
+            load_system(tmp_path / "system.toml")
+
+
+def _renamed(emulated: System, name: str):
+    from dataclasses import replace
+
+    edge = emulated.edges[0]
+    return replace(edge, id=name, devices=tuple(replace(device, id=f"{name}{device.id}") for device in edge.devices))
+
+
+FOLD = """
+import sys
+sys.path.insert(0, {root!r})
+from pathlib import Path
+from tests.app.test_emulation import BURN, TREE, executor, preparer, system
+folder = Path({folder!r})
+scripts = {{f"devices/{{name}}": "open('pid', 'w').write(str(os.getpid()))\\n" + BURN.format(cpu_s=60) for name in "ab"}}
+executor(system(folder, (0.05, 0.05)), scripts).fold(TREE, preparer(folder), lambda event: None)
+"""
+
+
+@pytest.fixture
+def burning(tmp_path: Path):
+    """An executor in a process of its own whose two devices work hard, and the devices' processes, one of them just stopped."""
+    root = str(Path(__file__).parents[2])
+    process = subprocess.Popen([sys.executable, "-c", FOLD.format(root=root, folder=str(tmp_path))], stderr=subprocess.PIPE)
+    try:
+        devices = [int(waited_for(lambda file=tmp_path / "devices" / name / "pid": file.exists() and file.read_text())) for name in "ab"]
+        waited_for(lambda: state_of(devices[0]) == "T")
+        yield process, devices
+    finally:
+        process.kill()
+        process.communicate()
+    waited_for(lambda: not any(map(state_of, devices)))
+
+
+def waited_for(find):
+    deadline_s = time.monotonic() + WAIT_S
+    while not (found := find()):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+    return found
+
+
+def state_of(pid: int) -> str:
+    """The kernel's letter: R runs, S sleeps, T is stopped; empty when the process has ended, whether or not init has noticed."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0].replace("Z", "")
+    except OSError:
+        return ""
+
+
+def test_a_killed_executor_leaves_no_stopped_process(burning) -> None:
+    process, devices = burning
+    process.kill()
+    process.wait()
+    waited_for(lambda: not any(map(state_of, devices)))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_leaves_no_stopped_process(burning, number: int) -> None:
+    process, devices = burning
+    process.send_signal(number)
+    process.wait(timeout=WAIT_S)
+    waited_for(lambda: not any(map(state_of, devices)))
+
+
+def test_a_killed_guard_takes_its_stopped_device_along(burning) -> None:
+    process, devices = burning
+    guard = int(Path(f"/proc/{devices[0]}/stat").read_text().rsplit(")", 1)[1].split()[1])
+    os.kill(guard, signal.SIGKILL)
+    _, errors = process.communicate(timeout=WAIT_S)
+    assert b"devices/a: its process was killed by signal 9" in errors
+    assert not any(map(state_of, devices)), "the executor waits for the others that it stops"

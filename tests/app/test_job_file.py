@@ -1,0 +1,101 @@
+"""The job file: every option of `radiant run` and no other key, paths relative to the file, one sentence for everything else."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from radiant_app.cli import app
+from radiant_app.job_file import Job, load_jobs
+from radiant_core.errors import BadInput
+
+TWO = """
+[defaults]
+steps = 10
+system = "fleet.toml"
+
+[[job]]
+name = "a"
+source = "photos"
+
+[[job]]
+name = "b"
+source = "photos"
+out = "deep/b"
+steps = 20
+matching = "spatial"
+"""
+
+
+def jobs_of(folder: Path, text: str) -> tuple[Job, ...]:
+    (folder / "photos").mkdir(exist_ok=True)
+    (folder / "fleet.toml").touch()
+    path = folder / "night.toml"
+    path.write_text(text)
+    return load_jobs(path, folder / "batch")
+
+
+def test_jobs_arrive_in_order_with_their_own_options_before_the_defaults(tmp_path: Path) -> None:
+    a, b = jobs_of(tmp_path, TWO)
+    assert (a.name, a.source, a.out) == ("a", tmp_path / "photos", tmp_path / "batch" / "a")
+    assert a.options == {"steps": 10, "system": tmp_path / "fleet.toml"} and a.input_files == (tmp_path / "fleet.toml",)
+    assert b.out == tmp_path / "batch" / "deep" / "b"
+    assert b.arguments == (
+        f"{tmp_path}/photos",
+        f"--out={tmp_path}/batch/deep/b",
+        f"--system={tmp_path}/fleet.toml",
+        "--steps=20",
+        "--matching=spatial",
+    )
+
+
+def test_every_option_of_the_command_is_a_key_but_those_that_the_batch_sets(tmp_path: Path) -> None:
+    help_text = CliRunner().invoke(app, ["run", "--help"], env={"COLUMNS": "300"}).output
+    options = set(re.findall(r"--([a-z][a-z-]*)", help_text)) - {"help", "json", "resume", "out"}
+    assert options >= {"system", "train-preset", "steps", "long-side-px", "max-splats", "seed", "workers"}
+    for option in options:
+        with pytest.raises(BadInput, match=rf"job\[0\]\.{option} is \[\]; expected "):
+            # No option takes a list, so that each known key is named with its own expectation.
+            jobs_of(tmp_path, f'[[job]]\nname = "a"\nsource = "photos"\n{option} = []\n')
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("steps = 20", "step = 20", "job[1].step is not a key of a job file"),
+        ("steps = 20", 'steps = "20"', "job[1].steps is '20'; expected a valid integer"),
+        ("steps = 20", "steps = 0", "job[1].steps is 0; expected greater than or equal to 1"),
+        ("steps = 20", "steps = true", "job[1].steps is True; expected a valid integer"),
+        ("steps = 20", "resume = true", "job[1].resume is not a key"),
+        ("steps = 10", "steps = -1", "defaults.steps is -1"),
+        ("steps = 10", 'source = "photos"', "defaults.source is not a key"),
+        ('"spatial"', '"magic"', "job[1].matching is 'magic'; expected 'auto', 'spatial' or 'exhaustive'"),
+        ('name = "b"', 'name = "../b"', "job[1].name is '../b'"),
+        ('name = "b"\n', "", "job[1].name is missing"),
+        ('name = "b"', 'name = "A"', "the name 'a' comes twice"),
+        ('out = "deep/b"', 'out = "a"', "jobs 'a' and 'b' share the out"),
+        ('out = "deep/b"', 'out = "a/inside"', "jobs 'a' and 'b' share the out"),
+        ('out = "deep/b"', 'out = "../batch"', "job 'b': out is"),
+        ('out = "deep/b"', 'out = "jobs/b"', "job 'b': out is"),
+        ('out = "deep/b"', 'out = ""', "job[1].out is ''; string should have at least 1 character"),
+        ('"photos"\nout', '"nowhere"\nout', "job 'b': "),
+        ('"fleet.toml"', '"none.toml"', "none.toml is no file"),
+        ("[[job]]", "[job]", "not a TOML file"),
+    ],
+)
+def test_a_bad_value_gets_one_sentence_with_file_and_place(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in TWO
+    with pytest.raises(BadInput) as caught:
+        jobs_of(tmp_path, TWO.replace(old, new, 1))
+    assert str(caught.value).startswith(f"{tmp_path / 'night.toml'}: ")
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "batch").exists()
+
+
+@pytest.mark.parametrize("text", ["", "job = []", "job = 3", "[defaults]\nsteps = 1"])
+def test_a_file_without_jobs_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(BadInput, match="job is"):
+        jobs_of(tmp_path, text)
