@@ -137,7 +137,7 @@ def enu_in_fifty_digits(position: np.ndarray, origin: np.ndarray) -> np.ndarray:
     with mpmath.workdps(50):
         a, f = mpmath.mpf(6378137), 1 / mpmath.mpf("298.257223563")
 
-        def geocentric(lat_lon_alt: np.ndarray) -> list[mpmath.mpf]:
+        def geocentric(lat_lon_alt: np.ndarray) -> list[Any]:
             lat, lon, alt = (
                 mpmath.radians(mpmath.mpf(lat_lon_alt[0])),
                 mpmath.radians(mpmath.mpf(lat_lon_alt[1])),
