@@ -32,13 +32,13 @@ def test_each_waypoint_has_its_regions_colour() -> None:
     layer = waypoint_layer(positions, two_regions(6))
     np.testing.assert_array_equal(layer.points, positions)
     np.testing.assert_array_equal(layer.point_colors, category_colors(2)[[0, 1, 0, 1, 0, 1]])
-    assert "shown" not in layer.legend[0].text
+    assert layer.legend[0].text == "Waypoint, in its region's colour"
 
 
 def test_more_than_a_map_can_show_are_thinned_and_said() -> None:
     layer = waypoint_layer(np.zeros((3 * MAX_DOTS, 3)), two_regions(3 * MAX_DOTS))
     assert len(layer.points) == MAX_DOTS
-    assert "one of 3 is shown" in layer.legend[0].text
+    assert layer.legend[0].text == "One of 3 waypoints"
 
 
 def test_waypoints_of_another_plan_are_refused() -> None:

@@ -22,7 +22,7 @@ def waypoint_layer(positions: FloatArray, cloud_plan: CloudPlan) -> Layer:
     every = -(-len(positions) // MAX_DOTS)
     shown = slice(None, None, every)
     colors = category_colors(len(cloud_plan.edge_ids))[cloud_plan.edge_of_camera[shown]]
-    thinned = f" (one of {every} is shown)" if every > 1 else ""
+    meaning = "Waypoint, in its region's colour" if every == 1 else f"One of {every} waypoints"
     return Layer(
         name="Waypoints",
         points=positions[shown],
@@ -30,5 +30,5 @@ def waypoint_layer(positions: FloatArray, cloud_plan: CloudPlan) -> Layer:
         # As cameras: dots shrink with their number.
         point_size_px=float(np.clip(200 / np.sqrt(len(colors)), 2.0, 7.0)),
         point_rim=len(colors) <= 5000,
-        legend=(LegendEntry(text=f"Waypoint, in its region's colour{thinned}", color=BLUE, marker="ring"),),
+        legend=(LegendEntry(text=meaning, color=BLUE, marker="ring"),),
     )
