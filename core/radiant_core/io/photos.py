@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap_records import is_image_name
 from radiant_core.io.jpeg import ExifFacts, read_jpeg_facts
+from radiant_core.io.run_store import open_without_waiting
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 MAX_FILE_BYTES = 1 << 29
@@ -96,18 +97,23 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
     return PhotoListing(photographs=tuple(photographs), skipped=tuple(skipped))
 
 
-def photograph_positions(folder: Path) -> dict[str, tuple[float, float, float] | None]:
+def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
     """GPS position (degrees, degrees, metres) or None by file name, of the JPEG and PNG files directly in `folder`, sorted by name.
 
-    Reads the head of each file only. BadInput where there is no such folder or no photograph in it.
+    Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where there is no such folder or no photograph.
     """
-    names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES) if folder.is_dir() else []
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with JPEG files.")
+    names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if not names:
-        raise BadInput(f"{folder} is no folder with photographs (.jpg, .jpeg, .png): give the folder that holds the image files.")
+        raise BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}): give the folder that holds the image files.")
     positions = {}
-    for name in names:
-        with (folder / name).open("rb") as file:
+    for done, name in enumerate(names, start=1):
+        with open(folder / name, "rb", opener=open_without_waiting) as file:
             positions[name] = _facts(file.read(EXIF_HEAD_BYTES))[2].lat_lon_alt
+        if on_photo is not None:
+            on_photo(done, len(names))
     return positions
 
 

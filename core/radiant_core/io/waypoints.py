@@ -21,16 +21,13 @@ import numpy as np
 from radiant_core.errors import BadInput
 from radiant_core.io.csv_waypoints import csv_rows
 from radiant_core.io.geojson_waypoints import geojson_rows
-from radiant_core.io.jpeg import read_jpeg_facts
 from radiant_core.io.kml_waypoints import kml_rows
-from radiant_core.io.photos import SUFFIXES
+from radiant_core.io.photos import photograph_positions
 from radiant_core.io.run_store import open_without_waiting
 from radiant_core.io.waypoint_rows import WaypointRows
 from radiant_core.plan.waypoints import Waypoints, cleaned_waypoints
 
 MAX_FILE_BYTES = 256 * 2**20
-HEAD_BYTES = 256 * 2**10
-"""EXIF is the first or second segment of a JPEG, and no segment is longer than 64 KiB."""
 WAYPOINT_SUFFIXES = (".csv", ".geojson", ".json", ".kml")
 _MAX_NAMED = 5
 _ENCODINGS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -78,19 +75,9 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
     Photographs at one position all stay: they are already taken. Raises BadInput when it is no folder, when it holds no photograph, or
     when none has a position.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with JPEG files.")
-    names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
-    if not names:
-        raise BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}): give the folder that holds the image files.")
-    positions: dict[str, tuple[float, float, float]] = {}
-    for done, name in enumerate(names, start=1):
-        position = _exif_position(folder / name)
-        if position is not None:
-            positions[name] = position
-        if on_photo is not None:
-            on_photo(done, len(names))
+    found = photograph_positions(folder, on_photo)
+    names = list(found)
+    positions = {name: place for name, place in found.items() if place is not None}
     without = tuple(name for name in names if name not in positions)
     if not positions:
         raise BadInput(f"none of the {len(names)} photographs in {folder} has a GPS position in its EXIF: give a file of waypoints.")
@@ -143,11 +130,6 @@ def _without_cycle_collection() -> Iterator[None]:
 
 def _listed_kinds(rows: WaypointRows) -> str:
     return ", ".join(f"{count} × {kind}" for kind, count in rows.ignored.items())
-
-
-def _exif_position(path: Path) -> tuple[float, float, float] | None:
-    with open(path, "rb", opener=open_without_waiting) as file:
-        return read_jpeg_facts(file.read(HEAD_BYTES)).exif.lat_lon_alt
 
 
 def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, ...]:
