@@ -140,7 +140,7 @@ class TestSchedule:
         optimizer = SelectiveAdam({}, {})
         policy = self.policy(splats)
         edits, resets = [], []
-        monkeypatch.setattr(policy, "_edited", lambda step, model, _: edits.append(step) or model)
+        monkeypatch.setattr(policy, "_edited", lambda step, splats, optimizer: edits.append(step) or splats)
         for step in range(1, 20_001):
             before = policy.counts.num_resets
             policy.after_step(step, splats, optimizer)
