@@ -1,6 +1,6 @@
 """One emulated machine: runs a command at a share of one core, then holds its product back as a slow link would.
 
-Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPEED BYTES_PER_S STAGE PRODUCT COMMAND…`. Linux only.
+Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPEED BYTES_PER_S STAGE FOLDER COMMAND…`. Linux only.
 
     share   with c the command's CPU seconds and t the wall seconds since BEGUN (the machine's monotonic clock, so that the start of
             this process costs the emulated machine nothing), it is stopped (SIGSTOP) while c − speed · t is large and runs while
@@ -29,6 +29,8 @@ PERIOD_S = 0.1
 """One turn of running and standing still. Shorter turns cost more wake-ups, longer ones are felt at the end of short nodes."""
 BUSY_SHARE = 0.85
 """A node that got less than this of its share is reported: its time then says more about this machine than about the emulated one."""
+PRODUCTS = ("upload.safetensors", "model.safetensors")
+"""What a node sends: the first of these in its folder."""
 PROGRESS_S = 0.5
 SHORTEST_S = 1e-3
 _PR_SET_PDEATHSIG = 1
@@ -38,7 +40,7 @@ _LIBC = ctypes.CDLL(None)
 def main(arguments: list[str]) -> int:
     """Run the command and deliver its product; the exit code or signal is the command's."""
     begun_s, speed, bytes_per_s = map(float, arguments[:3])
-    stage, product, command = arguments[3], Path(arguments[4]), arguments[5:]
+    stage, folder, command = arguments[3], Path(arguments[4]), arguments[5:]
     code, cpu_s = _run_at_share(command, speed, begun_s)
     if code < 0:
         signal.signal(-code, signal.SIG_DFL)
@@ -49,6 +51,7 @@ def main(arguments: list[str]) -> int:
     if share < BUSY_SHARE * speed:
         busy = f"it got {share:.2f} of a core instead of {speed:g}: other work kept this machine busy, so its emulated time is too long."
         _emit(Warned(stage=stage, message=busy))
+    product = next(path for path in (folder / name for name in PRODUCTS) if path.is_file())
     _deliver(f"{stage}{UPLINK}", product.stat().st_size, bytes_per_s)
     return 0
 
