@@ -23,9 +23,6 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import Device, Edge, System
 
-PRODUCT = "model.safetensors"
-"""The file of a device's or edge's folder whose bytes go over its uplink."""
-
 
 @dataclass
 class EmulatedExecutor:
@@ -81,7 +78,7 @@ def emulated_figures(tree: Tree, emulated: Mapping[str, Mapping[str, float]]) ->
     makespan_s = max((edge.fold(arrival_s) for edge in tree.children), default=math.inf)
     if makespan_s < math.inf:
         return {"emulated_seconds": seconds, "emulated_makespan_s": makespan_s}
-    reason = "a node was stopped while its model was on its way: run again into another folder."
+    reason = "a node had nothing to send, or was stopped while its model was on its way."
     return {"emulated_seconds": seconds, "emulated_makespan_s": None, "emulated_reason": reason}
 
 
@@ -94,4 +91,4 @@ def _machines(system: System) -> dict[str, Device | Edge]:
 def _node_command(machine: Device | Edge, task: NodeTask, command: Sequence[str]) -> list[str]:
     module = "radiant_app.executors.emulated_node"
     numbers = map(str, (time.monotonic(), machine.speed, machine.uplink_bytes_per_s))
-    return [sys.executable, "-m", module, *numbers, task.stage, str(task.folder / PRODUCT), *command]
+    return [sys.executable, "-m", module, *numbers, task.stage, str(task.folder), *command]

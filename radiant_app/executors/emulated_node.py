@@ -1,6 +1,6 @@
 """One emulated machine: runs a command at a share of one core, then holds its product back as a slow link would.
 
-Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPEED BYTES_PER_S STAGE PRODUCT COMMAND…`. Linux only.
+Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPEED BYTES_PER_S STAGE FOLDER COMMAND…`. Linux only.
 
     share   with c the command's CPU seconds and t the wall seconds since BEGUN (the machine's monotonic clock, so that the start of
             this process costs the emulated machine nothing), it is stopped (SIGSTOP) while c − speed · t is large and runs while
@@ -29,6 +29,8 @@ PERIOD_S = 0.1
 """One turn of running and standing still. Shorter turns cost more wake-ups, longer ones are felt at the end of short nodes."""
 BUSY_SHARE = 0.85
 """A node that got less than this of its share is reported: its time then says more about this machine than about the emulated one."""
+PRODUCTS = ("upload.safetensors", "model.safetensors")
+"""What a node sends: the first of these in its folder."""
 PROGRESS_S = 0.5
 SHORTEST_S = 1e-3
 _PR_SET_PDEATHSIG = 1
@@ -38,7 +40,7 @@ _LIBC = ctypes.CDLL(None)
 def main(arguments: list[str]) -> int:
     """Run the command and deliver its product; the exit code or signal is the command's."""
     begun_s, speed, bytes_per_s = map(float, arguments[:3])
-    stage, product, command = arguments[3], Path(arguments[4]), arguments[5:]
+    stage, folder, command = arguments[3], Path(arguments[4]), arguments[5:]
     code, cpu_s = _run_at_share(command, speed, begun_s)
     if code < 0:
         signal.signal(-code, signal.SIG_DFL)
@@ -49,7 +51,9 @@ def main(arguments: list[str]) -> int:
     if share < BUSY_SHARE * speed:
         busy = f"it got {share:.2f} of a core instead of {speed:g}: other work kept this machine busy, so its emulated time is too long."
         _emit(Warned(stage=stage, message=busy))
-    _deliver(f"{stage}{UPLINK}", _sent_bytes(product), bytes_per_s)
+    sent = [path.stat().st_size for path in (folder / name for name in PRODUCTS) if path.is_file()]
+    # A device that cannot deliver sends nothing.
+    _deliver(f"{stage}{UPLINK}", sent[0] if sent else 0, bytes_per_s)
     return 0
 
 
@@ -70,13 +74,6 @@ def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int
     cpu_s = usage.ru_utime + usage.ru_stime
     _wait(cpu_s / speed - (time.monotonic() - begun_s))
     return os.waitstatus_to_exitcode(status), cpu_s
-
-
-def _sent_bytes(product: Path) -> int:
-    """Bytes of what a node sends: its upload where it made one, none where a device delivers nothing."""
-    upload = product.with_name("upload.safetensors")
-    sent = upload if upload.is_file() else product
-    return sent.stat().st_size if sent.is_file() else 0
 
 
 def _deliver(stage: str, num_bytes: int, bytes_per_s: float) -> None:
