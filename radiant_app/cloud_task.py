@@ -51,7 +51,9 @@ def retrained_at_cloud(task: dict[str, Any], inbox: Inbox, stage: str, emit: Cal
     from radiant_core.plan.system import Cloud
 
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
-    needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, task["edge_times_s"])
+    times_s = task["edge_times_s"]
+    own_times_s = None if times_s is None else [times_s[task["edges"].index(name)] for name in inbox.senders]
+    needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, own_times_s)
     retrains, decision = choose_at_cloud(needs, Cloud(**task["limits"]), stage)
     emit(Decided(decision=decision))
     return retrain_on_synthetic_views(inbox.models, inbox.cameras, train, aggregate, options) if retrains else None
