@@ -93,7 +93,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
         shares=shares,
         origin=captured.origin,
         poses=poses,
-        sfm={"matching": config.matching, "seed": config.seed},
+        sfm={"matching": config.matching, "seed": config.seed, "two_view_points": True},
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     executor = executor_of(config, system, progress, may_fail=lambda node: node.tier != "cloud")

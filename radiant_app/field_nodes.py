@@ -156,7 +156,7 @@ def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     leakage = _leakage(own, images, task, (stage, emit))
     result: dict[str, Any] = {"images": [], "leakage": leakage, "seam_sums": np.zeros((2, 3)).tolist()}
     if len(held_out):
-        names = [f"{own.name}/{index:04d}" for index in range(len(held_out))]
+        names = [f"{own.name}/held-out-{index:04d}" for index in range(len(held_out))]
         photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(images, held_out)]
         cameras = held_out
         for move in task["corrections"]:

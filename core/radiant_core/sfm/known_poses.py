@@ -82,19 +82,7 @@ def scene_from_poses(cameras: Cameras, photo_folder: Path, work_folder: Path, co
     posed = _posed_model(cameras, database, model_folder)
     match_pairs(database, neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors), config, report)
     report(SfmProgress(phase="triangulating", done=0, total=len(cameras)))
-    options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = config.threads
-    options.random_seed = config.seed
-    call_colmap(
-        "triangulating",
-        pycolmap.triangulate_points,
-        posed,
-        database,
-        photo_folder,
-        model_folder,
-        options=options,
-        cancellation_token=pycolmap.CancellationToken(),
-    )
+    triangulate(posed, database, photo_folder, model_folder, config)
     report(SfmProgress(phase="triangulating", done=len(cameras), total=len(cameras)))
     model = read_model(model_folder)
     if not len(model.points.ids):
@@ -105,6 +93,25 @@ def scene_from_poses(cameras: Cameras, photo_folder: Path, work_folder: Path, co
         colors=model.points.colors,
         observations=model.observations(),
         frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
+    )
+
+
+def triangulate(model: pycolmap.Reconstruction, database: Path, photo_folder: Path, model_folder: Path, config: SfmConfig) -> None:
+    """Points from the matches in `database` for the poses of `model`, which stay; writes the model to `model_folder`."""
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = config.threads
+    options.random_seed = config.seed
+    options.triangulation.ignore_two_view_tracks = not config.two_view_points
+    call_colmap(
+        "triangulating",
+        pycolmap.triangulate_points,
+        model,
+        database,
+        photo_folder,
+        model_folder,
+        clear_points=False,
+        options=options,
+        cancellation_token=pycolmap.CancellationToken(),
     )
 
 

@@ -13,7 +13,7 @@ from radiant_core.io.colmap import ColmapModel, read_model, write_model
 from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
-from radiant_core.sfm.known_poses import scene_from_mill19
+from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
 from radiant_core.sfm.mapping import Mapped, MappingJob, map_photographs
 from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.undistort import undistort
@@ -58,6 +58,8 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
     )
     mapped = map_photographs(job)
     _save_model(mapped, work_folder)
+    if config.two_view_points:
+        triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
     scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
     return SfmResult(
