@@ -24,7 +24,7 @@ MAX_COMPARISONS = 12
 def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path:
     """Make the pictures and the page; returns the page's path."""
     cloud_plan, edge_plans = load_plan(run / "plan.json")
-    pictures = _save_pictures(run, manifest, has_borders=len(cloud_plan.edge_ids) > 1)
+    pictures = _save_pictures(run, manifest, has_borders=sum(len(border) > 0 for border in cloud_plan.borders) > 1)
     template = jinja2.Environment(
         loader=jinja2.PackageLoader("radiant_app"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     ).get_template("report.html.j2")

@@ -15,9 +15,25 @@ import pytest
 
 from radiant_app.batch import BatchResult, JobResult
 from radiant_app.demo import sample_scenes_folder
+from radiant_core.io.records import load_plan
 
 HAMLET = sample_scenes_folder() / "hamlet"
 WAIT_S = 60.0
+FLEET = """
+[[edge]]
+id = "e"
+speed = 1
+[[edge.device]]
+id = "d"
+speed = 1
+[[edge]]
+id = "idle"
+speed = 0.01
+[[edge.device]]
+id = "idle-1"
+speed = 0.01
+relative_speed = 0.001
+"""
 NIGHT = """
 [defaults]
 steps = 2
@@ -41,14 +57,17 @@ emulate = "one.toml"
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a COLMAP project (no matching: quick), a single photograph, an empty folder and a job file of all three."""
+    """A folder with a COLMAP project (no matching: quick), a single photograph, an empty folder and a job file of all three.
+
+    The system has an edge that is too slow to get a camera.
+    """
     folder = tmp_path_factory.mktemp("desk")
     shutil.copytree(HAMLET / "images", folder / "hamlet" / "images")
     shutil.copytree(HAMLET / "known", folder / "hamlet" / "sparse" / "0")
     for name in ("nothing", "lonely"):
         (folder / name).mkdir()
     shutil.copy(next((HAMLET / "images").iterdir()), folder / "lonely")
-    (folder / "one.toml").write_text('[[edge]]\nid = "e"\nspeed = 1\n[[edge.device]]\nid = "d"\nspeed = 1\n')
+    (folder / "one.toml").write_text(FLEET)
     (folder / "night.toml").write_text(NIGHT)
     return folder
 
@@ -103,6 +122,12 @@ def test_a_batch_goes_on_after_a_crash_and_bad_input(desk: Path, finished: subpr
     page = (desk / "night" / "summary.html").read_text()
     assert 'href="good/report.html"' in page and (desk / "night" / "good" / "report.html").is_file()
     assert not (desk / "night" / "empty").exists(), "bad input leaves nothing half-written"
+
+
+def test_a_run_whose_plan_leaves_an_edge_without_cameras_has_its_report(desk: Path, finished: subprocess.CompletedProcess[str]) -> None:
+    _, edge_plans = load_plan(desk / "night" / "good" / "plan.json")
+    assert [len(plan.camera_indices) for plan in edge_plans] == [10, 0]
+    assert "idle-1" in (desk / "night" / "good" / "report.html").read_text()
 
 
 def test_an_emulated_run_keeps_emulated_times_apart(desk: Path, finished: subprocess.CompletedProcess[str]) -> None:
