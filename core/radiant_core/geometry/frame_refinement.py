@@ -65,7 +65,8 @@ class PlacedModel:
 class RefinedFrame:
     """What became of one model's frame.
 
-    ok: `correction` moves it to its neighbours. alone: no neighbour shares enough ground, it stays where GPS puts it. refused: do not merge.
+    ok: `correction` moves it to its neighbours. alone: no neighbour shares enough ground, it stays where GPS puts it. refused: do not
+    merge it.
     `uncertainty` is what is left, GPS's own included; `residual_m` the distance left to its neighbours on common ground, None without any;
     `neighbours` are the indices of the models it was joined with; `reason` is one sentence.
     """
@@ -169,10 +170,7 @@ def _beyond(xi: FloatArray, limits: FloatArray) -> bool:
 
 
 def _figures(xi: FloatArray) -> str:
-    return (
-        f"{np.linalg.norm(xi[:3]):.2f} m, {np.degrees(np.linalg.norm(xi[3:6])):.2f}° "
-        f"and {100 * abs(np.expm1(xi[6])):.2f} % of scale"
-    )
+    return f"{np.linalg.norm(xi[:3]):.2f} m, {np.degrees(np.linalg.norm(xi[3:6])):.2f}° and {100 * abs(np.expm1(xi[6])):.2f} % of scale"
 
 
 def _solved_without_open_loops(

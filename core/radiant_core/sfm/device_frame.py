@@ -1,4 +1,4 @@
-"""The frame of one device's own structure from motion: fixed by the GPS of its photographs, with its uncertainty, or refused. Once per device.
+"""The frame of a device's own structure from motion: fixed by its photographs' GPS, with its uncertainty, or refused. Once per device.
 
 The robust similarity of camera centres to east-north-up metres (`align.robust_sim3`) leaves residuals of σ per axis, by their median and
 corrected for seven fitted numbers; over n positions x_i about their mean, spread Q = Σ x_i x_iᵀ, it is then known to
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
-from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3, enu_from_geodetic
 from radiant_core.geometry.frame_graph import FrameUncertainty
 from radiant_core.numerics import FloatArray, checked_array
@@ -83,7 +82,9 @@ def device_frame(
         return RefusedFrame(reason="its camera centres or its GPS positions are all the same, which fixes no scale and no heading.")
     num_inliers = int(fit.inliers.sum())
     if num_inliers < MIN_POSITIONS:
-        return RefusedFrame(reason=f"only {num_inliers} of {len(names)} GPS positions agree with one similarity, expected {MIN_POSITIONS} or more.")
+        return RefusedFrame(
+            reason=f"only {num_inliers} of {len(names)} GPS positions agree with one similarity, expected {MIN_POSITIONS} or more."
+        )
     found = _with_up(scene, centers, positions_m, fit, seed)
     if found is None:
         return RefusedFrame(reason="its GPS positions do not differ horizontally, which leaves heading and scale open.")

@@ -27,7 +27,9 @@ def heights(x: np.ndarray, y: np.ndarray, seed: int = 0) -> np.ndarray:
     return hills + 0.5 * np.cos(0.75 * x + phase[3]) * np.sin(0.7 * y)
 
 
-def ground_model(x_range: tuple[float, float], *, place: int = 0, sample: int = 0, colored: bool = True, half_width_m: float = 12.0) -> Splats:
+def ground_model(
+    x_range: tuple[float, float], *, place: int = 0, sample: int = 0, colored: bool = True, half_width_m: float = 12.0
+) -> Splats:
     """Gaussians of the site `place` within x_range, at points of their own for each `sample`."""
     rng = np.random.default_rng([place, sample, 7])
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(*x_range, STEP_M), np.arange(-half_width_m, half_width_m, STEP_M)))
@@ -70,7 +72,9 @@ def moved_model(splats: Splats, cameras: Cameras, move: Sim3, uncertainty: Frame
     return PlacedModel(splats=move_splats(splats, move), cameras=placed, uncertainty=uncertainty)
 
 
-def move_about(center: np.ndarray, *, shift_m: tuple[float, float, float] = (0, 0, 0), turn_deg: tuple = (0, 0, 0), scale: float = 1.0) -> Sim3:
+def move_about(
+    center: np.ndarray, *, shift_m: tuple[float, float, float] = (0, 0, 0), turn_deg: tuple = (0, 0, 0), scale: float = 1.0
+) -> Sim3:
     """Turn and grow about `center`, then shift."""
     rotation = Rotation.from_rotvec(np.radians(turn_deg)).as_matrix()
     return Sim3(scale=scale, rotation=rotation, translation=center + shift_m - scale * rotation @ center)
