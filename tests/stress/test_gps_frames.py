@@ -1,4 +1,4 @@
-"""Devices that place their own photographs by GPS: how well their frames agree in the end, and real sets whose GPS is good or bad. Minutes."""
+"""Devices that place their own photographs by GPS: how well frames agree in the end, and sets whose GPS is good or bad. Minutes."""
 
 from __future__ import annotations
 
@@ -121,7 +121,8 @@ def test_a_real_set_is_placed_or_refused(name: str, tmp_path: Path) -> None:
     try:
         metrics = run(config).metrics
     except StageFailed as error:
-        assert "refused" in str(error)
+        if "refused" not in str(error):
+            raise
         return
     # What was merged must agree: a wrongly placed device shows nothing of the photographs it holds out.
     for row in metrics["images"]:

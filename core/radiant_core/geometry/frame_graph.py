@@ -1,8 +1,8 @@
 """All frames of neighbouring models at once: pairwise similarities and GPS, each with its error, in one least squares. Once per edge.
 
     min Σ_m ‖ξ(S_m)‖²_{G_m} + Σ_(a,b) ‖ξ(S_a M_ab S_b⁻¹)‖²_{C_ab}
-over one correction S_m per model. ξ = (shift m, rotation rad, ln scale) about the middle of a model's cameras, or of a pair's common ground;
-G_m comes from GPS and is the gauge, C_ab from the pair. 7 M unknowns, a few Gauss–Newton steps with differences for derivatives.
+over one correction S_m per model. ξ = (shift m, rotation rad, ln scale) about the middle of a model's cameras, or of a pair's common
+ground; G_m comes from GPS and is the gauge, C_ab from the pair. 7 M unknowns, a few Gauss–Newton steps with differences for derivatives.
 Source: Strasdat, Montiel and Davison, Scale drift-aware large scale monocular SLAM, RSS (2010).
 """
 

@@ -1,7 +1,7 @@
 """Pairs of one place in two models, found in pictures that the models render; no photograph is read. Once per pair of neighbours.
 
 Coarse, at the frames that GPS gives: both models are rendered at the same cameras, SIFT features matched, lifted by the rendered depths
-and the similarity taken that most agree with. Fine, twice: points are followed through several cameras of each model and triangulated in
+and the similarity taken that most agree with. Fine: points are followed through several cameras of each model and triangulated in
 each model by itself (`model_views.py`). Source of the features: Lowe, IJCV 60 (2004).
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
-from radiant_core.geometry.model_views import MIN_ALPHA, Hub, ModelViews, corners, follow, hub_map, triangulate
+from radiant_core.geometry.model_views import MIN_ALPHA, Hub, ModelViews, Rays, corners, follow, hub_map, triangulate
 from radiant_core.geometry.pair_fit import PairFit, PointPairs, consensus, fit_pairs
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
@@ -37,11 +37,16 @@ NUM_CORNERS = 250
 COARSE_TOLERANCE = 0.03
 """Rendered depth and feature together, as a share of the distance to the camera."""
 MIN_COARSE_PAIRS = 25
-MIN_COARSE_SHARE = 0.08
+MIN_COARSE_SHARE = 0.03
+"""Of two places that have nothing in common, at most 9 of 860 features agreed; of those with little in common, 110 of 2,050."""
 MIN_FINE_PAIRS = 25
-MAX_DEPTH_ERRORS = (0.1, 0.05)
-"""Largest difference of rendered depths that is not an occlusion, in both fine rounds."""
+MIN_FINE_SHARE = 0.25
+MAX_DEPTH_ERROR = 0.1
+"""Largest difference of rendered depths, as a share, that is not an occlusion."""
 MAX_RMS_PX = 1.0
+MAX_POINT_ERROR = 0.03
+"""Standard deviation of a triangulated point, as a share of its distance: rays that hardly differ in direction meet anywhere."""
+_Matched = tuple[FloatArray, FloatArray, FloatArray]
 IDENTITY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
 
@@ -78,54 +83,77 @@ def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int) -> PairFit |
     coarse = coarse_match(a, b, overlap, seed)
     if isinstance(coarse, str):
         return coarse
-    a_views = ModelViews.of(a, overlap.a_cameras.select(np.arange(min(MAX_FINE_VIEWS, len(overlap.a_cameras)))))
-    b_views = ModelViews.of(b, overlap.b_cameras.select(np.arange(min(MAX_FINE_VIEWS, len(overlap.b_cameras)))))
-    a_from_b, fitted = coarse, None
-    for max_depth_error in MAX_DEPTH_ERRORS:
-        pairs = tracked_pairs(a_views, b_views, a_from_b, max_depth_error)
-        if len(pairs) < MIN_FINE_PAIRS:
-            return f"only {len(pairs)} points could be followed through cameras of both"
-        try:
-            fitted = fit_pairs(pairs, a_from_b)
-        except BadInput as error:
-            return str(error).rstrip(".")
-        if fitted.num_pairs < max(MIN_FINE_PAIRS, 0.25 * len(pairs)):
-            return f"only {fitted.num_pairs} of {len(pairs)} points that were followed agree with one similarity"
-        a_from_b = fitted.a_from_b
-    assert fitted is not None
+    a_views = ModelViews.of(a, _first(overlap.a_cameras, MAX_FINE_VIEWS))
+    b_views = ModelViews.of(b, _first(overlap.b_cameras, MAX_FINE_VIEWS))
+    pairs = tracked_pairs(a_views, b_views, coarse)
+    if len(pairs) < MIN_FINE_PAIRS:
+        return f"only {len(pairs)} points could be followed through cameras of both"
+    try:
+        fitted = fit_pairs(pairs, coarse)
+    except BadInput as error:
+        return str(error).rstrip(".")
+    if fitted.num_pairs < max(MIN_FINE_PAIRS, MIN_FINE_SHARE * len(pairs)):
+        return f"only {fitted.num_pairs} of {len(pairs)} points that were followed agree with one similarity"
     return fitted
 
 
 def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | str:
-    """The similarity a ← b that most features of common renders agree with, good to a few decimetres, or why there is none."""
-    found: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    for cameras in (overlap.a_cameras, overlap.b_cameras):
-        cameras = cameras.select(np.arange(min(MAX_COARSE_VIEWS, len(cameras))))
+    """The similarity a ← b that most features agree with, good to a few decimetres, or why there is none.
+
+    First both are rendered at the same cameras, where features look alike; then each at its own, which finds what lies far from its GPS.
+    """
+    told = ""
+    for together in (True, False):
+        found = _at_common_cameras(a, b, overlap) if together else _at_own_cameras(a, b, overlap)
+        if not found:
+            told = told or "no view shows features of both"
+            continue
+        a_points, b_points, tolerances = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        best = consensus(a_points, b_points, tolerances, seed)
+        agreeing = 0 if best is None else int(best[1].sum())
+        if best is not None and agreeing >= max(MIN_COARSE_PAIRS, MIN_COARSE_SHARE * len(a_points)):
+            return best[0]
+        told = f"only {agreeing} of {len(a_points)} matched features of their renders agree with one similarity"
+    return told
+
+
+def _at_common_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:
+    found = []
+    for of_one in (overlap.a_cameras, overlap.b_cameras):
+        cameras = _first(of_one, MAX_COARSE_VIEWS)
         of_a, of_b = ModelViews.of(a, cameras), ModelViews.of(b, cameras)
-        found += [pairs for index in range(len(cameras)) if (pairs := _feature_pairs(of_a, of_b, index)) is not None]
-    if not found:
-        return "no view shows features of both"
-    a_points, b_points, tolerances = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    best = consensus(a_points, b_points, tolerances, seed)
-    agreeing = 0 if best is None else int(best[1].sum())
-    if best is None or agreeing < max(MIN_COARSE_PAIRS, MIN_COARSE_SHARE * len(a_points)):
-        return f"only {agreeing} of {len(a_points)} matched features of their renders agree with one similarity"
-    return best[0]
+        for index in range(len(cameras)):
+            known = (of_a.views[index].alpha > MIN_ALPHA) & (of_b.views[index].alpha > MIN_ALPHA)
+            if known.mean() >= MIN_COMMON_PIXELS:
+                found.append(_matched(_features(of_a, index), _features(of_b, index)))
+    return found
 
 
-def tracked_pairs(a: ModelViews, b: ModelViews, a_from_b: Sim3, max_depth_error: float) -> PointPairs:
+def _at_own_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:
+    views = [
+        ModelViews.of(*one) for one in ((a, _first(overlap.a_cameras, MAX_COARSE_VIEWS)), (b, _first(overlap.b_cameras, MAX_COARSE_VIEWS)))
+    ]
+    features = [[_features(of_one, index) for index in range(len(of_one.cameras))] for of_one in views]
+    # The consensus below asks for a share of all pairs: pairs of views without a common place would only water it down.
+    matched = [_matched(one, other) for one in features[0] for other in features[1]]
+    return sorted(matched, key=lambda pairs: -len(pairs[0]))[: 2 * MAX_COARSE_VIEWS]
+
+
+def _first(cameras: Cameras, count: int) -> Cameras:
+    return cameras.select(np.arange(min(count, len(cameras))))
+
+
+def tracked_pairs(a: ModelViews, b: ModelViews, a_from_b: Sim3) -> PointPairs:
     """Points followed through cameras of both models and triangulated in each; P pairs, each in its own model's frame."""
-    parts = []
-    for index in range(len(a.cameras)):
-        parts.append(_tracked_from(a, index, b, a_from_b.inverse(), max_depth_error))
+    parts = [_tracked_from(a, index, b, a_from_b.inverse()) for index in range(len(a.cameras))]
     for index in range(len(b.cameras)):
-        there = _tracked_from(b, index, a, a_from_b, max_depth_error)
+        there = _tracked_from(b, index, a, a_from_b)
         parts.append((there[2], there[3], there[0], there[1]))
     arrays = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
     return PointPairs(a=arrays[0], a_covariances=arrays[1], b=arrays[2], b_covariances=arrays[3])
 
 
-def _tracked_from(hub_views: ModelViews, index: int, other: ModelViews, other_from_hub: Sim3, max_depth_error: float):  # noqa: ANN202
+def _tracked_from(hub_views: ModelViews, index: int, other: ModelViews, other_from_hub: Sim3):  # noqa: ANN202
     """Points (P,3) and covariances in the hub's model, then in the other, from one hub view."""
     nothing = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3))
     pixels = corners(hub_views, index, NUM_CORNERS)
@@ -135,63 +163,69 @@ def _tracked_from(hub_views: ModelViews, index: int, other: ModelViews, other_fr
     hub = Hub(views=hub_views, index=index, pixels=pixels, grid=grid, grid_shape=grid_shape)
     center = hub_views.cameras.centers[index]
     across = {
-        j: follow(hub, other, j, other_from_hub, max_depth_error) for j in _nearest(other.cameras, other_from_hub.apply(center[None])[0])
+        j: follow(hub, other, j, other_from_hub, MAX_DEPTH_ERROR) for j in _nearest(other.cameras, other_from_hub.apply(center[None])[0])
     }
-    kept = sum(good.astype(np.int64) for _, good in across.values()) >= 2
+    kept = sum((good.astype(np.int64) for _, good in across.values()), np.zeros(len(pixels), np.int64)) >= 2
     if not kept.any():
         return nothing
     own = {
-        j: follow(hub, hub_views, j, IDENTITY, MAX_DEPTH_ERRORS[-1])
-        for j in _nearest(hub_views.cameras, center, MAX_PARTNERS + 1)
-        if j != index
+        j: follow(hub, hub_views, j, IDENTITY, MAX_DEPTH_ERROR) for j in _nearest(hub_views.cameras, center, MAX_PARTNERS + 1) if j != index
     }
     kept &= sum((good.astype(np.int64) for _, good in own.values()), np.zeros(len(pixels), np.int64)) >= 1
     if not kept.any():
         return nothing
     own[index] = pixels, np.ones(len(pixels), bool)
     start = hub_views.lift(index, pixels[kept])[0]
-    here, here_covariances, here_px = triangulate(hub_views.cameras, *_rays(own, kept), start)
-    there, there_covariances, there_px = triangulate(other.cameras, *_rays(across, kept), other_from_hub.apply(start))
+    here, here_covariances, here_px = triangulate(hub_views.cameras, _rays(own, kept), start)
+    there, there_covariances, there_px = triangulate(other.cameras, _rays(across, kept), other_from_hub.apply(start))
     good = (here_px < MAX_RMS_PX) & (there_px < MAX_RMS_PX)
+    limits = MAX_POINT_ERROR * np.linalg.norm(here - center, axis=1)
+    good &= _deviations(here_covariances) < limits
+    good &= _deviations(there_covariances) < other_from_hub.scale * limits
     return here[good], here_covariances[good], there[good], there_covariances[good]
 
 
-def _rays(followed: dict[int, tuple[FloatArray, NDArray[np.bool_]]], kept: NDArray[np.bool_]):  # noqa: ANN202 - camera, point, pixel
-    """Camera index (O,), point index (O,) among the kept, pixel (O,2) of all that was found."""
+def _deviations(covariances: FloatArray) -> FloatArray:
+    """Standard deviations (P,) along the axis known worst of covariances (P,3,3)."""
+    return np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+
+
+def _rays(followed: dict[int, tuple[FloatArray, NDArray[np.bool_]]], kept: NDArray[np.bool_]) -> Rays:
+    """All that was found of the kept points, counted among them."""
     new_index = np.cumsum(kept) - 1
     chosen = {j: good & kept for j, (_, good) in followed.items()}
     cameras = np.concatenate([np.full(int(good.sum()), j) for j, good in chosen.items()])
     points = np.concatenate([new_index[good] for good in chosen.values()])
-    return cameras, points, np.concatenate([followed[j][0][good] for j, good in chosen.items()])
+    return Rays(cameras=cameras, points=points, pixels=np.concatenate([followed[j][0][good] for j, good in chosen.items()]))
 
 
 def _nearest(cameras: Cameras, center: FloatArray, count: int = MAX_PARTNERS) -> list[int]:
     return np.argsort(np.linalg.norm(cameras.centers - center, axis=1), kind="stable")[:count].tolist()
 
 
-def _feature_pairs(a: ModelViews, b: ModelViews, index: int) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Points (P,3) of a and of b that look alike in one view, and tolerances (P,) m; None where the view shows too little of both."""
-    known = [views.views[index].alpha > MIN_ALPHA for views in (a, b)]
-    if (known[0] & known[1]).mean() < MIN_COMMON_PIXELS:
-        return None
-    sift = cv2.SIFT_create(nfeatures=NUM_FEATURES, contrastThreshold=0.01)
-    described = [sift.detectAndCompute(views.grey[index], _eroded(mask)) for views, mask in zip((a, b), known, strict=True)]
-    if min(len(keypoints) for keypoints, _ in described) < 3:
-        return None
-    candidates = cv2.BFMatcher().knnMatch(described[0][1], described[1][1], k=2)
+def _features(views: ModelViews, index: int) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
+    """Points (P,3) at the rendered depth, tolerances (P,) m and descriptors (P,128) of the features in one view."""
+    sift = cv2.SIFT.create(nfeatures=NUM_FEATURES, contrastThreshold=0.01)
+    keypoints, descriptors = sift.detectAndCompute(views.grey[index], _eroded(views.views[index].alpha > MIN_ALPHA))
+    if descriptors is None:
+        return np.zeros((0, 3)), np.zeros(0), np.zeros((0, 128), np.float32)
+    points, depths = views.lift(index, np.array([keypoint.pt for keypoint in keypoints]) + 0.5)
+    there = depths > 0
+    return points[there], COARSE_TOLERANCE * depths[there], np.asarray(descriptors, np.float32)[there]
+
+
+def _matched(a: tuple, b: tuple) -> _Matched:
+    """Features of two views whose best match is clearly better than the second: points (P,3) of a, of b, tolerances (P,) m."""
+    if len(a[0]) < 2 or len(b[0]) < 2:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    candidates = cv2.BFMatcher().knnMatch(a[2], b[2], k=2)
     chosen = [pair[0] for pair in candidates if len(pair) == 2 and pair[0].distance < RATIO * pair[1].distance]
-    if not chosen:
-        return None
-    a_pixels = np.array([described[0][0][match.queryIdx].pt for match in chosen]) + 0.5
-    b_pixels = np.array([described[1][0][match.trainIdx].pt for match in chosen]) + 0.5
-    a_points, a_depths = a.lift(index, a_pixels)
-    b_points, b_depths = b.lift(index, b_pixels)
-    there = (a_depths > 0) & (b_depths > 0)
-    return a_points[there], b_points[there], COARSE_TOLERANCE * a_depths[there]
+    one, other = np.array([match.queryIdx for match in chosen], np.int64), np.array([match.trainIdx for match in chosen], np.int64)
+    return a[0][one], b[0][other], a[1][one]
 
 
 def _eroded(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    return cv2.erode(mask.astype(np.uint8), np.ones((9, 9), np.uint8))
+    return cv2.erode(mask.astype(np.uint8), np.ones((9, 9), np.uint8)).astype(np.uint8)
 
 
 def _thinned(points: FloatArray) -> FloatArray:

@@ -65,7 +65,8 @@ class PlacedModel:
 class RefinedFrame:
     """What became of one model's frame.
 
-    ok: `correction` moves it to its neighbours. alone: no neighbour shares enough ground, it stays where GPS puts it. refused: do not merge.
+    ok: `correction` moves it to its neighbours. alone: no neighbour shares enough ground, it stays where GPS puts it. refused: do not
+    merge it.
     `uncertainty` is what is left, GPS's own included; `residual_m` the distance left to its neighbours on common ground, None without any;
     `neighbours` are the indices of the models it was joined with; `reason` is one sentence.
     """

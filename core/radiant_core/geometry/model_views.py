@@ -10,6 +10,7 @@ Sources: Lucas and Kanade, IJCAI (1981); Hartley and Sturm, Triangulation (1997)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -73,7 +74,7 @@ def level_contrast(view: RenderedView) -> NDArray[np.uint8]:
     return np.clip(128 + 40 * detail / np.maximum(deviation, 2.0), 0, 255).astype(np.uint8)
 
 
-def sampled(image: NDArray[np.float32], pixels: FloatArray) -> FloatArray:
+def sampled(image: NDArray[Any], pixels: FloatArray) -> FloatArray:
     """Bilinear values (N,) at pixels (N,2), 0 outside."""
     if not len(pixels):
         return np.zeros(0)
@@ -109,6 +110,15 @@ class Hub:
     grid_shape: tuple[int, int]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rays:
+    """O observations: camera index (O,), point index (O,), pixel (O,2)."""
+
+    cameras: NDArray[np.int64]
+    points: NDArray[np.int64]
+    pixels: FloatArray
+
+
 def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) were found there and back.
 
@@ -122,7 +132,7 @@ def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_de
         for values in (there[:, 0] - 0.5, there[:, 1] - 0.5, depths)
     ]
 
-    def warped(image: NDArray) -> NDArray:
+    def warped(image: NDArray[Any]) -> NDArray[Any]:
         return cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
 
     view = other.views[index]
@@ -140,19 +150,19 @@ def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_de
     return np.column_stack([sampled(maps[0], landed), sampled(maps[1], landed)]) + 0.5, good
 
 
-def triangulate(cameras: Cameras, seen_by: NDArray[np.int64], seen: NDArray[np.int64], pixels: FloatArray, start: FloatArray):  # noqa: ANN201
-    """Points (P,3) from O rays (camera index (O,), point index (O,), pixel (O,2)) by least squares of reprojection errors from `start` (P,3).
+def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (P,3) where O rays meet, by least squares of reprojection errors from `start` (P,3).
 
     Returns points (P,3), covariances (P,3,3) m² for 0.5 px of error, RMS errors (P,) px.
     """
-    points, num_points = start.copy(), len(start)
-    poses, Ks = cameras.cam_from_world[seen_by], cameras.Ks[seen_by]
+    points, num_points, seen = start.copy(), len(start), rays.points
+    poses, Ks = cameras.cam_from_world[rays.cameras], cameras.Ks[rays.cameras]
     focal = Ks[:, [0, 1], [0, 1]]
     H, squares = np.zeros((num_points, 3, 3)), np.zeros(len(seen))
     for _ in range(NUM_ITERATIONS):
         in_camera = np.einsum("oij,oj->oi", poses[:, :3, :3], points[seen]) + poses[:, :3, 3]
         z = np.maximum(in_camera[:, 2], MIN_Z)
-        residuals = pixels - (in_camera[:, :2] / z[:, None] * focal + Ks[:, :2, 2])
+        residuals = rays.pixels - (in_camera[:, :2] / z[:, None] * focal + Ks[:, :2, 2])
         jacobian = np.zeros((len(seen), 2, 3))
         jacobian[:, 0, 0], jacobian[:, 1, 1] = focal.T / z
         jacobian[:, :, 2] = -focal * in_camera[:, :2] / (z * z)[:, None]
@@ -167,10 +177,11 @@ def triangulate(cameras: Cameras, seen_by: NDArray[np.int64], seen: NDArray[np.i
         H += 1e-6 * np.eye(3)
         points = points + np.linalg.solve(H, gradient[..., None])[..., 0]
     counts = np.maximum(1, np.bincount(seen, minlength=num_points))
-    return points, np.linalg.inv(H), np.sqrt(np.bincount(seen, squares, minlength=num_points) / counts)
+    rms_px = np.sqrt(np.bincount(seen, squares, minlength=num_points) / counts)
+    return points, np.asarray(np.linalg.inv(H), np.float64), rms_px
 
 
-def _flow(one: NDArray[np.uint8], other: NDArray[np.uint8], start: NDArray[np.float32]):  # noqa: ANN202 - positions, status, error
+def _flow(one: NDArray[Any], other: NDArray[Any], start: NDArray[Any]):  # noqa: ANN202 - positions, status, error
     return cv2.calcOpticalFlowPyrLK(
         one, other, start, start.copy(), winSize=WINDOW_PX, maxLevel=NUM_LEVELS, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
     )

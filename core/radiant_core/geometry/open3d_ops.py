@@ -1,6 +1,6 @@
 """What Open3D computes for core besides file formats: ICP with scale between two sets of surface points. Once per pair of models.
 
-    (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target within the radius, anew in each iteration; radii from coarse to fine.
+    (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target within the radius, anew in each iteration; radii fall.
 A free scale may collapse: a shrunken cloud has a near neighbour everywhere. So the result says how it fared both ways.
 Sources: Besl and McKay, PAMI 14 (1992); Umeyama, PAMI 13 (1991).
 """
@@ -33,7 +33,8 @@ class IcpFit:
 
 
 def surface_points(splats: Splats, largest_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Means (K,3) m of the Gaussians that make a surface, and which (N,) those are: opaque, and at most `largest_m` wide, so no sky or haze."""
+    """Means (K,3) m of the Gaussians that make a surface, and which (N,) those are: opaque, and at most
+    `largest_m` wide, so no sky and no haze."""
     opaque = splats.logit_opacities > np.log(SURFACE_OPACITY / (1 - SURFACE_OPACITY))
     chosen = opaque & (splats.log_scales.max(axis=1, initial=-np.inf) < np.log(largest_m))
     return splats.means[chosen].astype(np.float64), chosen

@@ -106,7 +106,7 @@ def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
     """The robust fit from `start`; BadInput under 4 pairs or where they cannot fix seven unknowns (all in one place or on a line)."""
     if len(pairs) < 4:
         raise BadInput(f"{len(pairs)} pairs of points cannot fix a similarity with its error: at least 4 are needed.")
-    center = pairs.a.mean(axis=0)
+    center = np.median(pairs.a, axis=0)
     fit = start
     for _ in range(NUM_ITERATIONS):
         residuals, precision, jacobian, weights = _linearised(pairs, fit, center)
@@ -137,7 +137,9 @@ def _linearised(pairs: PointPairs, fit: Sim3, center: FloatArray) -> tuple[Float
     """Residuals (P,3), precisions (P,3,3), ∂(S b)/∂ξ (P,3,7), weights (P,)."""
     moved = fit.apply(pairs.b)
     residuals = pairs.a - moved
-    precision = np.linalg.inv(pairs.a_covariances + fit.scale**2 * fit.rotation @ pairs.b_covariances @ fit.rotation.T)
+    precision = np.asarray(
+        np.linalg.inv(pairs.a_covariances + fit.scale**2 * fit.rotation @ pairs.b_covariances @ fit.rotation.T), np.float64
+    )
     squares = np.einsum("ni,nij,nj->n", residuals, precision, residuals)
     weights = 1 / np.square(1 + squares / ROBUST_SIGMAS**2)
     x, y, z = (moved - center).T

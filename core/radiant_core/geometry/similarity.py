@@ -9,6 +9,7 @@ Basis: Sloan, Stupid Spherical Harmonics Tricks (2008), appendix A2, in the sign
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
@@ -41,20 +42,20 @@ def move_splats(splats: Splats, similarity: Sim3) -> Splats:
         band = slice(SH_BASES[degree - 1] - 1, SH_BASES[degree] - 1)
         moved.append(np.einsum("jk,nkc->njc", sh_rotation(similarity.rotation, degree), coefficients[:, band]))
     return Splats(
-        means=means,
-        quats=_turned_quats(splats.quats, similarity.rotation),
-        log_scales=log_scales,
+        means=means.astype(np.float32),
+        quats=_turned_quats(splats.quats, similarity.rotation).astype(np.float32),
+        log_scales=log_scales.astype(np.float32),
         logit_opacities=splats.logit_opacities,
         sh0=splats.sh0,
-        shN=np.concatenate(moved, axis=1),
+        shN=np.concatenate(moved, axis=1).astype(np.float32),
     )
 
 
 def sh_rotation(rotation: FloatArray, degree: int) -> FloatArray:
     """D (2l+1,2l+1) that turns the coefficients of degree l by `rotation` (3,3), orthogonal: f' = D f."""
     directions = _spread_directions(NUM_DIRECTIONS)
-    solved: FloatArray = np.linalg.lstsq(sh_basis(directions @ rotation.T, degree), sh_basis(directions, degree), rcond=None)[0]
-    return solved
+    solved = np.linalg.lstsq(sh_basis(directions @ rotation.T, degree), sh_basis(directions, degree), rcond=None)[0]
+    return np.asarray(solved, np.float64)
 
 
 def sh_basis(directions: FloatArray, degree: int) -> FloatArray:
@@ -80,7 +81,7 @@ def sh_basis(directions: FloatArray, degree: int) -> FloatArray:
     return np.stack(cubic, axis=1)
 
 
-def _turned_quats(quats: np.ndarray, rotation: FloatArray) -> FloatArray:
+def _turned_quats(quats: NDArray[np.float32], rotation: FloatArray) -> FloatArray:
     """q_R q (N,4) wxyz with the lengths of `quats` (N,4)."""
     exact = quats.astype(np.float64)
     lengths = np.linalg.norm(exact, axis=1, keepdims=True)

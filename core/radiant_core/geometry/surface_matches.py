@@ -22,7 +22,8 @@ MAX_POINTS = 20_000
 
 
 def icp_match(a: FloatArray, b: FloatArray, first_radius_m: float) -> PairFit | str:
-    """The similarity a ← b of surface points (N,3), (M,3) m that both see, in nearly one frame, or one clause that says why none was found."""
+    """The similarity a ← b of surface points (N,3), (M,3) m that both see, in nearly one frame, or one clause that
+    says why there is none."""
     a, b = _thinned(a), _thinned(b)
     radii_m = [radius_m for radius_m in first_radius_m * 0.5 ** np.arange(12) if radius_m > LAST_RADIUS_M]
     radii_m.append(LAST_RADIUS_M)

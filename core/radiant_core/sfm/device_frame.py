@@ -1,4 +1,4 @@
-"""The frame of one device's own structure from motion: fixed by the GPS of its photographs, with its uncertainty, or refused. Once per device.
+"""The frame of a device's own structure from motion: fixed by its photographs' GPS, with its uncertainty, or refused. Once per device.
 
 The robust similarity of camera centres to east-north-up metres (`align.robust_sim3`) leaves residuals of σ per axis, by their median and
 corrected for seven fitted numbers; over n positions x_i about their mean, spread Q = Σ x_i x_iᵀ, it is then known to

@@ -59,7 +59,7 @@ def fixed(scene: SfmScene, gps: dict[str, tuple[float, float, float]], seed: int
 @pytest.mark.parametrize("seed", range(3))
 def test_exact_gps_gives_the_frame_back_about_the_common_origin(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    positions_m = grid(rng) + (300, -200, 0)  # the common origin need not be the device's
+    positions_m = grid(rng) + np.array([300.0, -200, 0])  # the common origin need not be the device's
     scene, _, true_m = device_at(positions_m, rng)
     frame = fixed(scene, gps_of(scene.cameras.names, positions_m))
     # 1e-6 m: positions went through degrees (1e-9 m) and a fit of exact pairs.
