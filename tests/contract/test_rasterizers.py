@@ -7,6 +7,7 @@ Gaussian), RMS 1e-5; gradients 1e-4 for regular Gaussians, 5e-2 for needles, fin
 from __future__ import annotations
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 from typing import get_args
 
 import numpy as np
@@ -298,13 +299,14 @@ def valid_inputs() -> dict[str, torch.Tensor]:
 
 def rasterize_changed(name: str, tensor: torch.Tensor, **options):
     """`rasterize` of `valid_inputs` with one of them replaced."""
-    inputs = valid_inputs()
+    inputs = {**valid_inputs(), **{key: options.pop(key) for key in set(options) & set(INPUTS)}}
     viewmats, Ks, background = (tensor if name == view else inputs.pop(view) for view in ("viewmats", "Ks", "background"))
     splats = SplatTensors(**{key: inputs[key] for key in SplatTensors.__dataclass_fields__})
     if name in SplatTensors.__dataclass_fields__:
         # Set afterwards: the tests check the shapes of every product when it is made.
         object.__setattr__(splats, name, tensor)
-    return rasterize(splats, viewmats, Ks, 16, 16, **{"sh_degree": 3, "background": background, "backend": "native", **options})
+    options = {"width": 16, "height": 16, "sh_degree": 3, "background": background, "backend": "native", **options}
+    return rasterize(splats, viewmats, Ks, **options)
 
 
 @pytest.mark.parametrize("backend", ["native", "reference"])
@@ -341,6 +343,44 @@ def test_values_no_camera_has_are_refused(backend: str) -> None:
         Ks[place] = value
         with pytest.raises(BadInput, match="Ks has another form"):
             rasterize_changed("Ks", Ks, backend=backend)
+    with pytest.raises(BadInput, match="viewmats holds no camera"):
+        rasterize_changed("viewmats", valid_inputs()["viewmats"][:0], Ks=valid_inputs()["Ks"][:0], backend=backend)
+    for width in (0, 1_000_001):
+        with pytest.raises(BadInput, match=rf"the image is {width} × 16 px"):
+            rasterize_changed("Ks", valid_inputs()["Ks"], width=width, backend=backend)
+
+
+@pytest.mark.parametrize("backend", ["native", "reference"])
+@pytest.mark.parametrize("kind", ["scaled", "sheared", "mirrored", "transposed", "last row", "huge"])
+def test_a_pose_that_is_not_rigid_is_refused(kind: str, backend: str) -> None:
+    poses = valid_inputs()["viewmats"]
+    changes = {
+        "scaled": poses[1] * torch.tensor([2.0, 2.0, 2.0, 1.0])[:, None],
+        "sheared": poses[1] @ torch.tensor([[1, 0.3, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=poses.dtype),
+        "mirrored": poses[1] @ torch.diag(torch.tensor([-1, 1, 1, 1], dtype=poses.dtype)),
+        "transposed": poses[1].T,
+        "last row": poses[1] + torch.tensor([[0.0], [0.0], [0.0], [4.0]]),
+        "huge": poses[1] * 1e300,
+    }
+    poses[1] = changes[kind]
+    with pytest.raises(BadInput, match=r"viewmats\[1\] is not a rotation and a translation"):
+        rasterize_changed("viewmats", poses, backend=backend)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_depths_at_the_end_of_float32_leave_gradients_finite(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    splats = gaussians.regular(40, seed)
+    means = np.where(rng.random((40, 3)) < 0.4, rng.choice(np.float32([3e38, -3e38, 1e30, -1e20]), (40, 3)), splats.means)
+    log_scales = np.where(rng.random((40, 3)) < 0.4, np.float32(88.0), splats.log_scales)
+    leaves = SplatTensors.from_splats(Splats(**{**splats.arrays(), "means": means, "log_scales": log_scales}))
+    for leaf in leaves.tensors().values():
+        leaf.requires_grad_()
+    K = torch.tensor([[[30.0, 0, 16], [0, 30, 16], [0, 0, 1]]])
+    output = rasterize(leaves, torch.eye(4)[None], K, 32, 32, sh_degree=3, near_m=0.0, far_m=float("inf"), backend="native")
+    random_loss(output).backward()
+    for name, leaf in leaves.tensors().items():
+        assert leaf.grad is not None and torch.isfinite(leaf.grad).all(), name
 
 
 @on_every_native_build
@@ -361,6 +401,33 @@ def test_a_second_backward_pass_gives_the_same_gradients_again(backend: str) -> 
     loss.backward()
     for name, gradient in rendered.gradients().items():
         torch.testing.assert_close(gradient, 2 * once[name], rtol=0, atol=0)
+
+
+@on_every_backend
+def test_a_pass_that_stops_at_means2d_leaves_nothing_for_the_next(backend: str) -> None:
+    rendered = render(gaussians.regular(300), gaussians.off_centre_cameras(48, 32, focal_px=50), backend)
+    output, means = rendered.output, rendered.leaves.means
+
+    def by_means2d() -> torch.Tensor:
+        return torch.autograd.grad(output.means2d.sum(), means, retain_graph=True)[0]
+
+    alone = by_means2d()
+    torch.autograd.grad(output.images.square().sum(), output.means2d, retain_graph=True)
+    assert torch.equal(by_means2d(), alone)
+
+
+@on_every_native_build
+def test_two_threads_may_go_back_through_one_graph(backend: str) -> None:
+    rendered = render(gaussians.regular(1000), gaussians.off_centre_cameras(64, 48, focal_px=60), backend)
+    losses = [(rendered.output.images * factor).sum() for factor in (1.0, 3.0)]
+
+    def gradient(loss: torch.Tensor) -> torch.Tensor:
+        return torch.autograd.grad(loss, rendered.leaves.means, retain_graph=True)[0]
+
+    alone = [gradient(loss) for loss in losses]
+    with ThreadPoolExecutor(2) as pool:
+        for _ in range(40):
+            assert all(torch.equal(got, truth) for got, truth in zip(pool.map(gradient, losses), alone, strict=True))
 
 
 @on_every_native_build

@@ -83,8 +83,7 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
     """
     splats = SplatTensors.from_splats(initial, device=device_of(resolve_backend(options.backend)))
     optimizer, means_rate = _optimizer(splats, camera_extent(views.cameras), config, options.steps)
-    viewmats = torch.tensor(views.cameras.cam_from_world, dtype=torch.float32)
-    Ks = torch.tensor(views.cameras.Ks, dtype=torch.float32)
+    viewmats, Ks = torch.tensor(views.cameras.cam_from_world), torch.tensor(views.cameras.Ks)
     statistics = StatisticsCache()
     losses: list[float] = []
     started = last_report = options.clock()
