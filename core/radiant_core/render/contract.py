@@ -123,9 +123,10 @@ def rasterize(
 ) -> RenderOutput:
     """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background (3) or None for black.
 
-    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased scales opacities by √(det Σ / det Σ'), Σ
-    before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). Tensors and pictures are of one
-    floating type, viewmats and Ks may be of a finer one; cameras and background may lie on another device than the splats.
+    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased scales opacities by
+    √(det Σ / det Σ'), Σ before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). Tensors and
+    pictures are of one floating type, viewmats and Ks may be of a finer one; cameras and background may lie on another device than the
+    splats.
 
     Raises BadInput that names the tensor, how many values and the first index where one is not finite, and for a wrong shape or type, for
     no camera, for one that is not rigid or no pinhole, for pictures without pixels or wider or higher than 1,000,000 px, for a degree

@@ -4,7 +4,7 @@ Two autograd steps, so that `means2d` lies on the way of the gradients as it doe
 
     splats ──_Project──→ means2d, link ──_Blend──→ images, alphas, depths
 
-The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend` yields ∂loss/∂means2d and, as the gradient of
+The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend` yields ∂loss/∂means2d and, as gradient of
 `link`, the sums over pixels that all other gradients come from; so passes through one graph know nothing of each other. Once per image and
 training step.
 """
@@ -166,7 +166,8 @@ class _Project(torch.autograd.Function):
             native.forward(
                 call.instruction_set, arrays, call.viewmats[index], call.Ks[index], view.width, view.height, view.sh_degree,
                 view.near_m, view.far_m, view.antialiased, call.background, call.images[index].numpy(), call.alphas[index].numpy(),
-                call.depths[index].numpy(), means2d[index].numpy(), call.radii_px[index].numpy(), call.differentiable, call.rendering.threads,
+                call.depths[index].numpy(), means2d[index].numpy(), call.radii_px[index].numpy(), call.differentiable,
+                call.rendering.threads,
             )  # fmt: skip
         ctx.rendering, ctx.arrays = call.rendering, arrays
         ctx.set_materialize_grads(False)
@@ -204,21 +205,26 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor | None, ...]:
         out_alphas, out_depths = ctx.saved_tensors
         by_images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
-        alphas, depths = (None if part is None else part.contiguous() for part in (alphas, depths))
-        means2d, sums = _pooled(*ctx.shape), _pooled(*ctx.shape[:2], _native.NUM_MOMENTS)
-        for index, native in enumerate(ctx.rendering.views):
-            by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
-            native.blend_backward(
-                by_images[index].numpy(),
-                by_alphas,
-                by_depths,
-                out_alphas[index].numpy(),
-                out_depths[index].numpy(),
-                means2d[index].numpy(),
-                sums[index].numpy(),
-                ctx.rendering.threads,
-            )
+        means2d = sums = None
+        if ctx.needs_input_grad[1]:
+            means2d, sums = _blend_backward(ctx.rendering, ctx.shape, by_images, alphas, depths, out_alphas, out_depths)
         background = None
         if ctx.needs_input_grad[3]:
             background = ((1 - out_alphas)[..., None] * by_images).sum((0, 1, 2)).to(ctx.background_like.dtype)
         return None, means2d, sums, background
+
+
+def _blend_backward(
+    rendering: _Rendering, shape: torch.Size, images: Tensor, alphas: Tensor | None, depths: Tensor | None, *outputs: Tensor
+) -> tuple[Tensor, Tensor]:
+    """∂loss/∂means2d, of `shape` (C,N,2), and the sums (C,N,M) from gradients of the pictures and `outputs`, alphas and depths."""
+    alphas, depths = (None if part is None else part.contiguous() for part in (alphas, depths))
+    means2d, sums = _pooled(*shape), _pooled(*shape[:2], _native.NUM_MOMENTS)
+    for index, native in enumerate(rendering.views):
+        by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
+        out_alphas, out_depths = (output[index].numpy() for output in outputs)
+        native.blend_backward(
+            images[index].numpy(), by_alphas, by_depths, out_alphas, out_depths, means2d[index].numpy(), sums[index].numpy(),
+            rendering.threads,
+        )  # fmt: skip
+    return means2d, sums

@@ -39,7 +39,10 @@ class TargetStatistics:
 
     @staticmethod
     def of(target: Tensor) -> TargetStatistics:
-        """Statistics of a target on the CPU, taken to float32; BadInput for a shape other than (H,W,3), for integers and for values that are not finite or beyond 2e18."""
+        """Statistics of a target on the CPU, taken to float32.
+
+        BadInput for a shape other than (H,W,3), for integers, and for values that are not finite or beyond 2e18.
+        """
         if not target.is_floating_point():
             raise BadInput(f"target is {target.dtype}, expected floating numbers in 0..1: divide bytes by 255.")
         target = target.detach().to(torch.float32).contiguous()

@@ -41,7 +41,7 @@ class SelectiveAdam:
     """
 
     def __init__(self, tensors: Mapping[str, Tensor], rates: Mapping[str, float], *, eps: float = 1e-15) -> None:
-        """`rates` by name; BadInput where tensors differ in rows, are not contiguous, or a rate is missing or it or eps is no positive number."""
+        """`rates` by name; BadInput where tensors differ in rows or are not contiguous, and where a rate or eps is no positive number."""
         num_rows = {tensor.shape[0] if tensor.ndim else -1 for tensor in tensors.values()}
         if len(num_rows) > 1 or -1 in num_rows:
             shapes = ", ".join(f"{name} {tuple(tensor.shape)}" for name, tensor in tensors.items())

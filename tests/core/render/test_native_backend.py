@@ -71,7 +71,7 @@ def test_without_gradients_nothing_is_kept_for_them(monkeypatch: pytest.MonkeyPa
     asked: list[bool] = []
 
     class Spy(_native.RenderedView):
-        def forward(self, *arguments) -> None:
+        def forward(self, *arguments) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
             asked.append(arguments[-2])
             super().forward(*arguments)
 
