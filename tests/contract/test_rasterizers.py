@@ -404,7 +404,7 @@ def test_a_pose_that_is_not_rigid_is_refused(kind: str, backend: str) -> None:
         "scaled": poses[1] * torch.tensor([2.0, 2.0, 2.0, 1.0])[:, None],
         "sheared": poses[1] @ torch.tensor([[1, 0.3, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=poses.dtype),
         "mirrored": poses[1] @ torch.diag(torch.tensor([-1, 1, 1, 1], dtype=poses.dtype)),
-        "transposed": poses[1].T,
+        "transposed": poses[1].T.clone(),
         "last row": poses[1] + torch.tensor([[0.0], [0.0], [0.0], [4.0]]),
         "huge": poses[1] * 1e300,
     }
