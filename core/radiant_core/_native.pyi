@@ -8,6 +8,8 @@ from torch import Tensor
 
 def assign_power_cells(positions: NDArray[np.float64], sites: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int32]: ...
 
+NUM_MOMENTS: int
+
 class RenderedView:
     num_instances: int
     num_block_pairs: int
@@ -42,12 +44,14 @@ class RenderedView:
         out_alphas: NDArray[np.float32],
         out_depths: NDArray[np.float32],
         means2d: NDArray[np.float32],
+        sums: NDArray[np.float32],
         threads: int,
     ) -> None: ...
     def project_backward(
         self,
         splats: Sequence[NDArray[np.float32]],
         means2d: NDArray[np.float32],
+        sums: NDArray[np.float32],
         gradients: Sequence[NDArray[np.float32] | None],
         add: bool,
         threads: int,
@@ -57,7 +61,6 @@ def pooled_array(shape: Sequence[int]) -> NDArray[np.float32]: ...
 def compiler() -> str: ...
 def instruction_sets() -> list[str]: ...
 def multiply_adds(instruction_set: str, rounds: int) -> int: ...
-def training_instruction_sets() -> list[str]: ...
 def target_statistics(target: Tensor, means: Tensor, variances: Tensor, num_threads: int = 1, instruction_set: str = "") -> None: ...
 def training_loss(
     image: Tensor,

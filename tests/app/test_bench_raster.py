@@ -37,6 +37,8 @@ def test_every_time_has_its_error_memory_and_pairs(monkeypatch: pytest.MonkeyPat
         key = f"raster.S.{order}.native"
         assert metrics[f"{key}.fwd_bwd_cpu_ms"] > 0 and metrics[f"{key}.pairs_per_s"] > 0
         assert metrics[f"{key}.image_max_error"] <= 1e-4 and metrics[f"{key}.grad_rel_error"] <= 1e-4
+        assert metrics[f"{key}.image_rms_error"] <= 1e-5
+        assert 0 < metrics[f"{key}.fma_peak_fraction"] < 1
         assert metrics[f"{key}.peak_rss_bytes"] > 0
         assert metrics[f"{key}.step_cpu_ms"] > 0 and metrics[f"{key}.step_loss_rel_error"] <= 1e-5
         assert f"{key}.thread_scaling" not in metrics

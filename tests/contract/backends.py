@@ -77,14 +77,16 @@ def random_loss(output: RenderOutput, parts: Sequence[str] = ("images", "alphas"
     return total
 
 
-def undecided_pixels(splats: Splats, cameras: Cameras, **options) -> Tensor:
-    """Pixels (C,H,W) with a pair within 1e-4 of ln α from a discrete decision (α_min or the cut): they jump when ln o moves by as much.
+def undecided_pixels(splats: Splats, cameras: Cameras, within: float = 1e-4, **options) -> Tensor:
+    """Pixels (C,H,W) with a pair `within` this of ln α from a discrete decision (α_min or the cut): they jump when ln o moves by as much.
 
     The second difference of three renderings is of the order 1e-8 where nothing jumps. 1e-7 also finds jumps behind a transmittance of
     1e-4, which are a large part of the gradient of a Gaussian that is hidden everywhere.
     """
     leaves = SplatTensors.from_splats(splats, torch.float64)
-    shifted = [replace(leaves, logit_opacities=leaves.logit_opacities.detach() + shift) for shift in (-1e-4, 0.0, 1e-4)]
+    logits = leaves.logit_opacities.detach()
+    by_logit = 1 / torch.sigmoid(-logits).clamp_min(1e-2)  # moves ln o by 1; those above 0.99 by less
+    shifted = [replace(leaves, logit_opacities=logits + shift * by_logit) for shift in (-within, 0.0, within)]
     low, middle, high = (render(tensors, cameras, "oracle", **options).output for tensors in shifted)
     jumps = [(getattr(low, part) - 2 * getattr(middle, part) + getattr(high, part)).detach().abs() for part in ("images", "alphas")]
     return (jumps[0].amax(-1) > 1e-7) | (jumps[1] > 1e-7)

@@ -7,6 +7,7 @@ Gaussian), RMS 1e-5; gradients 1e-4 for regular Gaussians, 5e-2 for needles, fin
 from __future__ import annotations
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 from typing import get_args
 
 import numpy as np
@@ -15,7 +16,7 @@ import torch
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.render.contract import FEATURES, Backend, SplatTensors, rasterize
+from radiant_core.render.contract import FEATURES, Backend, Feature, SplatTensors, device_of, rasterize
 from radiant_core.splats import Splats
 
 from . import gaussians
@@ -29,7 +30,7 @@ on_every_native_build = pytest.mark.parametrize("backend", NATIVE)
 
 def assert_pictures_agree(splats: Splats, cameras: Cameras, backend: str, **options) -> None:
     exact, got = (render(splats, cameras, name, **options).output for name in ("oracle", backend))
-    undecided = undecided_pixels(splats, cameras, **options)
+    undecided = undecided_pixels(splats, cameras, 1e-5, **options)
     for part, unit in (("images", 1.0), ("alphas", 1.0), ("depths", 12.0)):
         error = (getattr(got, part).double() - getattr(exact, part)).detach().abs() / unit
         error = error.amax(-1) if part == "images" else error
@@ -262,14 +263,60 @@ def test_equal_float32_depths_are_told_apart_as_in_float64(backend: str) -> None
     assert (exact - got.double()).detach().abs().max() <= MAX_ERROR
 
 
-@on_every_native_build
-def test_nothing_to_draw_is_the_background(backend: str) -> None:
+@on_every_backend
+@pytest.mark.parametrize("none", ["at all", "in view"])
+def test_nothing_to_draw_is_the_background(none: str, backend: str) -> None:
     cameras = gaussians.off_centre_cameras(20, 20)
-    empty = gaussians.regular(3).select(np.zeros(0, dtype=int))
-    rendered = render(empty, cameras, backend)
+    three = gaussians.regular(3)
+    if none == "at all":
+        splats = three.select(np.zeros(0, dtype=int))
+    else:
+        splats = Splats(**{**three.arrays(), "means": three.means - np.float32([0, 0, 100])})
+    rendered = render(splats, cameras, backend)
     rendered.output.images.sum().backward()
     torch.testing.assert_close(rendered.output.images[0, 0, 0].detach(), rendered.background.detach())
-    assert (rendered.output.alphas == 0).all() and rendered.leaves.means.grad is not None
+    assert (rendered.output.alphas == 0).all()
+    assert all(leaf.grad is not None and (leaf.grad == 0).all() for leaf in rendered.leaves.tensors().values())
+
+
+def probe(feature: Feature, name: Backend, dtype: torch.dtype) -> list[torch.Tensor]:
+    """What `rasterize` gives for one feature: pictures or gradients, to be compared with the oracle's."""
+    splats = SplatTensors.from_splats(gaussians.regular(60, seed=3), dtype, device_of(name))
+    cameras = gaussians.off_centre_cameras(24, 20, count=3 if feature == "several cameras" else 1, focal_px=25)
+    viewmats, Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
+    background = torch.tensor([0.2, 0.5, 0.9], dtype=dtype, requires_grad=feature == "background")
+    if feature == "camera gradients":
+        viewmats.requires_grad_()
+    if feature == "2D-mean gradients":
+        splats.means.requires_grad_()
+    options = {"background": background, "antialiased": feature == "antialiased", "backend": name}
+    degrees = range(4) if feature == "SH 0-3" else (3,)
+    outputs = [rasterize(splats, viewmats, Ks, 24, 20, sh_degree=degree, **options) for degree in degrees]
+    loss = outputs[0].images.square().sum()
+    if feature == "2D-mean gradients":
+        return [*torch.autograd.grad(loss, outputs[0].means2d)]
+    if feature == "camera gradients":
+        return [*torch.autograd.grad(loss, viewmats)]
+    if feature == "background":
+        return [outputs[0].images, *torch.autograd.grad(loss, background)]
+    if feature == "radii":
+        return [outputs[0].radii_px > 0]
+    return [picture for output in outputs for picture in (output.images, output.alphas, output.depths)]
+
+
+@pytest.mark.parametrize("feature", get_args(Feature))
+@pytest.mark.parametrize("name", sorted({"native" if backend in NATIVE else backend for backend in BACKENDS}))
+def test_each_backend_can_what_the_table_says_and_refuses_the_rest(name: Backend, feature: Feature) -> None:
+    dtype = torch.float64 if feature == "float64" else torch.float32
+    if feature not in FEATURES[name]:
+        with pytest.raises(BadInput, match=rf"backend '{name}'"):
+            probe(feature, name, dtype)
+        return
+    for got, exact in zip(probe(feature, name, dtype), probe(feature, "reference", torch.float64), strict=True):
+        assert feature != "float64" or got.dtype == torch.float64
+        # Beyond rounding, a pair at α_min may fall on either side: less than an 8-bit step of one pixel, in depth more.
+        off = (got.detach().cpu().double() - exact.detach().double()).abs() > 1e-3 * (1 + exact.detach().double().abs())
+        assert off.double().mean() <= 0.01, feature
 
 
 def test_the_table_of_features_names_every_backend_and_auto_picks_by_type() -> None:
@@ -298,13 +345,14 @@ def valid_inputs() -> dict[str, torch.Tensor]:
 
 def rasterize_changed(name: str, tensor: torch.Tensor, **options):
     """`rasterize` of `valid_inputs` with one of them replaced."""
-    inputs = valid_inputs()
+    inputs = {**valid_inputs(), **{key: options.pop(key) for key in set(options) & set(INPUTS)}}
     viewmats, Ks, background = (tensor if name == view else inputs.pop(view) for view in ("viewmats", "Ks", "background"))
     splats = SplatTensors(**{key: inputs[key] for key in SplatTensors.__dataclass_fields__})
     if name in SplatTensors.__dataclass_fields__:
         # Set afterwards: the tests check the shapes of every product when it is made.
         object.__setattr__(splats, name, tensor)
-    return rasterize(splats, viewmats, Ks, 16, 16, **{"sh_degree": 3, "background": background, "backend": "native", **options})
+    options = {"width": 16, "height": 16, "sh_degree": 3, "background": background, "backend": "native", **options}
+    return rasterize(splats, viewmats, Ks, **options)
 
 
 @pytest.mark.parametrize("backend", ["native", "reference"])
@@ -341,6 +389,44 @@ def test_values_no_camera_has_are_refused(backend: str) -> None:
         Ks[place] = value
         with pytest.raises(BadInput, match="Ks has another form"):
             rasterize_changed("Ks", Ks, backend=backend)
+    with pytest.raises(BadInput, match="viewmats holds no camera"):
+        rasterize_changed("viewmats", valid_inputs()["viewmats"][:0], Ks=valid_inputs()["Ks"][:0], backend=backend)
+    for width in (0, 1_000_001):
+        with pytest.raises(BadInput, match=rf"the image is {width} × 16 px"):
+            rasterize_changed("Ks", valid_inputs()["Ks"], width=width, backend=backend)
+
+
+@pytest.mark.parametrize("backend", ["native", "reference"])
+@pytest.mark.parametrize("kind", ["scaled", "sheared", "mirrored", "transposed", "last row", "huge"])
+def test_a_pose_that_is_not_rigid_is_refused(kind: str, backend: str) -> None:
+    poses = valid_inputs()["viewmats"]
+    changes = {
+        "scaled": poses[1] * torch.tensor([2.0, 2.0, 2.0, 1.0])[:, None],
+        "sheared": poses[1] @ torch.tensor([[1, 0.3, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=poses.dtype),
+        "mirrored": poses[1] @ torch.diag(torch.tensor([-1, 1, 1, 1], dtype=poses.dtype)),
+        "transposed": poses[1].T.clone(),
+        "last row": poses[1] + torch.tensor([[0.0], [0.0], [0.0], [4.0]]),
+        "huge": poses[1] * 1e300,
+    }
+    poses[1] = changes[kind]
+    with pytest.raises(BadInput, match=r"viewmats\[1\] is not a rotation and a translation"):
+        rasterize_changed("viewmats", poses, backend=backend)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_depths_at_the_end_of_float32_leave_gradients_finite(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    splats = gaussians.regular(40, seed)
+    means = np.where(rng.random((40, 3)) < 0.4, rng.choice(np.float32([3e38, -3e38, 1e30, -1e20]), (40, 3)), splats.means)
+    log_scales = np.where(rng.random((40, 3)) < 0.4, np.float32(88.0), splats.log_scales)
+    leaves = SplatTensors.from_splats(Splats(**{**splats.arrays(), "means": means, "log_scales": log_scales}))
+    for leaf in leaves.tensors().values():
+        leaf.requires_grad_()
+    K = torch.tensor([[[30.0, 0, 16], [0, 30, 16], [0, 0, 1]]])
+    output = rasterize(leaves, torch.eye(4)[None], K, 32, 32, sh_degree=3, near_m=0.0, far_m=float("inf"), backend="native")
+    random_loss(output).backward()
+    for name, leaf in leaves.tensors().items():
+        assert leaf.grad is not None and torch.isfinite(leaf.grad).all(), name
 
 
 @on_every_native_build
@@ -361,6 +447,33 @@ def test_a_second_backward_pass_gives_the_same_gradients_again(backend: str) -> 
     loss.backward()
     for name, gradient in rendered.gradients().items():
         torch.testing.assert_close(gradient, 2 * once[name], rtol=0, atol=0)
+
+
+@on_every_backend
+def test_a_pass_that_stops_at_means2d_leaves_nothing_for_the_next(backend: str) -> None:
+    rendered = render(gaussians.regular(300), gaussians.off_centre_cameras(48, 32, focal_px=50), backend)
+    output, means = rendered.output, rendered.leaves.means
+
+    def by_means2d() -> torch.Tensor:
+        return torch.autograd.grad(output.means2d.sum(), means, retain_graph=True)[0]
+
+    alone = by_means2d()
+    torch.autograd.grad(output.images.square().sum(), output.means2d, retain_graph=True)
+    assert torch.equal(by_means2d(), alone)
+
+
+@on_every_native_build
+def test_two_threads_may_go_back_through_one_graph(backend: str) -> None:
+    rendered = render(gaussians.regular(1000), gaussians.off_centre_cameras(64, 48, focal_px=60), backend)
+    losses = [(rendered.output.images * factor).sum() for factor in (1.0, 3.0)]
+
+    def gradient(loss: torch.Tensor) -> torch.Tensor:
+        return torch.autograd.grad(loss, rendered.leaves.means, retain_graph=True)[0]
+
+    alone = [gradient(loss) for loss in losses]
+    with ThreadPoolExecutor(2) as pool:
+        for _ in range(40):
+            assert all(torch.equal(got, truth) for got, truth in zip(pool.map(gradient, losses), alone, strict=True))
 
 
 @on_every_native_build

@@ -46,12 +46,12 @@ void adam_step(const AdamJob& job, std::int64_t num_rows, std::int64_t num_runs,
              [&](std::int64_t begin, std::int64_t end) { kernels.adam_rows(job, begin, end); });
 }
 
-NotFinite find_not_finite(const float* values, const Run* runs, std::int64_t count, std::int64_t columns, const TrainingKernels& kernels,
-                          int num_threads) {
-  NotFinite total{0, -1};
+Found find_beyond(const float* values, const Run* runs, std::int64_t count, std::int64_t columns, float largest, const TrainingKernels& kernels,
+                  int num_threads) {
+  Found total{0, -1};
   std::mutex adding;
   share_runs(num_threads, runs, count, columns, [&](std::int64_t begin, std::int64_t end) {
-    const NotFinite found = kernels.not_finite_rows(values, runs, columns, begin, end);
+    const Found found = kernels.rows_beyond(values, runs, columns, begin, end, largest);
     const std::lock_guard<std::mutex> lock(adding);
     total.count += found.count;
     if (found.first >= 0 && (total.first < 0 || found.first < total.first)) total.first = found.first;

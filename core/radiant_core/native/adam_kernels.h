@@ -1,5 +1,7 @@
 // Adam (Kingma & Ba 2015) over rows of a tensor, in the order of torch.optim.Adam:
 //
+// with g held within 1e18, whose square is still a number of float32:
+//
 //   m += (1 - beta1) (g - m)     v = beta2 v + (1 - beta2) g^2     x -= rate / (1 - beta1^t) m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon)
 //
 // Bound by memory: seven floats move per float of x, and rows that are not visible are neither read nor written. Each row counts its own
@@ -8,6 +10,8 @@
 #pragma once
 
 namespace radiant::training::RADIANT_ISA {
+
+constexpr float kMaxGradient = 1e18f;
 
 struct AdamFactors {
   float step, second;
@@ -27,7 +31,7 @@ RADIANT_INLINE void adam_values(const AdamJob& job, int64_t begin, int64_t end, 
   // Copies, because a member might be one of the floats written below for all the compiler knows.
   const float beta2 = job.beta2, first_share = job.first_share, second_share = job.second_share, epsilon = job.epsilon;
   for (int64_t i = begin; i < end; ++i) {
-    const float g = gradients[i];
+    const float at_most = gradients[i] > kMaxGradient ? kMaxGradient : gradients[i], g = at_most < -kMaxGradient ? -kMaxGradient : at_most;
     const float m = first[i] + first_share * (g - first[i]), v = beta2 * second[i] + second_share * (g * g);
     first[i] = m;
     second[i] = v;
@@ -59,36 +63,37 @@ inline void adam_rows(const AdamJob& job, int64_t begin, int64_t end) {
   }
 }
 
-RADIANT_INLINE bool is_not_finite(float value) {
-  // On the bits, so that no floating-point option can argue it away.
-  uint32_t bits;
+// The bits of |value|, which are in the order of the values, NaN last: so that no floating-point option can argue it away.
+RADIANT_INLINE int32_t size_bits(float value) {
+  int32_t bits;
   memcpy(&bits, &value, sizeof bits);
-  return (bits & 0x7f800000u) == 0x7f800000u;
+  return bits & 0x7fffffff;
 }
 
 // Adds the values at begin to end; the index is searched only where there is one.
-RADIANT_INLINE void add_not_finite(const float* values, int64_t begin, int64_t end, NotFinite& found) {
-  int32_t bad = 0;
-  for (int64_t i = begin; i < end; ++i) bad += is_not_finite(values[i]);
-  if (bad == 0) return;
-  found.count += bad;
+RADIANT_INLINE void add_beyond(const float* values, int64_t begin, int64_t end, int32_t largest, Found& found) {
+  int32_t beyond = 0;
+  for (int64_t i = begin; i < end; ++i) beyond += size_bits(values[i]) > largest;
+  if (beyond == 0) return;
+  found.count += beyond;
   for (int64_t i = begin; found.first < 0; ++i) {
-    if (is_not_finite(values[i])) found.first = i;
+    if (size_bits(values[i]) > largest) found.first = i;
   }
 }
 
-inline NotFinite not_finite_rows(const float* values, const Run* runs, int64_t columns, int64_t begin, int64_t end) {
-  NotFinite found{0, -1};
+inline Found rows_beyond(const float* values, const Run* runs, int64_t columns, int64_t begin, int64_t end, float largest) {
+  Found found{0, -1};
+  const int32_t largest_bits = size_bits(largest);
   constexpr int64_t kBlock = 1 << 20;  // what 32 bits can count
   if (!runs) {
     for (int64_t at = begin * columns; at < end * columns; at += kBlock) {
-      add_not_finite(values, at, at + kBlock < end * columns ? at + kBlock : end * columns, found);
+      add_beyond(values, at, at + kBlock < end * columns ? at + kBlock : end * columns, largest_bits, found);
     }
     return found;
   }
   for (int64_t i = begin; i < end; ++i) {
     if (i + kAhead < end) prefetch_rows(values, runs[i + kAhead], columns);
-    add_not_finite(values, runs[i].begin * columns, runs[i].end * columns, found);
+    add_beyond(values, runs[i].begin * columns, runs[i].end * columns, largest_bits, found);
   }
   return found;
 }

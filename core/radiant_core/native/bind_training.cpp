@@ -6,6 +6,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <cfloat>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -63,23 +64,41 @@ std::string index_text(std::size_t flat, const Shape& shape) {
 }
 
 const radiant::TrainingKernels& kernels_named(const std::string& instruction_set) {
-  const radiant::TrainingKernels* kernels = radiant::training_kernels(instruction_set);
-  if (!kernels) raise("instruction_set '" + instruction_set + "' is unknown or not this CPU's: see training_instruction_sets()");
+  const radiant::TrainingKernels* kernels = radiant::find_training_kernels(instruction_set);
+  if (!kernels) raise("instruction_set '" + instruction_set + "' is unknown or not this CPU's: see instruction_sets()");
   return *kernels;
 }
 
-void check_finite(const float* values, const Shape& shape, const std::string& name) {
-  const std::int64_t rows = static_cast<std::int64_t>(shape[0]);
-  std::int64_t columns = 1;
-  for (std::size_t axis = 1; axis < shape.size(); ++axis) columns *= static_cast<std::int64_t>(shape[axis]);
-  const radiant::NotFinite bad = radiant::find_not_finite(values, nullptr, rows, columns, kernels_named(""), 1);
-  if (bad.count == 0) return;
-  raise(name + " has " + std::to_string(bad.count) + " values that are not finite, the first at index " +
-        index_text(static_cast<std::size_t>(bad.first), shape));
+[[noreturn]] void raise_values(const std::string& name, std::int64_t count, const std::string& fault, std::int64_t first, const Shape& shape) {
+  raise(name + " has " + std::to_string(count) + " values that are " + fault + ", the first at index " +
+        index_text(static_cast<std::size_t>(first), shape));
 }
 
-// The runs of an (R,2) array, which must ascend and stay within the rows: the kernel follows them blindly.
-const radiant::Run* checked_runs(const std::optional<Runs>& runs, std::size_t num_rows) {
+// Beyond it the square of a difference may be no number of float32.
+constexpr float kMaxColour = 2e18f;
+
+void check_values(const In& array, const std::string& name, float largest, int num_threads) {
+  const std::int64_t rows = static_cast<std::int64_t>(array.shape(0)), columns = static_cast<std::int64_t>(array.size()) / rows;
+  const auto found = [&](float limit) {
+    const nb::gil_scoped_release unlocked;
+    return radiant::find_beyond(array.data(), nullptr, rows, columns, limit, kernels_named(""), num_threads);
+  };
+  const radiant::Found beyond = found(largest);
+  if (beyond.count == 0) return;
+  const radiant::Found bad = found(FLT_MAX);
+  if (bad.count) raise_values(name, bad.count, "not finite", bad.first, shape_of(array));
+  raise_values(name, beyond.count, "beyond 2e18", beyond.first, shape_of(array));
+}
+
+void check_not_negative(const In& array, const std::string& name) {
+  std::int64_t count = 0, first = 0;
+  for (std::size_t i = array.size(); i-- > 0;)
+    if (array.data()[i] < 0) ++count, first = static_cast<std::int64_t>(i);
+  if (count) raise_values(name, count, "negative", first, shape_of(array));
+}
+
+// The runs of an (R,2) array, which must ascend and stay within the rows: the kernels follow them, and `steps`, blindly.
+const radiant::Run* checked_runs(const std::optional<Runs>& runs, std::size_t num_rows, const std::int32_t* steps = nullptr) {
   if (!runs) return nullptr;
   if (runs->ndim() != 2 || runs->shape(1) != 2) raise("runs has shape " + listed(shape_of(*runs)) + ", expected (R, 2)");
   std::int64_t last = 0;
@@ -89,6 +108,7 @@ const radiant::Run* checked_runs(const std::optional<Runs>& runs, std::size_t nu
       raise("runs has " + std::to_string(begin) + " to " + std::to_string(end) + " at index " + std::to_string(i / 2) +
             ", expected ascending rows below " + std::to_string(num_rows));
     }
+    if (steps && steps[begin] < 1) raise("steps has " + std::to_string(steps[begin]) + " at index " + std::to_string(begin) + ", expected at least 1");
     last = end;
   }
   static_assert(sizeof(radiant::Run) == 2 * sizeof(std::int32_t));
@@ -109,17 +129,11 @@ nb::ndarray<nb::numpy, std::int32_t, nb::ndim<2>> visible_runs(const Array<const
   return {reinterpret_cast<std::int32_t*>(kept->data()), {kept->size(), 2}, owner};
 }
 
-std::vector<std::string> training_instruction_sets() {
-  std::vector<std::string> names;
-  for (const radiant::TrainingKernels* kernels : radiant::training_kernels()) names.emplace_back(kernels->name);
-  return names;
-}
-
 void target_statistics(const In& target, const Out& means, const Out& variances, int num_threads, const std::string& instruction_set) {
   const Shape shape = image_shape(target, "target");
   check_shape(means, "means", shape);
   check_shape(variances, "variances", shape);
-  check_finite(target.data(), shape, "target");
+  check_values(target, "target", kMaxColour, num_threads);
   const radiant::StatisticsJob job{target.data(), means.data(), variances.data(), static_cast<std::int64_t>(shape[0]),
                                    static_cast<std::int64_t>(shape[1])};
   const radiant::TrainingKernels& kernels = kernels_named(instruction_set);
@@ -151,10 +165,11 @@ double training_loss(const In& image, const In& target, const In& means, const I
     nb::gil_scoped_release unlocked;
     sums = radiant::training_loss(job, kernels, num_threads);
   }
-  if (!std::isfinite(sums.loss) || !std::isfinite(sums.distance)) {
-    check_finite(image.data(), shape, "image");
-    if (weights) check_finite(weights->data(), {shape[0], shape[1]}, "weights");
+  if (!std::isfinite(sums.loss) || !(sums.distance <= kMaxColour)) {
+    check_values(image, "image", kMaxColour, num_threads);
+    if (weights) check_values(*weights, "weights", FLT_MAX, num_threads);
   }
+  if (sums.negative_weight) check_not_negative(*weights, "weights");
   return sums.loss;
 }
 
@@ -179,7 +194,7 @@ void adam_step(const Out& parameters, const In& gradients, const Out& first_mome
   job.gradients = gradients.data();
   job.first_moments = first_moments.data();
   job.second_moments = second_moments.data();
-  job.runs = checked_runs(runs, shape[0]);
+  job.runs = checked_runs(runs, shape[0], steps ? steps->data() : nullptr);
   job.steps = steps ? steps->data() : nullptr;
   job.first_factors = first_factors.data();
   job.second_factors = second_factors.data();
@@ -201,12 +216,12 @@ std::vector<std::int64_t> find_not_finite(const In& values, const std::optional<
   if (shape.empty()) raise("values has shape (), expected rows");
   if (values.size() == 0) return {0};
   const std::int64_t columns = static_cast<std::int64_t>(values.size() / shape[0]);
-  const std::int64_t count = static_cast<std::int64_t>(runs ? runs->shape(0) : shape[0]);
   const radiant::Run* checked = checked_runs(runs, shape[0]);
-  radiant::NotFinite found{};
+  const std::int64_t count = static_cast<std::int64_t>(runs ? runs->shape(0) : shape[0]);
+  radiant::Found found{};
   {
     nb::gil_scoped_release unlocked;
-    found = radiant::find_not_finite(values.data(), checked, count, columns, kernels_named(""), num_threads);
+    found = radiant::find_beyond(values.data(), checked, count, columns, FLT_MAX, kernels_named(""), num_threads);
   }
   if (found.count == 0) return {0};
   std::vector<std::int64_t> result(1 + shape.size());
@@ -220,26 +235,25 @@ std::vector<std::int64_t> find_not_finite(const In& values, const std::optional<
 }  // namespace
 
 void bind_training(nb::module_& module) {
-  module.def("training_instruction_sets", &training_instruction_sets,
-             "Names of the builds of the training kernels that this CPU can run, the fastest first.");
-  module.def("target_statistics", &target_statistics, "target"_a, "means"_a, "variances"_a, "num_threads"_a = 1, "instruction_set"_a = "",
+  module.def("target_statistics", &target_statistics, "target"_a, "means"_a.noconvert(), "variances"_a.noconvert(), "num_threads"_a = 1, "instruction_set"_a = "",
              "Writes blur(target) and blur(target^2) - blur(target)^2, all (H,W,3) float32; the window is that of SSIM, sigma 1.5 px.\n\n"
-             "Raises ValueError naming the array for a wrong shape and for a target that is not finite (how many, the first index).");
-  module.def("training_loss", &training_loss, "image"_a, "target"_a, "means"_a, "variances"_a, "weights"_a.none(), "gradient"_a.none(),
+             "Raises ValueError naming the array for a wrong shape and for a target that is not finite or beyond 2e18 (how many, the first index).");
+  module.def("training_loss", &training_loss, "image"_a, "target"_a, "means"_a, "variances"_a, "weights"_a.none(), "gradient"_a.none().noconvert(),
              "ssim_weight"_a, "num_threads"_a = 1, "instruction_set"_a = "",
              "(1 - lambda) L1 + lambda (1 - SSIM) of image and target (H,W,3) float32 with lambda = ssim_weight, each pixel weighted\n"
              "by weights (H,W) or None; `gradient` (H,W,3), where given, receives the derivative by the image.\n\n"
              "`means` and `variances` are the target's, from target_statistics. The same bits for any number of threads.\n"
-             "Raises ValueError naming the array for a wrong shape, and for an image or weights that are not finite.");
+             "Raises ValueError naming the array for a wrong shape, for an image or weights that are not finite or beyond 2e18, and for negative weights.");
   module.def("visible_runs", &visible_runs, "visible"_a, "steps"_a,
              "Runs (R,2) int32, begin and end, of rows where visible (N,) bool and whose count of steps (N,) int32 is equal.");
-  module.def("adam_step", &adam_step, "parameters"_a, "gradients"_a, "first_moments"_a, "second_moments"_a, "runs"_a.none(),
+  module.def("adam_step", &adam_step, "parameters"_a.noconvert(), "gradients"_a, "first_moments"_a.noconvert(),
+             "second_moments"_a.noconvert(), "runs"_a.none(),
              "steps"_a.none(), "first_factors"_a, "second_factors"_a, "step"_a, "rate"_a, "beta1"_a, "beta2"_a, "epsilon"_a,
              "num_threads"_a = 1, "instruction_set"_a = "",
              "One step of Adam on parameters (N,...) float32 and their moments, in place: on the rows of runs (R,2), each run with the\n"
              "count steps (N,) int32 of its rows, or on all rows with the count `step` where both are None.\n\n"
              "first_factors[t - 1] is 1 / (1 - beta1^t), second_factors[t - 1] is 1 / sqrt(1 - beta2^t); the last serves all later t.\n"
-             "Gradients are not checked here: see find_not_finite. Raises ValueError naming the array for a wrong shape.");
+             "Gradients count as at most 1e18 and are not checked here: see find_not_finite. Raises ValueError naming the array for a wrong shape.");
   module.def("find_not_finite", &find_not_finite, "values"_a, "runs"_a.none(), "num_threads"_a = 1,
              "[0], or the count of NaN and infinite values (N,...) in the rows of runs (R,2), or in all,\n"
              "followed by the index of the first.");

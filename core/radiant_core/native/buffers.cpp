@@ -1,5 +1,6 @@
 #include "buffers.h"
 
+#include <algorithm>
 #include <cstdlib>
 #include <mutex>
 #include <new>
@@ -7,27 +8,40 @@
 #if defined(__linux__)
 #include <sys/mman.h>
 #endif
+#if defined(__unix__) || defined(__APPLE__)
+#include <pthread.h>
+#endif
 
 namespace radiant {
 namespace {
 
 constexpr std::size_t kHugePage = std::size_t{2} << 20;
-constexpr std::size_t kMaxFreeBlocks = 24;  // two sets of six gradients and six outputs
+// A training step takes some 14 blocks: what the last few steps did not need goes back to the system.
+constexpr std::uint64_t kTakesToKeep = 64;
 
 struct Block {
   void* memory;
   std::size_t bytes;
+  std::uint64_t returned_at;  // in takes
 };
 
 struct Pool {
   std::mutex mutex;
   std::vector<Block> free, taken;
+  std::uint64_t takes = 0;
 };
 
+Pool& make_pool();
+
 // Never destroyed: arrays may come back while the interpreter shuts down.
-Pool& pool() {
-  static Pool& instance = *new Pool;
-  return instance;
+Pool& pool = make_pool();
+
+Pool& make_pool() {
+#if defined(__unix__) || defined(__APPLE__)
+  // A child of a process whose other thread is in here would inherit the mutex locked.
+  pthread_atfork([] { pool.mutex.lock(); }, [] { pool.mutex.unlock(); }, [] { pool.mutex.unlock(); });
+#endif
+  return *new Pool;
 }
 
 }  // namespace
@@ -47,39 +61,36 @@ void* allocate_pages(std::size_t bytes) {
 void free_pages(void* memory) noexcept { std::free(memory); }
 
 void* pool_take(std::size_t bytes) {
-  Pool& p = pool();
-  const std::lock_guard lock(p.mutex);
-  std::size_t best = p.free.size();
-  for (std::size_t i = 0; i < p.free.size(); ++i) {
-    const std::size_t size = p.free[i].bytes;
-    if (size >= bytes && size <= 2 * bytes + 4096 && (best == p.free.size() || size < p.free[best].bytes)) best = i;
+  const std::lock_guard lock(pool.mutex);
+  std::size_t best = pool.free.size();
+  for (std::size_t i = 0; i < pool.free.size(); ++i) {
+    const std::size_t size = pool.free[i].bytes;
+    if (size >= bytes && size <= 2 * bytes + 4096 && (best == pool.free.size() || size < pool.free[best].bytes)) best = i;
   }
-  p.taken.reserve(p.taken.size() + 1);
-  p.free.reserve(p.free.size() + p.taken.size() + 1);
-  if (best < p.free.size()) {
-    const Block block = p.free[best];
-    p.free.erase(p.free.begin() + static_cast<std::ptrdiff_t>(best));
-    p.taken.push_back(block);
-    return block.memory;
+  pool.taken.reserve(pool.taken.size() + 1);
+  pool.free.reserve(pool.free.size() + pool.taken.size() + 1);
+  ++pool.takes;
+  if (best < pool.free.size()) {
+    pool.taken.push_back(pool.free[best]);
+    pool.free.erase(pool.free.begin() + static_cast<std::ptrdiff_t>(best));
+  } else {
+    pool.taken.push_back({allocate_pages(bytes ? bytes : 1), bytes, 0});
   }
-  const Block block{allocate_pages(bytes ? bytes : 1), bytes};
-  p.taken.push_back(block);
-  return block.memory;
+  void* const memory = pool.taken.back().memory;
+  // Returned one after another, so the longest unused stand first.
+  while (!pool.free.empty() && pool.takes - pool.free.front().returned_at > kTakesToKeep) {
+    free_pages(pool.free.front().memory);
+    pool.free.erase(pool.free.begin());
+  }
+  return memory;
 }
 
 void pool_return(void* memory) noexcept {
-  Pool& p = pool();
-  const std::lock_guard lock(p.mutex);
-  for (std::size_t i = 0; i < p.taken.size(); ++i) {
-    if (p.taken[i].memory != memory) continue;
-    p.free.push_back(p.taken[i]);  // reserved by pool_take
-    p.taken.erase(p.taken.begin() + static_cast<std::ptrdiff_t>(i));
-    break;
-  }
-  if (p.free.size() > kMaxFreeBlocks) {
-    free_pages(p.free.front().memory);
-    p.free.erase(p.free.begin());
-  }
+  const std::lock_guard lock(pool.mutex);
+  const auto block = std::find_if(pool.taken.begin(), pool.taken.end(), [&](const Block& taken) { return taken.memory == memory; });
+  block->returned_at = pool.takes;
+  pool.free.push_back(*block);  // reserved by pool_take
+  pool.taken.erase(block);
 }
 
 }  // namespace radiant

@@ -11,11 +11,25 @@ namespace radiant {
 void* allocate_pages(std::size_t bytes);
 void free_pages(void* memory) noexcept;
 
-// A block of the pool of at least `bytes`: the smallest free one that is not twice as large, else a new one.
+// A block of the pool of at least `bytes`: the smallest free one that is not twice as large, else a new one. Blocks that nobody took for
+// a while go back to the system.
 void* pool_take(std::size_t bytes);
 void pool_return(void* memory) noexcept;
 
-// An array that grows and never shrinks; growing loses the contents. Never null once reserved, even for no elements.
+// A block of the pool for the time of a scope.
+class PooledBlock {
+ public:
+  explicit PooledBlock(std::size_t bytes) : memory_(pool_take(bytes)) {}
+  PooledBlock(const PooledBlock&) = delete;
+  PooledBlock& operator=(const PooledBlock&) = delete;
+  ~PooledBlock() { pool_return(memory_); }
+  void* data() const { return memory_; }
+
+ private:
+  void* memory_;
+};
+
+// An array that grows; growing loses the contents. Never null once reserved, even for no elements.
 template <class T>
 class Buffer {
  public:
@@ -27,11 +41,11 @@ class Buffer {
   ~Buffer() { free_pages(data_); }
 
   T* reserve(std::size_t count) {
+    size_ = count;
     if (count > capacity_ || !data_) {
       // A quarter more than asked for, since the next view needs about as much.
       const std::size_t capacity = count + count / 4 + 64;
-      free_pages(std::exchange(data_, nullptr));
-      capacity_ = 0;
+      release();
       data_ = static_cast<T*>(allocate_pages(capacity * sizeof(T)));
       capacity_ = capacity;
     }
@@ -41,12 +55,18 @@ class Buffer {
     std::swap(data_, other.data_);
     std::swap(capacity_, other.capacity_);
   }
+  void release() noexcept {
+    free_pages(std::exchange(data_, nullptr));
+    capacity_ = 0;
+  }
   T* data() const { return data_; }
+  std::size_t reserved_bytes() const { return size_ * sizeof(T); }
+  std::size_t capacity_bytes() const { return capacity_ * sizeof(T); }
   std::size_t capacity() const { return capacity_; }
 
  private:
   T* data_ = nullptr;
-  std::size_t capacity_ = 0;
+  std::size_t capacity_ = 0, size_ = 0;
 };
 
 }  // namespace radiant

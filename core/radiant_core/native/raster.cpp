@@ -5,12 +5,12 @@
 #include <stdexcept>
 
 #include "depth_sort.h"
+#include "instruction_sets.h"
 #include "raster_kernels.h"
 #include "thread_pool.h"
 
 namespace radiant {
 namespace {
-
 
 // The list and its storage travel together through the kernel, which knows only the list.
 struct GrowingSpans : SpanList {
@@ -46,7 +46,7 @@ void RenderedView::forward(const Kernels& kernels, const View& view, const Splat
   view_ = view;
   count_ = splats.count;
   differentiable_ = differentiable;
-  has_sums_ = false;
+  release_unused();
   const std::int64_t tiles = static_cast<std::int64_t>(view.tiles_x) * view.tiles_y;
   project(splats, out, threads);
   fill_tiles(threads);
@@ -62,6 +62,24 @@ void RenderedView::forward(const Kernels& kernels, const View& view, const Splat
   parallel_for(threads, tiles, [&](std::int64_t tile, int worker) { blend_tile(tile, workers_[static_cast<std::size_t>(worker)]); });
 }
 
+template <class Visit>
+void RenderedView::for_each_buffer(const Visit& visit) {
+  visit(footprints_), visit(depth_keys_), visit(num_tiles_), visit(owners_), visit(cursors_), visit(num_spans_), visit(reached_);
+  visit(color_slopes_), visit(transmittance_), visit(last_), visit(entries_), visit(tile_starts_);
+}
+
+void RenderedView::release_unused() {
+  constexpr int kPatience = 16;
+  std::size_t used = 0, held = 0;
+  for_each_buffer([&](const auto& buffer) { used += buffer.reserved_bytes(), held += buffer.capacity_bytes(); });
+  num_small_ = 4 * used < held ? num_small_ + 1 : 0;
+  if (num_small_ < kPatience) return;
+  for_each_buffer([](auto& buffer) { buffer.release(); });
+  chunks_.clear();
+  workers_.clear();
+  num_small_ = 0;
+}
+
 Projection RenderedView::projection(const ViewOutputs& out) const {
   return {footprints_.data(),   depth_keys_.data(), num_spans_.data(), num_tiles_.data(),
           differentiable_ ? color_slopes_.data() : nullptr, out.means2d, out.radii_px};
@@ -73,7 +91,7 @@ void RenderedView::project(const SplatArrays& splats, const ViewOutputs& out, in
   depth_keys_.reserve(count);
   num_spans_.reserve(count);
   num_tiles_.reserve(count);
-  if (differentiable_) color_slopes_.reserve((count + 15) / 16 * 16 * 9);
+  color_slopes_.reserve(differentiable_ ? (count + 15) / 16 * 16 * 9 : 0);
   // At most 64 chunks, so that their tile counts stay small, of whole vectors.
   chunk_size_ = std::clamp<std::int64_t>((count_ + 63) / 64, 1024, 16384);
   chunk_size_ = (chunk_size_ + 15) / 16 * 16;
@@ -158,21 +176,20 @@ void RenderedView::blend_tile(std::int64_t tile, Worker& worker) {
   kernels_->blend(view_, static_cast<int>(tile), entries, start, count, blend_, scratch);
 }
 
-void RenderedView::blend_backward(const ImageGradients& gradients, float* means2d, int threads) {
-  Moments* moments = moments_.reserve(static_cast<std::size_t>(num_instances_));
+void RenderedView::blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, int threads) const {
+  const PooledBlock memory(static_cast<std::size_t>(num_instances_) * sizeof(Moments));
+  auto* const moments = static_cast<Moments*>(memory.data());
   parallel_for(threads, static_cast<std::int64_t>(view_.tiles_x) * view_.tiles_y, [&](std::int64_t tile, int) {
     const std::int64_t start = tile_starts_.data()[tile], count = tile_starts_.data()[tile + 1] - start;
     if (count > 0) kernels_->blend_backward(view_, static_cast<int>(tile), entries_.data() + start, start, count, blend_, gradients, moments);
   });
-  sums_.reserve(static_cast<std::size_t>(count_));
   parallel_for(threads, static_cast<std::int64_t>(num_chunks_),
-               [&](std::int64_t chunk, int) { sum_chunk(static_cast<std::size_t>(chunk), means2d); });
-  has_sums_ = true;
+               [&](std::int64_t chunk, int) { sum_chunk(static_cast<std::size_t>(chunk), moments, means2d, sums); });
 }
 
 // Sums the instances of each Gaussian, whose moments stand one after another, and moves to its centre: ∂ln α/∂m = 1/k Lᵀ (u, v).
-void RenderedView::sum_chunk(std::size_t chunk, float* means2d) {
-  const Moments* instance = moments_.data() + chunks_[chunk].first_instance;
+void RenderedView::sum_chunk(std::size_t chunk, const Moments* moments, float* means2d, Moments* sums) const {
+  const Moments* instance = moments + chunks_[chunk].first_instance;
   for (std::int64_t g = chunk_begin(chunk); g < chunk_end(chunk); ++g) {
     Moments sum{};
     const Moments* const end = instance + num_tiles_.data()[g];
@@ -189,16 +206,14 @@ void RenderedView::sum_chunk(std::size_t chunk, float* means2d) {
       sum.green = at.green > 0 ? sum.green : 0;
       sum.blue = at.blue > 0 ? sum.blue : 0;
     }
-    sums_.data()[g] = sum;
+    sums[g] = sum;
     means2d[2 * g] = x;
     means2d[2 * g + 1] = y;
   }
 }
 
-void RenderedView::project_backward(const SplatArrays& splats, const float* means2d, const SplatGradients& gradients, int threads) {
-  Moments* sums = sums_.reserve(static_cast<std::size_t>(count_));
-  if (!has_sums_) std::memset(static_cast<void*>(sums), 0, static_cast<std::size_t>(count_) * sizeof(Moments));
-  has_sums_ = false;
+void RenderedView::project_backward(const SplatArrays& splats, const float* means2d, const Moments* sums, const SplatGradients& gradients,
+                                    int threads) const {
   const Projection projected = projection({});
   SplatGradients to = gradients;
   to.stream = can_stream(splats, gradients);
@@ -214,21 +229,12 @@ std::int64_t RenderedView::num_block_pairs() const {
   return pairs;
 }
 
-const Kernels* find_kernels(const char* name) {
-  const Kernels* usable[3];
-  int count = 0;
+const Kernels* find_kernels(const std::string& name) {
 #if defined(RADIANT_X86)
-  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") &&
-      __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd"))
-    usable[count++] = &avx512::kernels;
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("bmi"))
-    usable[count++] = &avx2::kernels;
+  return find_build({&avx512::kernels, &avx2::kernels, &portable::kernels}, name);
+#else
+  return find_build({&portable::kernels}, name);
 #endif
-  usable[count++] = &portable::kernels;
-  if (name[0] == '\0') return usable[0];
-  for (int i = 0; i < count; ++i)
-    if (std::strcmp(usable[i]->name, name) == 0) return usable[i];
-  return nullptr;
 }
 
 }  // namespace radiant

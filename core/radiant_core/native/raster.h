@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstddef>
+#include <string>
 #include <vector>
 
 #include "buffers.h"
@@ -23,14 +24,16 @@ class RenderedView {
   RenderedView(const RenderedView&) = delete;
   RenderedView& operator=(const RenderedView&) = delete;
 
-  // Renders into `out`; keeps what `backward` needs if `differentiable`. Throws std::length_error beyond 2³² instances.
+  // Renders into `out`; keeps what `backward` needs if `differentiable`. Memory of which renderings in a row use less than a quarter goes
+  // back to the system. Throws std::length_error beyond 2³² instances.
   void forward(const Kernels& kernels, const View& view, const SplatArrays& splats, const ViewOutputs& out, bool differentiable, int threads);
 
-  // ∂loss/∂means2d (N,2).
-  void blend_backward(const ImageGradients& gradients, float* means2d, int threads);
+  // ∂loss/∂means2d (N,2) and, for all else, the sums over each Gaussian's pixels (N). Passes of several threads may run at once.
+  void blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, int threads) const;
 
-  // Gradients of the Gaussians, from those of `blend_backward` (zero if it was not called since) and means2d (N,2).
-  void project_backward(const SplatArrays& splats, const float* means2d, const SplatGradients& gradients, int threads);
+  // Gradients of the Gaussians, from what `blend_backward` gave.
+  void project_backward(const SplatArrays& splats, const float* means2d, const Moments* sums, const SplatGradients& gradients,
+                        int threads) const;
 
   // Pairs of Gaussian and tile, and of Gaussian and block, of the last forward pass.
   std::int64_t num_instances() const { return num_instances_; }
@@ -49,11 +52,14 @@ class RenderedView {
     Buffer<Entry> spare;
   };
 
+  void release_unused();
+  template <class Visit>
+  void for_each_buffer(const Visit& visit);
   void project(const SplatArrays& splats, const ViewOutputs& out, int threads);
   void fill_tiles(int threads);
   void blend_tile(std::int64_t tile, Worker& worker);
   void order_equal_depths(Entry* entries, std::size_t count) const;
-  void sum_chunk(std::size_t chunk, float* means2d);
+  void sum_chunk(std::size_t chunk, const Moments* moments, float* means2d, Moments* sums) const;
   Projection projection(const ViewOutputs& out) const;
   std::int64_t chunk_begin(std::size_t chunk) const { return static_cast<std::int64_t>(chunk) * chunk_size_; }
   std::int64_t chunk_end(std::size_t chunk) const;
@@ -62,7 +68,8 @@ class RenderedView {
   View view_{};
   std::int64_t count_ = 0, chunk_size_ = 0, num_instances_ = 0;
   std::size_t num_chunks_ = 0;
-  bool differentiable_ = false, has_sums_ = false;
+  bool differentiable_ = false;
+  int num_small_ = 0;  // renderings in a row that used little of the memory
   std::vector<Chunk> chunks_;
   std::vector<Worker> workers_;
   Buffer<Footprint> footprints_;
@@ -72,11 +79,10 @@ class RenderedView {
   Buffer<std::int32_t> last_;
   Buffer<Entry> entries_;
   Buffer<std::int64_t> tile_starts_;
-  Buffer<Moments> moments_, sums_;
   BlendState blend_{};
 };
 
 // The kernels of `name`, or the fastest this CPU runs for an empty one; null if this CPU or build has none of that name.
-const Kernels* find_kernels(const char* name);
+const Kernels* find_kernels(const std::string& name);
 
 }  // namespace radiant

@@ -40,7 +40,7 @@ RADIANT_INLINE void project_centers(const View& view, const float* means, int64_
     for (int axis = 0; axis < 3; ++axis) world[axis][lane] = row[axis];
   }
   const double *R = view.rotation, *t = view.translation;
-  // Two loops without branches over arrays of their own: so gcc makes vectors of them.
+  // Loops without branches over arrays of their own: so gcc makes vectors of them.
   alignas(64) double x[kLanes], y[kLanes], z[kLanes], inverse[kLanes];
   for (int lane = 0; lane < kLanes; ++lane) {
     x[lane] = R[0] * world[0][lane] + R[1] * world[1][lane] + R[2] * world[2][lane] + t[0];

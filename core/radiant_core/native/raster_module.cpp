@@ -2,6 +2,7 @@
 #include "raster_module.h"
 
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -30,16 +31,13 @@ auto* checked(const Array& array, std::int64_t expected, const char* name) {
   return array.data();
 }
 
-float* checked_or_null(const nb::object& array, std::int64_t expected, const char* name) {
-  return array.is_none() ? nullptr : checked(nb::cast<Output>(array), expected, name);
-}
-
-const float* input_or_null(const nb::object& array, std::int64_t expected, const char* name) {
-  return array.is_none() ? nullptr : checked(nb::cast<Floats>(array), expected, name);
+template <class Array>
+auto* checked(const std::optional<Array>& array, std::int64_t expected, const char* name) {
+  return array ? checked(*array, expected, name) : nullptr;
 }
 
 const Kernels& kernels_named(const std::string& name) {
-  const Kernels* kernels = find_kernels(name.c_str());
+  const Kernels* kernels = find_kernels(name);
   if (!kernels) throw nb::value_error(("instruction set '" + name + "' is not one of this CPU and build").c_str());
   return *kernels;
 }
@@ -81,15 +79,21 @@ View make_view(const Doubles& viewmat, const Doubles& K, int width, int height, 
 // A view with what its kernels need to go back.
 struct PyRenderedView {
   RenderedView rendered;
-  int width = 0, height = 0;
+  int width = 0, height = 0, num_rest = 0;
   std::int64_t count = 0;
+  bool differentiable = false;
+
+  void check_differentiable() const {
+    if (!differentiable) throw nb::value_error("there is no rendering with differentiable=True to go back from");
+  }
 };
 
 void forward(PyRenderedView& self, const std::string& instruction_set, const std::vector<Floats>& splats, const Doubles& viewmat, const Doubles& K,
-             int width, int height, int sh_degree, double near_m, double far_m, bool antialiased, const Floats& background, Output images,
-             Output alphas, Output depths, Output means2d, Output radii_px, bool differentiable, int threads) {
+             int width, int height, int sh_degree, double near_m, double far_m, bool antialiased, const Floats& background, const Output& images,
+             const Output& alphas, const Output& depths, const Output& means2d, const Output& radii_px, bool differentiable, int threads) {
   const SplatArrays arrays = splat_arrays(splats);
   if (width < 1 || height < 1 || threads < 1) throw nb::value_error("width, height and threads must be at least 1");
+  if (width > kMaxSidePx || height > kMaxSidePx) throw nb::value_error("width and height must be at most 1000000");
   if (sh_degree < 0 || sh_degree > 3 || (sh_degree + 1) * (sh_degree + 1) > arrays.num_rest + 1)
     throw nb::value_error("sh_degree is larger than shN can hold");
   const View view = make_view(viewmat, K, width, height, sh_degree, near_m, far_m, antialiased, background);
@@ -97,37 +101,44 @@ void forward(PyRenderedView& self, const std::string& instruction_set, const std
   const ViewOutputs out{checked(images, 3 * pixels, "images"), checked(alphas, pixels, "alphas"), checked(depths, pixels, "depths"),
                         checked(means2d, 2 * arrays.count, "means2d"), checked(radii_px, arrays.count, "radii_px")};
   const Kernels& kernels = kernels_named(instruction_set);
-  self.width = width, self.height = height, self.count = arrays.count;
+  self.width = width, self.height = height, self.count = arrays.count, self.num_rest = arrays.num_rest;
+  self.differentiable = false;
   nb::gil_scoped_release unlocked;
   self.rendered.forward(kernels, view, arrays, out, differentiable, threads);
+  self.differentiable = differentiable;
 }
 
-void blend_backward(PyRenderedView& self, const Floats& images, const nb::object& alphas, const nb::object& depths, const Floats& out_alphas,
-                    const Floats& out_depths, Output means2d, int threads) {
+void blend_backward(const PyRenderedView& self, const Floats& images, const std::optional<Floats>& alphas, const std::optional<Floats>& depths,
+                    const Floats& out_alphas, const Floats& out_depths, const Output& means2d, const Output& sums, int threads) {
+  self.check_differentiable();
   const std::int64_t pixels = static_cast<std::int64_t>(self.width) * self.height;
-  const ImageGradients gradients{checked(images, 3 * pixels, "images"), input_or_null(alphas, pixels, "alphas"),
-                                 input_or_null(depths, pixels, "depths"), checked(out_alphas, pixels, "out_alphas"),
+  const ImageGradients gradients{checked(images, 3 * pixels, "images"), checked(alphas, pixels, "alphas"),
+                                 checked(depths, pixels, "depths"), checked(out_alphas, pixels, "out_alphas"),
                                  checked(out_depths, pixels, "out_depths")};
   float* to = checked(means2d, 2 * self.count, "means2d");
+  auto* to_sums = reinterpret_cast<Moments*>(checked(sums, kMoments * self.count, "sums"));
   nb::gil_scoped_release unlocked;
-  self.rendered.blend_backward(gradients, to, threads);
+  self.rendered.blend_backward(gradients, to, to_sums, threads);
 }
 
-void project_backward(PyRenderedView& self, const std::vector<Floats>& splats, const Floats& means2d, const std::vector<nb::object>& gradients,
-                      bool add, int threads) {
+void project_backward(const PyRenderedView& self, const std::vector<Floats>& splats, const Floats& means2d, const Floats& sums,
+                      const std::vector<std::optional<Output>>& gradients, bool add, int threads) {
+  self.check_differentiable();
   const SplatArrays arrays = splat_arrays(splats);
-  if (arrays.count != self.count || gradients.size() != 6) throw nb::value_error("splats are not those of the forward pass");
+  if (arrays.count != self.count || arrays.num_rest != self.num_rest || gradients.size() != 6)
+    throw nb::value_error("splats are not those of the forward pass");
   const std::int64_t n = arrays.count;
-  const SplatGradients to{checked_or_null(gradients[0], 3 * n, "means"),
-                          checked_or_null(gradients[1], 4 * n, "quats"),
-                          checked_or_null(gradients[2], 3 * n, "log_scales"),
-                          checked_or_null(gradients[3], n, "logit_opacities"),
-                          checked_or_null(gradients[4], 3 * n, "sh0"),
-                          checked_or_null(gradients[5], 3 * arrays.num_rest * n, "shN"),
+  const SplatGradients to{checked(gradients[0], 3 * n, "means"),
+                          checked(gradients[1], 4 * n, "quats"),
+                          checked(gradients[2], 3 * n, "log_scales"),
+                          checked(gradients[3], n, "logit_opacities"),
+                          checked(gradients[4], 3 * n, "sh0"),
+                          checked(gradients[5], 3 * arrays.num_rest * n, "shN"),
                           add, false};
   const float* from = checked(means2d, 2 * n, "means2d");
+  const auto* from_sums = reinterpret_cast<const Moments*>(checked(sums, kMoments * n, "sums"));
   nb::gil_scoped_release unlocked;
-  self.rendered.project_backward(arrays, from, to, threads);
+  self.rendered.project_backward(arrays, from, from_sums, to, threads);
 }
 
 nb::ndarray<nb::numpy, float> pooled_array(const std::vector<std::size_t>& shape) {
@@ -167,19 +178,23 @@ std::string compiler() {
 }  // namespace
 
 void bind_raster(nb::module_& module) {
-  nb::class_<PyRenderedView>(module, "RenderedView", "One view of a model: what its rendering leaves for the gradients. Not thread-safe.")
+  nb::class_<PyRenderedView>(module, "RenderedView",
+                             "One view of a model: what its rendering leaves for the gradients, which several threads may take at once.")
       .def(nb::init<>())
       .def("forward", &forward, "instruction_set"_a, "splats"_a, "viewmat"_a, "K"_a, "width"_a, "height"_a, "sh_degree"_a, "near_m"_a, "far_m"_a,
-           "antialiased"_a, "background"_a, "images"_a, "alphas"_a, "depths"_a, "means2d"_a, "radii_px"_a, "differentiable"_a, "threads"_a,
+           "antialiased"_a, "background"_a, "images"_a.noconvert(), "alphas"_a.noconvert(), "depths"_a.noconvert(), "means2d"_a.noconvert(),
+           "radii_px"_a.noconvert(), "differentiable"_a, "threads"_a,
            "Render into images (H,W,3), alphas (H,W), depths (H,W) m, means2d (N,2) px, radii_px (N). splats: means, quats, log_scales,\n"
            "logit_opacities, sh0, shN, float32; viewmat (4,4), K (3,3) float64. ValueError for a wrong size or instruction set.")
-      .def("blend_backward", &blend_backward, "images"_a, "alphas"_a.none(), "depths"_a.none(), "out_alphas"_a, "out_depths"_a, "means2d"_a, "threads"_a,
-           "Gradients of images (H,W,3), alphas and depths (H,W) or None into means2d (N,2); the rest waits for project_backward.")
-      .def("project_backward", &project_backward, "splats"_a, "means2d"_a, "gradients"_a, "add"_a, "threads"_a,
-           "Gradients of the six tensors, from blend_backward's and means2d (N,2), into arrays or None; added or overwritten.")
+      .def("blend_backward", &blend_backward, "images"_a, "alphas"_a.none(), "depths"_a.none(), "out_alphas"_a, "out_depths"_a,
+           "means2d"_a.noconvert(), "sums"_a.noconvert(), "threads"_a,
+           "Gradients of images (H,W,3), alphas and depths (H,W) or None into means2d (N,2) and, for all else, sums (N,NUM_MOMENTS).")
+      .def("project_backward", &project_backward, "splats"_a, "means2d"_a, "sums"_a, "gradients"_a.noconvert(), "add"_a, "threads"_a,
+           "Gradients of the six tensors, from blend_backward's means2d and sums, into arrays or None; added or overwritten.")
       .def_prop_ro("num_instances", [](const PyRenderedView& self) { return self.rendered.num_instances(); }, "Pairs of Gaussian and 16 px tile.")
       .def_prop_ro("num_block_pairs", [](const PyRenderedView& self) { return self.rendered.num_block_pairs(); },
                    "Pairs of Gaussian and 4 px block.");
+  module.attr("NUM_MOMENTS") = kMoments;
   module.def("pooled_array", &pooled_array, "shape"_a, "Uninitialised float32 array whose memory is used again after it was freed.");
   module.def("instruction_sets", &instruction_sets, "Those this CPU and build have, the fastest first.");
   module.def("compiler", &compiler, "Name and version of the compiler of this build.");

@@ -24,6 +24,7 @@ constexpr float kDilationPx2 = 0.3f;
 constexpr float kTransmittanceCut = 1e-4f;
 constexpr float kMaxHalfAxisPx = 1e9f;
 constexpr float kHalfLog2e = 0.72134752f;
+constexpr int kMaxSidePx = 1'000'000;  // beyond it neither float32 pixels nor a Gaussian's 16-bit count of rows of tiles would hold
 
 struct View {
   double rotation[9], translation[3], center[3];  // cam_from_world, and the camera's centre in the world

@@ -28,7 +28,7 @@ RADIANT_INLINE Floats<P> exp2_of_negative(const Floats<P>& t) {
 #endif
 }
 
-// eˣ for any x, to a few 2⁻²⁴; infinite above 88.7, 0 below −87.
+// eˣ for any x, to a few 2⁻²⁴; held at e^±89 beyond: 4e38 is infinite, 2e-39 a denormal number or 0.
 RADIANT_INLINE F exp(const F& x) {
   const F limited = clamp(x, broadcast(-89.0f), broadcast(89.0f));
   F r;

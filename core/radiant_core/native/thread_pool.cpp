@@ -1,11 +1,15 @@
 #include "thread_pool.h"
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <exception>
+#include <memory>
 #include <mutex>
+#include <system_error>
 #include <thread>
+#include <vector>
 #if defined(__unix__) || defined(__APPLE__)
 #include <unistd.h>
 #endif
@@ -31,78 +35,114 @@ struct Job {
   }
 };
 
+void pause_briefly() {
+#if defined(RADIANT_X86)
+  __builtin_ia32_pause();
+#elif defined(__aarch64__)
+  asm volatile("yield");
+#else
+  std::this_thread::yield();
+#endif
+}
+
 // Looks for `ready` for a while before the caller sleeps: waking a sleeping thread takes as long as a short step.
 template <class Ready>
 void look_out(const Ready& ready) {
   constexpr auto kPatience = std::chrono::microseconds(200);
   const auto start = std::chrono::steady_clock::now();
   while (!ready() && std::chrono::steady_clock::now() - start < kPatience)
-    for (int i = 0; i < 16 && !ready(); ++i) {
-#if defined(RADIANT_X86)
-      __builtin_ia32_pause();
-#endif
+    for (int i = 0; i < 16 && !ready(); ++i) pause_briefly();
+}
+
+// One value that one thread sets and another waits for.
+template <class Value>
+class Mailbox {
+ public:
+  void put(Value value) {
+    {
+      const std::lock_guard lock(mutex_);
+      value_ = value;
     }
+    arrived_.notify_one();
+  }
+  Value take() {
+    const auto ready = [this] { return value_ != Value{}; };
+    look_out(ready);
+    std::unique_lock lock(mutex_);
+    arrived_.wait(lock, ready);
+    return value_.exchange(Value{});
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable arrived_;
+  std::atomic<Value> value_{};
+};
+
+int process_id() {
+#if defined(__unix__) || defined(__APPLE__)
+  return static_cast<int>(getpid());
+#else
+  return 0;
+#endif
 }
 
 class Pool {
  public:
-  // False when another thread uses the pool just now.
+  const int owner = process_id();
+
+  // False when another thread uses the pool just now, or no thread can be started.
   bool run(int helpers, Job& job) {
-    const std::unique_lock busy(busy_, std::try_to_lock);
-    if (!busy) return false;
-    {
-      const std::lock_guard lock(mutex_);
-      for (; started_ < helpers; ++started_) std::thread(&Pool::serve, this, started_, round_.load()).detach();
-      job_ = &job;
-      helpers_ = running_ = helpers;
-      ++round_;
+    if (busy_.exchange(true)) return false;
+    helpers = start(std::min(helpers, max_helpers_));
+    if (helpers > 0) {
+      running_ = helpers;
+      for (int i = 0; i < helpers; ++i) jobs_[static_cast<std::size_t>(i)]->put(&job);
+      job.run(0);
+      finished_.take();
     }
-    wake_.notify_all();
-    job.run(0);
-    const auto finished = [this] { return running_ == 0; };
-    look_out(finished);
-    std::unique_lock lock(mutex_);
-    done_.wait(lock, finished);
-    return true;
+    busy_ = false;
+    return helpers > 0;
   }
 
  private:
-  void serve(int index, std::uint64_t seen) {
+  // How many of `wanted` helpers there are now.
+  int start(int wanted) {
+    while (static_cast<int>(jobs_.size()) < wanted) {
+      jobs_.push_back(std::make_unique<Mailbox<Job*>>());
+      try {
+        std::thread(&Pool::serve, this, jobs_.back().get(), static_cast<int>(jobs_.size())).detach();
+      } catch (const std::system_error&) {
+        jobs_.pop_back();  // the system has no more threads: those that run will do
+        break;
+      }
+    }
+    return std::min(wanted, static_cast<int>(jobs_.size()));
+  }
+
+  void serve(Mailbox<Job*>* jobs, int worker) {
     for (;;) {
-      const auto called = [&] { return round_ != seen; };
-      look_out(called);
-      std::unique_lock lock(mutex_);
-      wake_.wait(lock, called);
-      seen = round_;
-      if (index >= helpers_) continue;
-      Job* job = job_;
-      lock.unlock();
-      job->run(index + 1);
-      lock.lock();
-      if (--running_ == 0) done_.notify_one();
+      jobs->take()->run(worker);
+      if (--running_ == 0) finished_.put(true);
     }
   }
 
-  std::mutex busy_, mutex_;
-  std::condition_variable wake_, done_;
-  Job* job_ = nullptr;
-  std::atomic<std::uint64_t> round_{0};
+  // More would take turns; results do not depend on their number.
+  const int max_helpers_ = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+  std::atomic<bool> busy_{false};
   std::atomic<int> running_{0};
-  int started_ = 0, helpers_ = 0;
+  std::vector<std::unique_ptr<Mailbox<Job*>>> jobs_;  // one for each helper, so that the others sleep on
+  Mailbox<bool> finished_;
 };
 
-// Never destroyed, since its threads end with the process; a forked child has none of them and gets a pool of its own.
+// Never destroyed, since its threads end with the process; a forked child has none of them and gets a pool of its own. Without a lock, which
+// a child could inherit locked.
 Pool& pool() {
-  static std::mutex mutex;
-  static Pool* instance = nullptr;
-  const std::lock_guard lock(mutex);
-#if defined(__unix__) || defined(__APPLE__)
-  static pid_t owner = 0;
-  if (owner != getpid()) instance = nullptr;
-  owner = getpid();
-#endif
-  if (!instance) instance = new Pool;
-  return *instance;
+  static std::atomic<Pool*> current{nullptr};
+  Pool* found = current;
+  if (found && found->owner == process_id()) return *found;
+  auto fresh = std::make_unique<Pool>();
+  return current.compare_exchange_strong(found, fresh.get()) ? *fresh.release() : *found;
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "instruction_sets.h"
 #include "thread_pool.h"
 
 namespace radiant {
@@ -12,28 +13,12 @@ namespace training::avx2 { extern const TrainingKernels kernels; }
 namespace training::avx512 { extern const TrainingKernels kernels; }
 #endif
 
-const std::vector<const TrainingKernels*>& training_kernels() {
-  static const std::vector<const TrainingKernels*> usable = [] {
-    std::vector<const TrainingKernels*> found;
+const TrainingKernels* find_training_kernels(const std::string& name) {
 #ifdef RADIANT_X86
-    __builtin_cpu_init();
-    const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-    if (avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512bw"))
-      found.push_back(&training::avx512::kernels);
-    if (avx2) found.push_back(&training::avx2::kernels);
+  return find_build({&training::avx512::kernels, &training::avx2::kernels, &training::portable::kernels}, name);
+#else
+  return find_build({&training::portable::kernels}, name);
 #endif
-    found.push_back(&training::portable::kernels);
-    return found;
-  }();
-  return usable;
-}
-
-const TrainingKernels* training_kernels(const std::string& name) {
-  for (const TrainingKernels* kernels : training_kernels()) {
-    if (name.empty() || name == kernels->name) return kernels;
-  }
-  return nullptr;
 }
 
 void share_rows(int num_threads, std::int64_t num_rows, std::int64_t min_rows, const std::function<void(std::int64_t, std::int64_t)>& work) {

@@ -61,6 +61,6 @@ RADIANT_INLINE double added(V values) {
 namespace radiant::training::RADIANT_ISA {
 
 extern const TrainingKernels kernels;
-const TrainingKernels kernels = {RADIANT_TEXT(RADIANT_ISA), loss_scratch, loss_rows, statistics_rows, adam_rows, not_finite_rows};
+const TrainingKernels kernels = {RADIANT_TEXT(RADIANT_ISA), loss_scratch, loss_rows, statistics_rows, adam_rows, rows_beyond};
 
 }  // namespace radiant::training::RADIANT_ISA

@@ -50,7 +50,7 @@ struct AdamJob {
   float first_share, second_share;  // 1 - beta1, 1 - beta2, subtracted in double: 1 - 0.999f is 1.3e-5 off
 };
 
-struct NotFinite {
+struct Found {
   int64_t count, first;  // first: flat index
 };
 
@@ -63,7 +63,8 @@ struct TrainingKernels {
   void (*statistics_rows)(const StatisticsJob& job, int64_t begin, int64_t end, float* scratch);
   // Runs begin to end, or rows begin to end where there are no runs.
   void (*adam_rows)(const AdamJob& job, int64_t begin, int64_t end);
-  NotFinite (*not_finite_rows)(const float* values, const Run* runs, int64_t columns, int64_t begin, int64_t end);
+  // Values that are NaN or larger in size than `largest`.
+  Found (*rows_beyond)(const float* values, const Run* runs, int64_t columns, int64_t begin, int64_t end, float largest);
 };
 
 }  // namespace radiant

@@ -22,10 +22,13 @@ std::unique_ptr<float[], AlignedDelete> aligned_floats(std::size_t count) {
   return std::unique_ptr<float[], AlignedDelete>(new (std::align_val_t(64)) float[count]);
 }
 
-double sum_of_weights(const LossJob& job) {
+double sum_of_weights(const LossJob& job, bool& negative) {
   if (!job.weights) return static_cast<double>(job.height) * static_cast<double>(job.width);
   double sum = 0;
-  for (std::int64_t i = 0; i < job.height * job.width; ++i) sum += job.weights[i];
+  for (std::int64_t i = 0; i < job.height * job.width; ++i) {
+    sum += job.weights[i];
+    negative |= job.weights[i] < 0;
+  }
   return std::max(sum, 1e-6);
 }
 
@@ -34,11 +37,11 @@ double sum_of_weights(const LossJob& job) {
 LossSums training_loss(LossJob job, const TrainingKernels& kernels, int num_threads) {
   std::vector<double> row_sums(2 * job.height);
   job.row_sums = row_sums.data();
-  job.pixel_share = static_cast<float>(1 / (3 * sum_of_weights(job)));
+  LossSums sums{0, 0, false};
+  job.pixel_share = static_cast<float>(1 / (3 * sum_of_weights(job, sums.negative_weight)));
   share_rows(num_threads, job.height, kMinRows, [&](std::int64_t begin, std::int64_t end) {
     kernels.loss_rows(job, begin, end, aligned_floats(kernels.loss_scratch(job.width)).get());
   });
-  LossSums sums{0, 0};
   for (std::int64_t y = 0; y < job.height; ++y) {
     sums.loss += row_sums[2 * y];
     sums.distance += row_sums[2 * y + 1];

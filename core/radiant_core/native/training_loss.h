@@ -8,6 +8,7 @@ namespace radiant {
 struct LossSums {
   double loss;      // weighted by shares of the pixels, the shares adding up to 1, or all 0
   double distance;  // sum of |image - target|: not finite where a value of either is not
+  bool negative_weight;
 };
 
 // Runs `job` on at most `num_threads` threads; the same bits for any number. `row_sums` and `pixel_share` of the job are set here.

@@ -28,6 +28,11 @@ DILATION_PX2 = 0.3
 TRANSMITTANCE_CUT = 1e-4
 """A Gaussian that would bring a pixel's transmittance to this or below is not blended, nor is any behind it."""
 
+MAX_SIDE_PX = 1_000_000
+"""A longer side of a picture is refused: float32 has too few digits for its pixels."""
+MAX_FAR_M = 1e15
+"""What is farther is not drawn, whatever far_m says: squares of such depths would leave float32."""
+
 Backend = Literal["auto", "gsplat", "native", "reference"]
 """auto: gsplat for tensors on CUDA, native on the CPU, reference where neither can be used. gsplat: CUDA kernels, an optional extra;
 native: C++ for float32 on the CPU; reference: plain PyTorch on any device in any type, the oracle."""
@@ -118,12 +123,14 @@ def rasterize(
 ) -> RenderOutput:
     """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background (3) or None for black.
 
-    Gaussians between near_m and far_m are drawn, with harmonics up to sh_degree; antialiased scales opacities by √(det Σ / det Σ'), Σ
-    before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). Tensors and pictures are of one
-    floating type, viewmats and Ks may be of a finer one; cameras and background may lie on another device than the splats.
+    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased scales opacities by
+    √(det Σ / det Σ'), Σ before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). Tensors and
+    pictures are of one floating type, viewmats and Ks may be of a finer one; cameras and background may lie on another device than the
+    splats.
 
     Raises BadInput that names the tensor, how many values and the first index where one is not finite, and for a wrong shape or type, for
-    cameras that are not pinholes, for a degree without bases, for near_m and far_m out of order, and for what `backend` cannot do.
+    no camera, for one that is not rigid or no pinhole, for pictures without pixels or wider or higher than 1,000,000 px, for a degree
+    without bases, for near_m and far_m out of order, and for what `backend` cannot do.
     """
     from radiant_core.render.gsplat_backend import rasterize_gsplat
     from radiant_core.render.native_backend import rasterize_native
@@ -136,7 +143,7 @@ def rasterize(
         height=height,
         sh_degree=sh_degree,
         near_m=near_m,
-        far_m=far_m,
+        far_m=min(far_m, MAX_FAR_M),
         antialiased=antialiased,
         background=(torch.zeros(3) if background is None else background).to(splats.means.device),
     )
@@ -204,11 +211,17 @@ def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions
         _check_tensor(name, tensor, shapes[name])
     if not 0 <= view.sh_degree <= 3 or SH_BASES[view.sh_degree] > bases + 1:
         raise BadInput(f"sh_degree is {view.sh_degree} but shN has {bases} bases: use a degree these bases can hold.")
-    if view.width < 1 or view.height < 1:
-        raise BadInput(f"the image is {view.width} × {view.height} px, expected at least 1 × 1.")
+    if not (1 <= view.width <= MAX_SIDE_PX and 1 <= view.height <= MAX_SIDE_PX):
+        raise BadInput(f"the image is {view.width} × {view.height} px, expected sides of 1 to {MAX_SIDE_PX:,} px.")
+    if cameras == 0:
+        raise BadInput("viewmats holds no camera: pass at least one.")
     if not 0 <= view.near_m < view.far_m:
         raise BadInput(f"near_m is {view.near_m} and far_m {view.far_m}, expected 0 ≤ near_m < far_m: only what is in front is drawn.")
-    # Row by row [fx 0 cx 0 fy cy 0 0 1]; in Python, where a few numbers cost less than one operation of torch.
+    # In Python, where a few numbers cost less than one operation of torch.
+    for index, pose in enumerate(viewmats.detach().flatten(1).tolist()):
+        if not _is_rigid(pose):
+            raise BadInput(f"viewmats[{index}] is not a rotation and a translation: pass cam_from_world, unscaled, last row 0 0 0 1.")
+    # Row by row [fx 0 cx 0 fy cy 0 0 1].
     if any(K[0] <= 0 or K[4] <= 0 or K[8] != 1 or K[1] or K[3] or K[6] or K[7] for K in Ks.detach().flatten(1).tolist()):
         raise BadInput("Ks has another form than [fx 0 cx; 0 fy cy; 0 0 1] with fx, fy > 0: undistort to pinhole cameras first.")
 
@@ -221,3 +234,12 @@ def _check_tensor(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
     count, first = not_finite(tensor)
     if count:
         raise BadInput(f"{name} has {count} values that are not finite, the first at index {first}: remove them first.")
+
+
+def _is_rigid(pose: list[float]) -> bool:
+    """Whether 16 numbers row by row are a rotation, to what float32 poses of files keep, and a translation."""
+    x, y, z = pose[0:3], pose[4:7], pose[8:11]
+    cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    products = [sum(a * b for a, b in zip(*rows, strict=True)) for rows in ((x, x), (y, y), (x, y))]
+    off = (products[0] - 1, products[1] - 1, products[2], *(a - b for a, b in zip(cross, z, strict=True)), *pose[12:15], pose[15] - 1)
+    return all(abs(value) <= 1e-4 for value in off)

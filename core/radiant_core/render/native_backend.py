@@ -4,14 +4,15 @@ Two autograd steps, so that `means2d` lies on the way of the gradients as it doe
 
     splats ──_Project──→ means2d, link ──_Blend──→ images, alphas, depths
 
-The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend` yields ∂loss/∂means2d and leaves all
-other gradients of the image plane in the native `RenderedView`, from where `_Project` takes them. Once per image and training step.
+The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend` yields ∂loss/∂means2d and, as gradient of
+`link`, the sums over pixels that all other gradients come from; so passes through one graph know nothing of each other. Once per image and
+training step.
 """
 
 from __future__ import annotations
 
 import atexit
-import threading
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,25 +33,27 @@ def instruction_sets() -> tuple[str, ...]:
 
 
 class _FreeViews:
-    """Rendered views whose memory waits for the next call: a model of 500,000 Gaussians would touch 60,000 fresh pages each time."""
+    """Rendered views whose memory waits for the next call: a model of 500,000 Gaussians would touch 60,000 fresh pages each time.
+
+    The longest unused comes first, so that each in its turn finds out when it has become too large. No lock, which a forked child might
+    inherit locked: each operation of a deque is one step for all threads.
+    """
 
     def __init__(self, most: int) -> None:
-        self._most, self._views, self._lock = most, list[_native.RenderedView](), threading.Lock()
+        self._views = deque[_native.RenderedView](maxlen=most)
 
     def take(self) -> _native.RenderedView:
-        with self._lock:
-            return self._views.pop() if self._views else _native.RenderedView()
+        try:
+            return self._views.popleft()
+        except IndexError:
+            return _native.RenderedView()
 
     def give_back(self, view: _native.RenderedView) -> None:
-        with self._lock:
-            if len(self._views) < self._most:
-                self._views.append(view)
+        self._views.append(view)
 
     def close(self) -> None:
         """Keep none from now on: at exit they must be gone before the native module is."""
-        with self._lock:
-            self._most = 0
-            self._views.clear()
+        self._views = deque(maxlen=0)
 
 
 _FREE_VIEWS = _FreeViews(most=2)
@@ -79,6 +82,7 @@ class _Call:
     view: ViewOptions
     background: np.ndarray
     instruction_set: str
+    differentiable: bool
     images: Tensor
     alphas: Tensor
     depths: Tensor
@@ -103,6 +107,7 @@ def rasterize_native(
         view=view,
         background=view.background.detach().to(torch.float32).contiguous().numpy(),
         instruction_set=instruction_set,
+        differentiable=torch.is_grad_enabled() and any(tensor.requires_grad for tensor in splats.tensors().values()),
         images=_pooled(*shape, 3),
         alphas=_pooled(*shape),
         depths=_pooled(*shape),
@@ -151,32 +156,35 @@ def _arrays(tensors: Sequence[Tensor]) -> list[np.ndarray]:
 
 
 class _Project(torch.autograd.Function):
-    """Six tensors → means2d (C,N,2) and a scalar that ties `_Blend` to the rendering."""
+    """Six tensors → means2d (C,N,2) and link (C,N,M), zeros without memory that tie `_Blend` to the rendering."""
 
     @staticmethod
     def forward(ctx: Any, call: _Call, *tensors: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
         arrays, view = _arrays(tensors), call.view
         means2d = _pooled(len(call.rendering.views), tensors[0].shape[0], 2)
-        differentiable = any(ctx.needs_input_grad)
         for index, native in enumerate(call.rendering.views):
             native.forward(
                 call.instruction_set, arrays, call.viewmats[index], call.Ks[index], view.width, view.height, view.sh_degree,
                 view.near_m, view.far_m, view.antialiased, call.background, call.images[index].numpy(), call.alphas[index].numpy(),
-                call.depths[index].numpy(), means2d[index].numpy(), call.radii_px[index].numpy(), differentiable, call.rendering.threads,
+                call.depths[index].numpy(), means2d[index].numpy(), call.radii_px[index].numpy(), call.differentiable,
+                call.rendering.threads,
             )  # fmt: skip
         ctx.rendering, ctx.arrays = call.rendering, arrays
+        ctx.set_materialize_grads(False)
         ctx.save_for_backward(*tensors)
-        return means2d, torch.zeros(())
+        return means2d, torch.zeros(()).expand(*means2d.shape[:2], _native.NUM_MOMENTS)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, means2d: Tensor, link: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, means2d: Tensor | None, sums: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         tensors = ctx.saved_tensors  # refused where one was changed since, so that ctx.arrays are what was rendered
         wanted = ctx.needs_input_grad[1:]
         gradients = [_native.pooled_array(list(tensor.shape)) if needed else None for tensor, needed in zip(tensors, wanted, strict=True)]
-        means2d = means2d.contiguous()
+        shape = (len(ctx.rendering.views), len(tensors[0]))
+        means2d = torch.zeros(*shape, 2) if means2d is None else means2d.contiguous()
+        sums = torch.zeros(*shape, _native.NUM_MOMENTS) if sums is None else sums.contiguous()
         for index, native in enumerate(ctx.rendering.views):
-            native.project_backward(ctx.arrays, means2d[index].numpy(), gradients, index > 0, ctx.rendering.threads)
+            native.project_backward(ctx.arrays, means2d[index].numpy(), sums[index].numpy(), gradients, index > 0, ctx.rendering.threads)
         return None, *(None if gradient is None else torch.from_numpy(gradient) for gradient in gradients)
 
 
@@ -197,20 +205,26 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor | None, ...]:
         out_alphas, out_depths = ctx.saved_tensors
         by_images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
-        alphas, depths = (None if part is None else part.contiguous() for part in (alphas, depths))
-        means2d = _pooled(*ctx.shape)
-        for index, native in enumerate(ctx.rendering.views):
-            by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
-            native.blend_backward(
-                by_images[index].numpy(),
-                by_alphas,
-                by_depths,
-                out_alphas[index].numpy(),
-                out_depths[index].numpy(),
-                means2d[index].numpy(),
-                ctx.rendering.threads,
-            )
+        means2d = sums = None
+        if ctx.needs_input_grad[1]:
+            means2d, sums = _blend_backward(ctx.rendering, ctx.shape, by_images, alphas, depths, out_alphas, out_depths)
         background = None
         if ctx.needs_input_grad[3]:
             background = ((1 - out_alphas)[..., None] * by_images).sum((0, 1, 2)).to(ctx.background_like.dtype)
-        return None, means2d, means2d.new_zeros(()), background
+        return None, means2d, sums, background
+
+
+def _blend_backward(
+    rendering: _Rendering, shape: torch.Size, images: Tensor, alphas: Tensor | None, depths: Tensor | None, *outputs: Tensor
+) -> tuple[Tensor, Tensor]:
+    """∂loss/∂means2d, of `shape` (C,N,2), and the sums (C,N,M) from gradients of the pictures and `outputs`, alphas and depths."""
+    alphas, depths = (None if part is None else part.contiguous() for part in (alphas, depths))
+    means2d, sums = _pooled(*shape), _pooled(*shape[:2], _native.NUM_MOMENTS)
+    for index, native in enumerate(rendering.views):
+        by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
+        out_alphas, out_depths = (output[index].numpy() for output in outputs)
+        native.blend_backward(
+            images[index].numpy(), by_alphas, by_depths, out_alphas, out_depths, means2d[index].numpy(), sums[index].numpy(),
+            rendering.threads,
+        )  # fmt: skip
+    return means2d, sums

@@ -161,6 +161,9 @@ def _blend(projection: _Projection, features: Tensor, view: ViewOptions) -> Tens
         for tiles in _blocks_of_tiles(tile_order, counts)
     ]
     canvas = features.new_zeros(tiles_x * tiles_y, TILE_PX * TILE_PX, features.shape[1])
+    # Where nothing is drawn the picture still depends on all six tensors, with gradients of 0.
+    for part in (features, projection.means2d, projection.conics, projection.log_opacities):
+        canvas = canvas + part[:0].sum()
     if blocks:
         canvas = canvas.index_copy(0, tile_order, torch.cat(blocks))
     rows = canvas.reshape(tiles_y, tiles_x, TILE_PX, TILE_PX, -1).permute(0, 2, 1, 3, 4)

@@ -39,8 +39,13 @@ class TargetStatistics:
 
     @staticmethod
     def of(target: Tensor) -> TargetStatistics:
-        """Statistics of a target on the CPU; BadInput for a shape other than (H,W,3) and for values that are not finite."""
-        target = target.detach().contiguous()
+        """Statistics of a target on the CPU, taken to float32.
+
+        BadInput for a shape other than (H,W,3), for integers, and for values that are not finite or beyond 2e18.
+        """
+        if not target.is_floating_point():
+            raise BadInput(f"target is {target.dtype}, expected floating numbers in 0..1: divide bytes by 255.")
+        target = target.detach().to(torch.float32).contiguous()
         means, variances = torch.empty_like(target), torch.empty_like(target)
         with _as_bad_input():
             _native.target_statistics(target, means, variances, torch.get_num_threads())
@@ -75,19 +80,25 @@ class StatisticsCache:
 def target_loss(image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float) -> Tensor:
     """`weighted_loss` of image and `statistics.target`, on the CPU in float32 by the native kernel, else by torch.
 
-    Finite for values up to 1e18. Raises BadInput naming the tensor, the count and the first index of values that are not finite.
+    Raises BadInput naming the tensor, the count and the first index of values that are not finite or beyond 2e18 and of negative weights,
+    and for an ssim_weight outside 0..1.
     """
+    if not 0 <= ssim_weight <= 1:
+        raise BadInput(f"ssim_weight is {ssim_weight}, expected 0 to 1: it is SSIM's share of the loss.")
     if image.device.type == "cpu" and image.dtype == torch.float32:
-        loss: Tensor = _NativeLoss.apply(image, statistics, weights, ssim_weight)
+        wanted = torch.is_grad_enabled() and image.requires_grad
+        loss: Tensor = _NativeLoss.apply(image, statistics, weights, ssim_weight, wanted)
         return loss
     return weighted_loss(image, statistics.target.to(image), None if weights is None else weights.to(image), ssim_weight)
 
 
 class _NativeLoss(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float) -> Tensor:
+    def forward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float, wanted: bool
+    ) -> Tensor:
         image = image.detach().contiguous()
-        gradient = torch.empty_like(image) if ctx.needs_input_grad[0] else None
+        gradient = torch.empty_like(image) if wanted else None
         weights = None if weights is None else weights.detach().contiguous()
         with _as_bad_input():
             loss = _native.training_loss(
@@ -99,10 +110,10 @@ class _NativeLoss(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
         (gradient,) = ctx.saved_tensors
         # Training calls backward on the loss itself: a pass over the image saved.
-        return gradient if float(grads[0]) == 1.0 else gradient * grads[0], None, None, None
+        return gradient if float(grads[0]) == 1.0 else gradient * grads[0], None, None, None, None
 
 
 @contextmanager

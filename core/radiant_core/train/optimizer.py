@@ -4,6 +4,7 @@
 
 Once per step. t counts the steps of a row, not of the run: each Gaussian moves as torch's Adam would move it on the steps that saw it
 alone, and one first seen at step 5,000 starts no faster than one seen at once. Rows that were not seen keep value, moments and count.
+Gradients count as at most ±1e18, whose square float32 still holds: an infinite v would keep its row still for good.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.render.finite import not_finite
 
 _BETA1, _BETA2 = 0.9, 0.999
+_MAX_GRADIENT = 1e18
 
 
 @dataclass(kw_only=True, eq=False)
@@ -39,7 +41,7 @@ class SelectiveAdam:
     """
 
     def __init__(self, tensors: Mapping[str, Tensor], rates: Mapping[str, float], *, eps: float = 1e-15) -> None:
-        """`rates` by name; BadInput where tensors differ in rows, are not contiguous, or a rate is missing or no positive number."""
+        """`rates` by name; BadInput where tensors differ in rows or are not contiguous, and where a rate or eps is no positive number."""
         num_rows = {tensor.shape[0] if tensor.ndim else -1 for tensor in tensors.values()}
         if len(num_rows) > 1 or -1 in num_rows:
             shapes = ", ".join(f"{name} {tuple(tensor.shape)}" for name, tensor in tensors.items())
@@ -47,8 +49,9 @@ class SelectiveAdam:
         for name, tensor in tensors.items():
             if not tensor.is_contiguous():
                 raise BadInput(f"{name} is not contiguous: pass a contiguous copy, which is stepped in place.")
-            if not rates.get(name, 0.0) > 0:
-                raise BadInput(f"the learning rate of {name} is {rates.get(name)}, expected above 0: leave out tensors that keep still.")
+            _require_rate(name, rates.get(name))
+        if not (np.float32(eps) > 0 and np.isfinite(eps)):
+            raise BadInput(f"eps is {eps}, expected a positive number that float32 holds: without it 0 / 0 moves what has no gradient.")
         self._groups = {
             name: _Group(
                 tensor=tensor.requires_grad_(),
@@ -65,8 +68,9 @@ class SelectiveAdam:
         self._first_factors, self._second_factors = (factors.to(device) for factors in _bias_factors())
 
     def set_rate(self, name: str, rate: float) -> None:
-        """Change the learning rate of one tensor; a name that is not optimised is left alone."""
+        """Change the learning rate of one tensor; a name that is not optimised is left alone. BadInput for no positive number."""
         if name in self._groups:
+            _require_rate(name, rate)
             self._groups[name].rate = rate
 
     def moments(self, name: str) -> tuple[Tensor, Tensor]:
@@ -113,6 +117,9 @@ class SelectiveAdam:
         """
         if visible is not None and (visible.shape != self._row_steps.shape or visible.dtype != torch.bool):
             raise BadInput(f"visible is {tuple(visible.shape)} {visible.dtype}, expected {tuple(self._row_steps.shape)} torch.bool.")
+        for name, group in self._groups.items():
+            if group.tensor.shape != group.first_moments.shape or not group.tensor.is_contiguous():
+                raise BadInput(f"{name} was changed to {tuple(group.tensor.shape)} or is not contiguous: make a new optimizer for it.")
         with_gradients = [(name, group, group.tensor.grad) for name, group in self._groups.items() if group.tensor.grad is not None]
         gradients = {name: gradient.contiguous() for name, _, gradient in with_gradients if gradient is not None}
         row_steps, runs = self._row_steps, None
@@ -132,6 +139,8 @@ class SelectiveAdam:
                 self._step_in_torch(group, gradient, visible)
 
     def _step_natively(self, group: _Group, gradient: Tensor, runs: NDArray[np.int32] | None) -> None:
+        # Autograd cannot see the kernel write: so it refuses a graph whose tensors have moved since.
+        torch.autograd.graph.increment_version(group.tensor)
         _native.adam_step(
             group.tensor.detach(),
             gradient,
@@ -154,7 +163,7 @@ class SelectiveAdam:
         steps = torch.full_like(self._row_steps, self._step) if visible is None else self._row_steps
         at = steps[rows].clamp_max(len(self._first_factors)).long() - 1
         shape = (-1, *(1 for _ in gradient.shape[1:]))
-        g = gradient[rows]
+        g = gradient[rows].clamp(-_MAX_GRADIENT, _MAX_GRADIENT)
         m = group.first_moments[rows].lerp(g, 1 - _BETA1)
         v = _BETA2 * group.second_moments[rows] + (1 - _BETA2) * g * g
         group.first_moments[rows], group.second_moments[rows] = m, v
@@ -164,6 +173,11 @@ class SelectiveAdam:
 
 def _is_native(tensor: Tensor) -> bool:
     return tensor.device.type == "cpu" and tensor.dtype == torch.float32
+
+
+def _require_rate(name: str, rate: float | None) -> None:
+    if rate is None or not 0 < rate < math.inf:
+        raise BadInput(f"the learning rate of {name} is {rate}, expected above 0 and finite: leave out tensors that keep still.")
 
 
 def _bias_factors() -> tuple[Tensor, Tensor]:

@@ -88,8 +88,7 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
     extent = camera_extent(views.cameras)
     optimizer, means_rate = _optimizer(splats, extent, config, options.steps)
     density = AdaptiveDensity(config, extent, splats) if config.densify == "adc" else None
-    viewmats = torch.tensor(views.cameras.cam_from_world, dtype=torch.float32)
-    Ks = torch.tensor(views.cameras.Ks, dtype=torch.float32)
+    viewmats, Ks = torch.tensor(views.cameras.cam_from_world), torch.tensor(views.cameras.Ks)
     statistics = StatisticsCache()
     losses: list[float] = []
     started = last_report = options.clock()

@@ -53,7 +53,7 @@ def relative(error: Tensor, truth: Tensor) -> float:
     return float(error.norm() / truth.norm().clamp_min(1e-30))
 
 
-@pytest.mark.parametrize("build", _native.training_instruction_sets())
+@pytest.mark.parametrize("build", _native.instruction_sets())
 @pytest.mark.parametrize("shape", SHAPES)
 def test_every_build_equals_float64(shape: tuple[int, int], build: str) -> None:
     for distance in (1.0, 0.05):
@@ -95,7 +95,7 @@ def test_gradient_matches_finite_differences_of_the_native_loss() -> None:
         assert slope == pytest.approx(float(gradient.flatten()[flat]), rel=2e-3, abs=1e-3 * float(gradient.abs().max()))
 
 
-@pytest.mark.parametrize("build", _native.training_instruction_sets())
+@pytest.mark.parametrize("build", _native.instruction_sets())
 @pytest.mark.parametrize("shape", [(3, 500), (97, 50), (600, 9)])
 def test_threads_do_not_change_a_bit(shape: tuple[int, int], build: str) -> None:
     image, target = pair(shape, 0.3)
@@ -144,6 +144,30 @@ def test_other_types_take_the_plain_path() -> None:
     loss = target_loss(image.double().requires_grad_(), TargetStatistics.of(target), random_weights((20, 20)), 0.2)
     assert loss.dtype == torch.float64 and loss.requires_grad
     assert loss.item() == pytest.approx(exact(image, target, random_weights((20, 20)), 0.2)[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.float64])
+def test_targets_of_another_type_have_the_same_statistics(dtype: torch.dtype) -> None:
+    image, target = pair((20, 20), 0.5)
+    target = target.half().float()
+    statistics = TargetStatistics.of(target.to(dtype))
+    assert statistics.target.dtype == statistics.means.dtype == torch.float32
+    assert target_loss(image, statistics, None, 0.2).item() == target_loss(image, TargetStatistics.of(target), None, 0.2).item()
+    with pytest.raises(BadInput, match=r"target is torch.uint8"):
+        TargetStatistics.of((target * 255).to(torch.uint8))
+    for wrong in (target.double(), target.permute(1, 0, 2)):
+        with pytest.raises(TypeError, match="incompatible function arguments"):
+            _native.target_statistics(target, torch.empty_like(target), wrong)
+
+
+def test_without_gradients_none_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    image, target = pair((20, 20), 0.5)
+    given: list[Tensor | None] = []
+    kernel = _native.training_loss
+    monkeypatch.setattr(_native, "training_loss", lambda *arguments: given.append(arguments[5]) or kernel(*arguments))
+    with torch.no_grad():
+        target_loss(image.requires_grad_(), TargetStatistics.of(target), None, 0.2)
+    assert given == [None]
 
 
 def test_views_into_larger_tensors_are_read_in_their_own_order() -> None:
@@ -208,6 +232,30 @@ class TestPoison:
         weights[2, 3] = torch.nan
         with pytest.raises(BadInput, match=r"weights has 1 values that are not finite, the first at index \(2, 3\)"):
             target_loss(image, TargetStatistics.of(target), weights, 0.2)
+
+    def test_negative_weights_are_named(self) -> None:
+        image, target = pair((12, 13), 0.5)
+        weights = torch.ones(12, 13)
+        weights[2, 3] = weights[4, 0] = -0.5
+        with pytest.raises(BadInput, match=r"weights has 2 values that are negative, the first at index \(2, 3\)"):
+            target_loss(image, TargetStatistics.of(target), weights, 0.2)
+
+    @pytest.mark.parametrize("ssim_weight", [0.0, 0.2, 1.0])
+    def test_values_whose_squares_leave_float32_are_named(self, ssim_weight: float) -> None:
+        image, target = pair((12, 13), 0.5)
+        huge = image.clone()
+        huge[5, 6, 1] = 1e30
+        with pytest.raises(BadInput, match=r"image has 1 values that are beyond 2e18, the first at index \(5, 6, 1\)"):
+            target_loss(huge, TargetStatistics.of(target), None, ssim_weight)
+        with pytest.raises(BadInput, match=r"target has 1 values that are beyond 2e18, the first at index \(5, 6, 1\)"):
+            TargetStatistics.of(huge)
+
+    @pytest.mark.parametrize("ssim_weight", [np.nan, -0.1, 1.5])
+    @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+    def test_a_share_that_is_none_is_refused(self, ssim_weight: float, dtype: torch.dtype) -> None:
+        image, target = pair((12, 13), 0.5)
+        with pytest.raises(BadInput, match="ssim_weight is"):
+            target_loss(image.to(dtype), TargetStatistics.of(target), None, ssim_weight)
 
     def test_wrong_shapes_are_named(self) -> None:
         image, target = pair((12, 13), 0.5)

@@ -138,7 +138,7 @@ def test_threads_and_runs_do_not_change_a_bit() -> None:
             assert torch.equal(results[0][name], other[name])
 
 
-@pytest.mark.parametrize("build", _native.training_instruction_sets())
+@pytest.mark.parametrize("build", _native.instruction_sets())
 def test_every_build_takes_torchs_step(build: str) -> None:
     x, g = tensors()["shN"], gradients(0)["shN"]
     m, v = torch.zeros_like(x), torch.zeros_like(x)
@@ -179,9 +179,10 @@ class TestPoison:
         adam.step(visible)
         assert all(torch.equal(ours[name], other[name]) for name in SHAPES)
 
-    @pytest.mark.parametrize("size", [1e-45, 1e-40, 1e-25, 1e18])
-    def test_denormal_and_huge_gradients_leave_finite_rows(self, size: float) -> None:
-        ours = tensors()
+    @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+    @pytest.mark.parametrize("size", [1e-45, 1e-40, 1e-25, 1e18, 1e20, -3e38])
+    def test_denormal_and_huge_gradients_leave_finite_rows(self, size: float, dtype: torch.dtype) -> None:
+        ours = tensors(dtype)
         adam = SelectiveAdam(ours, RATES)
         for _ in range(3):
             for tensor in ours.values():
@@ -189,6 +190,9 @@ class TestPoison:
             adam.step()
         for name, tensor in ours.items():
             assert all(torch.isfinite(t).all() for t in (tensor, *adam.moments(name)))
+            if abs(size) >= 1e18:  # three steps of the learning rate, as for any other constant gradient
+                moved = (tensors(dtype)[name] - tensor.detach()).abs()
+                assert float(moved.min()) == pytest.approx(3 * RATES[name], rel=1e-3)
 
     def test_bad_calls_are_named(self) -> None:
         with pytest.raises(BadInput, match="differ in rows: means"):
@@ -197,13 +201,54 @@ class TestPoison:
             SelectiveAdam({"means": torch.zeros(3, 3)}, {"means": 0.0})
         with pytest.raises(BadInput, match="means is not contiguous"):
             SelectiveAdam({"means": torch.zeros(3, 4).T}, RATES)
+        for eps in (0.0, -1e-8, 1e-60, np.nan, np.inf):
+            with pytest.raises(BadInput, match="eps is"):
+                SelectiveAdam({"means": torch.zeros(3, 3)}, RATES, eps=eps)
+        for rate in (0.0, -1e-3, np.nan, np.inf):
+            with pytest.raises(BadInput, match="learning rate of means is"):
+                SelectiveAdam({"means": torch.zeros(3, 3)}, RATES).set_rate("means", rate)
         with pytest.raises(BadInput, match=r"visible is \(4,\) torch.bool, expected \(3,\)"):
             SelectiveAdam({"means": torch.zeros(3, 3)}, RATES).step(torch.ones(4, dtype=torch.bool))
+
+    @pytest.mark.parametrize("other", [torch.zeros(3, 4).T, torch.zeros(6, 3)])
+    def test_a_tensor_that_was_swapped_under_the_optimizer_is_named(self, other: Tensor) -> None:
+        means = torch.zeros(4, 3)
+        adam = SelectiveAdam({"means": means}, RATES)
+        means.data = other
+        means.grad = torch.ones_like(other)
+        with pytest.raises(BadInput, match="means was changed to"):
+            adam.step()
+
+    def test_results_are_never_written_into_a_converted_copy(self) -> None:
+        x, factors = torch.zeros(4, 3), torch.ones(1)
+        for wrong in (x.double(), torch.zeros(3, 4).T):
+            with pytest.raises(TypeError, match="incompatible function arguments"):
+                _native.adam_step(wrong, x, x.clone(), x.clone(), None, None, factors, factors, 1, 1e-2, 0.9, 0.999, 1e-15)
+
+    def test_steps_below_one_are_refused(self) -> None:
+        x, factors, runs = torch.zeros(4, 3), torch.ones(5), np.array([[0, 4]], np.int32)
+        steps = torch.full((4,), -2_000_000_000, dtype=torch.int32)
+        with pytest.raises(ValueError, match="steps has -2000000000 at index 0"):
+            _native.adam_step(x, x.clone(), x.clone(), x.clone(), runs, steps, factors, factors, 1, 1e-2, 0.9, 0.999, 1e-15)
+
+    def test_runs_of_another_rank_are_refused(self) -> None:
+        with pytest.raises(ValueError, match="runs has shape"):
+            _native.find_not_finite(torch.zeros(8, 3), np.array(3, np.int32))
 
     @pytest.mark.parametrize("runs", [[[2, 1]], [[0, 9]], [[-1, 2]], [[2, 4], [3, 5]]])
     def test_runs_beyond_the_rows_are_refused(self, runs: list[list[int]]) -> None:
         with pytest.raises(ValueError, match="expected ascending rows below 8"):
             _native.find_not_finite(torch.zeros(8, 3), np.array(runs, np.int32))
+
+
+def test_a_graph_whose_tensors_have_moved_is_refused() -> None:
+    x = torch.ones(4, 3)
+    adam = SelectiveAdam({"means": x}, RATES)
+    loss = x.square().sum()
+    loss.backward(retain_graph=True)
+    adam.step()
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        loss.backward()
 
 
 def test_nothing_visible_and_nothing_at_all_are_no_errors() -> None:

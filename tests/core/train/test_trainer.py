@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.frames import Frame
+from radiant_core.render.contract import rasterize
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
@@ -55,6 +57,19 @@ def test_same_seed_gives_the_same_bits_and_another_seed_does_not() -> None:
     for name, array in first.splats.arrays().items():
         np.testing.assert_array_equal(array, second.splats.arrays()[name])
     assert (first.splats.sh0 != other.splats.sh0).any()
+
+
+def test_cameras_reach_the_renderer_as_they_are_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Rounded to float32, a camera 10 km from the origin stands a millimetre off, and training would see another picture than evaluation.
+    dtypes: list[torch.dtype] = []
+
+    def spy(splats, viewmats, Ks, *sizes, **options):
+        dtypes.extend((viewmats.dtype, Ks.dtype))
+        return rasterize(splats, viewmats, Ks, *sizes, **options)
+
+    monkeypatch.setattr("radiant_core.train.trainer.rasterize", spy)
+    fit_splats(grey_start(), photographs(), replace(CONFIG, num_steps=1))
+    assert dtypes == [torch.float64, torch.float64]
 
 
 @pytest.mark.parametrize("share", [1 / 3, 1e-3])
