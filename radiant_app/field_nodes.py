@@ -97,9 +97,8 @@ def _placed(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Plac
 
 
 def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
-    from radiant_core.sfm.device_frame import RefusedFrame, device_frame
-
     from radiant_core.sfm.config import SfmConfig
+    from radiant_core.sfm.device_frame import RefusedFrame, device_frame
     from radiant_core.sfm.reconstruct import reconstruct
 
     result = reconstruct(photos, folder / "sfm", SfmConfig(**task["sfm"]), lambda progress: emit(sfm_progress(stage, progress)))

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.dealing import Dealer
+from radiant_app.dealing import SharedDealer
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import tree_of_plan
 from radiant_core.evaluate.split import held_out_mask
@@ -124,10 +124,12 @@ def plan_scene(folder: Path, num_cameras: int) -> None:
 def deal_scene(folder: Path, num_cameras: int) -> None:
     """Every device's folder with its photographs and its part of the scene."""
     plan, edge_plans = load_plan(folder / "plan.json")
-    dealer = Dealer(
+    scene = training_scene(folder)
+    dealer = SharedDealer(
+        system=placed_fleet(scene),
         run=folder / "run",
         images=folder / "images",
-        scene=training_scene(folder),
+        scene=scene,
         cloud_plan=plan,
         edge_plans=tuple(edge_plans),
         train=train_preset("draft"),
