@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
-from radiant_core.frames import Sim3
-from radiant_core.geometry.frame_graph import FrameEdge, FrameUncertainty, solve_frames
+from radiant_core.frames import FrameUncertainty, Sim3
+from radiant_core.geometry.frame_graph import FrameEdge, solve_frames
 from radiant_core.geometry.open3d_ops import icp_with_scale, surface_points
 from radiant_core.geometry.pair_fit import FLOOR, PairFit, PointPairs, compose, consensus, fit_pairs, similarity_about, xi_about
 from radiant_core.geometry.surface_matches import icp_match
@@ -112,7 +112,7 @@ def test_icp_brings_bare_surfaces_together_or_says_that_it_is_lost() -> None:
     assert np.linalg.norm(fit.a_from_b.apply(move.apply(b)) - b, axis=1).max() < 0.25
     flat = a * (1, 1, 0)
     assert isinstance(icp_match(flat[:20], flat[:20], 2.0), str)
-    assert isinstance(icp_match(a, a + (500, 0, 0), 2.0), str)
+    assert isinstance(icp_match(a, a + np.array([500.0, 0, 0]), 2.0), str)
 
 
 def test_haze_and_sky_are_no_surface() -> None:
