@@ -80,6 +80,27 @@ class Sim3:
         return Sim3(scale=1 / self.scale, rotation=self.rotation.T, translation=-(self.rotation.T @ self.translation) / self.scale)
 
 
+@dataclass(frozen=True, kw_only=True)
+class FrameUncertainty:
+    """Standard deviations of a model's frame: of the place of its cameras' middle in m per axis, of its scale as a share, of its rotation
+    in rad about the axis that is known worst. All positive and finite."""
+
+    position_m: float
+    scale: float
+    rotation_rad: float
+
+    def __post_init__(self) -> None:
+        if not all(np.isfinite(value) and value > 0 for value in (self.position_m, self.scale, self.rotation_rad)):
+            raise BadInput(
+                f"the uncertainty of a frame is {self}, expected three positive numbers: give what GPS or the poses are good for."
+            )
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """The standard deviations (7,) of ξ."""
+        return np.array([self.position_m] * 3 + [self.rotation_rad] * 3 + [self.scale])
+
+
 def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
     """Metres east, north, up (P,3) of positions (P,3) [deg, deg, m] about an origin (3,), float64. BadInput off the globe."""
     positions = checked_array("lat_lon_alt", lat_lon_alt, (None, 3))

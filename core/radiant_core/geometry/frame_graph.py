@@ -14,31 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from radiant_core.errors import BadInput
-from radiant_core.frames import Sim3
+from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.pair_fit import PairFit, compose, similarity_about, xi_about
 from radiant_core.numerics import FloatArray, checked_array
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameUncertainty:
-    """Standard deviations of a model's frame: of the place of its cameras' middle in m per axis, of its scale as a share, of its rotation
-    in rad about the axis that is known worst. All positive and finite."""
-
-    position_m: float
-    scale: float
-    rotation_rad: float
-
-    def __post_init__(self) -> None:
-        if not all(np.isfinite(value) and value > 0 for value in (self.position_m, self.scale, self.rotation_rad)):
-            raise BadInput(
-                f"the uncertainty of a frame is {self}, expected three positive numbers: give what GPS or the poses are good for."
-            )
-
-    @property
-    def sigmas(self) -> FloatArray:
-        """The standard deviations (7,) of ξ."""
-        return np.array([self.position_m] * 3 + [self.rotation_rad] * 3 + [self.scale])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,8 +19,8 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.frames import Sim3
-from radiant_core.geometry.frame_graph import FrameEdge, FrameUncertainty, SolvedFrames, edge_xi, solve_frames, spread_to
+from radiant_core.frames import FrameUncertainty, Sim3
+from radiant_core.geometry.frame_graph import FrameEdge, SolvedFrames, edge_xi, solve_frames, spread_to
 from radiant_core.geometry.frame_matches import IDENTITY, Overlap, find_overlap, match_models
 from radiant_core.geometry.open3d_ops import surface_points
 from radiant_core.geometry.pair_fit import PairFit, xi_about

@@ -111,7 +111,8 @@ def fit_pairs(pairs: PointPairs, start: Sim3) -> PairFit:
     for _ in range(NUM_ITERATIONS):
         residuals, precision, jacobian, weights = _linearised(pairs, fit, center)
         H = np.einsum("n,nia,nij,njb->ab", weights, jacobian, precision, jacobian)
-        if not np.linalg.cond(H / np.sqrt(np.outer(np.diag(H), np.diag(H)))) < 1e10:
+        diagonal = np.diag(H)
+        if not (diagonal > 0).all() or np.linalg.cond(H / np.sqrt(np.outer(diagonal, diagonal))) > 1e10:
             raise BadInput("the pairs of points lie on a line or in one place: they fix no similarity.")
         step = np.linalg.solve(H, np.einsum("n,nia,nij,nj->a", weights, jacobian, precision, residuals))
         fit = compose(similarity_about(center, step), fit)

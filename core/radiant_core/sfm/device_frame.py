@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
-from radiant_core.frames import Frame, Sim3, enu_from_geodetic
-from radiant_core.geometry.frame_graph import FrameUncertainty
+from radiant_core.frames import Frame, FrameUncertainty, Sim3, enu_from_geodetic
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.align import Alignment, robust_sim3

@@ -7,8 +7,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 from radiant_core.cameras import Cameras
-from radiant_core.frames import Sim3
-from radiant_core.geometry.frame_graph import FrameUncertainty
+from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel
 from radiant_core.geometry.similarity import move_splats
 from radiant_core.splats import SH_C0, Splats

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
-from radiant_core.frames import Sim3
-from radiant_core.geometry.frame_graph import FrameUncertainty
+from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
 from radiant_core.geometry.pair_fit import compose
 from radiant_core.sfm.align import fit_sim3
