@@ -60,16 +60,15 @@ def load_run_view(folder: Path) -> RunView:
         _require_file(folder, f"{DELIVERED}/plan.json", "the run is not finished")
         scene, plan_path = load_scene(folder / DELIVERED / "scene.safetensors"), folder / DELIVERED / "plan.json"
         held_out: frozenset[str] = frozenset()
+        psnr_db = None
     else:
         _require_file(folder, SCENE_NAME, "structure from motion is not finished")
         _require_file(folder, PLAN_NAME, "the plan is not finished")
         scene, plan_path = load_scene(folder / SCENE_NAME), folder / PLAN_NAME
         names = scene.cameras.names
-        held_out = frozenset(name for name, held in zip(names, held_out_mask(names), strict=True) if held)
+        psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
+        held_out = frozenset(psnr_db or (name for name, held in zip(names, held_out_mask(names), strict=True) if held))
     cloud_plan, edge_plans = load_plan(plan_path)
-    psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
-    if psnr_db is not None and held_out:
-        held_out = frozenset(psnr_db)
     return RunView(
         folder=folder,
         scene=scene,
