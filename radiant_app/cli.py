@@ -37,6 +37,7 @@ Teachers = Literal["early", "late"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
+_UPLOAD_HELP = "What devices and edges send: exact, half the bytes, or a fifth. Without it float16, or float32 by --preset paper."
 _PRESET_HELP = (
     "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
     "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
@@ -74,7 +75,7 @@ def run(
         Path | None, typer.Option(help="Plan made by `radiant plan` before capture; else what was captured is planned.")
     ] = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
-    upload: Annotated[UploadFormat, typer.Option(help="What devices and edges send: exact, half the bytes, or a fifth.")] = "float16",
+    upload: Annotated[UploadFormat | None, typer.Option(help=_UPLOAD_HELP)] = None,
     teachers: Annotated[Teachers, typer.Option(help="Render an edge's teachers as each device arrives, or after the last.")] = "early",
     long_side_px: LongSide = None,
     steps: NumSteps = None,
@@ -100,7 +101,8 @@ def run(
     from radiant_app.config import RunConfig, run_preset
     from radiant_core.train.needs import Overrides
 
-    chosen = run_preset(preset, train_preset=train_preset, aggregate_preset=aggregate_preset, plan_method=plan_method, matching=matching)
+    given = {"train_preset": train_preset, "aggregate_preset": aggregate_preset, "plan_method": plan_method, "matching": matching}
+    chosen = run_preset(preset, **given, upload=upload)
     config = RunConfig(
         source=source,
         out=out,
@@ -111,7 +113,6 @@ def run(
         poses=poses,
         plan=plan,
         single_owner=single_owner,
-        upload=upload,
         teachers=teachers,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
         seed=seed,

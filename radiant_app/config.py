@@ -20,9 +20,15 @@ RunPreset = Literal["default", "paper"]
 """default: ours; paper: the paper's plan (Voronoi, Alg. 1, RTP), training (20,000 steps) and aggregation, nothing skipped."""
 
 _RUN_PRESETS: dict[str, dict[str, Any]] = {
-    "default": {"plan_method": "exact", "train_preset": "default", "aggregate_preset": "default", "matching": "auto"},
+    "default": {"plan_method": "exact", "train_preset": "default", "aggregate_preset": "default", "matching": "auto", "upload": "float16"},
     # exhaustive: neighbours by GPS alone would skip pairs.
-    "paper": {"plan_method": "paper", "train_preset": "paper", "aggregate_preset": "paper", "matching": "exhaustive"},
+    "paper": {
+        "plan_method": "paper",
+        "train_preset": "paper",
+        "aggregate_preset": "paper",
+        "matching": "exhaustive",
+        "upload": "float32",
+    },
 }
 
 
