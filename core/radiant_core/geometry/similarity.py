@@ -3,7 +3,6 @@
     x → s R x + t      q → q_R q      ln σ → ln σ + ln s      f_l → D_l(R) f_l per degree l,
 where D_l keeps every colour at its direction:  Y_l(R d) D_l f = Y_l(d) f  for all unit d. The (2l + 1)² entries of D_l are solved for in
 float64 from 64 directions spread over the sphere; D_l is orthogonal to 1e-14, since the basis is orthonormal.
-Basis: Sloan, Stupid Spherical Harmonics Tricks (2008), appendix A2, in the signs of `render.harmonics`.
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.numerics import FloatArray
-from radiant_core.splats import SH_BASES, SH_C0, Splats
+from radiant_core.spherical_harmonics import sh_terms
+from radiant_core.splats import SH_BASES, Splats
 
 NUM_DIRECTIONS = 64
 SHORTEST_QUAT, LONGEST_QUAT = 1e-30, 1e30
@@ -61,24 +61,7 @@ def sh_rotation(rotation: FloatArray, degree: int) -> FloatArray:
 def sh_basis(directions: FloatArray, degree: int) -> FloatArray:
     """Y_lm (N,2l+1) of unit directions (N,3) for one degree l of 0 to 3, float64."""
     x, y, z = directions.T
-    if degree == 0:
-        return np.full((len(directions), 1), SH_C0)
-    if degree == 1:
-        return 0.4886025119029199 * np.stack([-y, z, -x], axis=1)
-    if degree == 2:
-        squares = [0.31539156525252005 * (2 * z * z - x * x - y * y), 0.5462742152960396 * (x * x - y * y)]
-        xy, yz, xz = 1.0925484305920792 * np.stack([x * y, -y * z, -x * z])
-        return np.stack([xy, yz, squares[0], xz, squares[1]], axis=1)
-    cubic = [
-        -0.5900435899266435 * y * (3 * x * x - y * y),
-        2.890611442640554 * x * y * z,
-        -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
-        0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
-        -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
-        1.445305721320277 * z * (x * x - y * y),
-        -0.5900435899266435 * x * (x * x - 3 * y * y),
-    ]
-    return np.stack(cubic, axis=1)
+    return np.stack(sh_terms(x, y, z, degree)[degree**2 :], axis=1)
 
 
 def _turned_quats(quats: NDArray[np.float32], rotation: FloatArray) -> FloatArray:
