@@ -122,9 +122,16 @@ class FieldDealer(Dealer):
         if not is_sealed(folder, key):
             return "its process ended before it was done; the warnings say how."
         frame = read_json(folder / "frame.json", ("status", "reason"))
-        return (
-            frame["reason"] if frame["status"] == "missing" else "its frame was refused, or its edge delivered nothing; see the warnings."
-        )
+        if frame["status"] == "missing":
+            return frame["reason"]
+        edge = next(plan.edge_id for plan in self.edge_plans if device in plan.device_ids)
+        for tier, name in ((f"edges/{edge}", device), ("cloud", edge)):
+            if tier not in self.keys or not is_sealed(self.run / tier, self.keys[tier]):
+                return f"{tier} ended before it was done; the warnings say how."
+            refused = read_json(self.run / tier / "frame.json", ("refused",))["refused"]
+            if name in refused:
+                return f"{tier} refused {name}: {refused[name]}"
+        return f"edges/{edge} delivered nothing."
 
 
 @dataclass(kw_only=True)

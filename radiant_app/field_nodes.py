@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.inbox import moved_cameras, numbered, sim3_of
+from radiant_app.inbox import NOTHING, moved_cameras, numbered, sim3_of
 from radiant_app.nodes import load_images, sfm_progress, train_device
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
@@ -30,9 +30,6 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.scene import SfmScene
 
 Emit = Callable[[Event], None]
-
-NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
-"""The summary of a device that delivers no model."""
 
 
 def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:

@@ -16,7 +16,6 @@ import numpy as np
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
-from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_json, write_json
@@ -25,6 +24,8 @@ from radiant_core.splats import Splats
 
 Emit = Callable[[Event], None]
 
+NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
+"""The summary of a node that delivers no model."""
 VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
 NO_CAMERAS = concatenate_cameras([])
 _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
@@ -32,17 +33,18 @@ _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inbox:
-    """Models that arrived, with their cameras, in one frame; `corrections` by sender, None for a sender that is refused."""
+    """Models that arrived, with their cameras, in one frame; `corrections` by sender, None for one that is refused, with its reason."""
 
     senders: tuple[str, ...]
     models: tuple[Splats, ...]
     cameras: tuple[Cameras, ...]
     corrections: dict[str, Sim3 | None]
     uncertainty: dict[str, float] | None
+    refused: dict[str, str]
 
 
 def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> Inbox:
-    """The models in inbox/<sender>/, brought together through their geometry; BadInput when none is left."""
+    """The models in inbox/<sender>/, brought together through their geometry."""
     places = [folder / "inbox" / name for name in senders]
     models = [load_upload(place / "model.safetensors") for place in places]
     cameras = [_cameras_in(place) for place in places]
@@ -66,12 +68,11 @@ def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> 
         else:
             emit(Decided(decision=_refinement_decision(stage, name, frame)))
     corrections = [None if frame.status == "refused" else frame.correction for frame in refined]
-    left = [frame.uncertainty for frame in refined if frame.status != "refused"]
-    if not left:
-        raise BadInput(f"none of the {len(senders)} models could be placed in the common frame; the warnings above say why.")
+    refused = {name: frame.reason for name, frame in zip(senders, refined, strict=True) if frame.status == "refused"}
     # Joined, they are as sure of their place as the surest of them.
-    joined = {key: min(asdict(one)[key] for one in left) for key in asdict(left[0])}
-    return _together(senders, models, cameras, corrections, joined)
+    left = [asdict(frame.uncertainty) for frame in refined if frame.status != "refused"]
+    joined = {key: min(one[key] for one in left) for key in left[0]} if left else None
+    return replace(_together(senders, models, cameras, corrections, joined), refused=refused)
 
 
 def _cameras_in(place: Path) -> Cameras:
@@ -95,6 +96,7 @@ def _together(
         cameras=tuple(moved_cameras(cameras[index], move) for index, move in zip(kept, moves, strict=True)),
         corrections=dict(zip(senders, corrections, strict=True)),
         uncertainty=joined,
+        refused={},
     )
 
 
@@ -112,10 +114,12 @@ def moved_cameras(cameras: Cameras, move: Sim3) -> Cameras:
 
 
 def save_frames(folder: Path, inbox: Inbox) -> list[str]:
-    """Write how each sender was moved, and how sure the joined frame is; returns the names of the files."""
+    """Write how each sender was moved or why it is refused, and how sure the joined frame is; returns the names of the files."""
     moves = {name: None if move is None else sim3_record(move) for name, move in inbox.corrections.items()}
     write_json(folder / "corrections.json", moves)
-    write_json(folder / "frame.json", {"status": "placed", "reason": "", "uncertainty": inbox.uncertainty})
+    status = "placed" if inbox.models else "missing"
+    frame = {"status": status, "reason": "", "uncertainty": inbox.uncertainty, "refused": inbox.refused}
+    write_json(folder / "frame.json", frame)
     return ["corrections.json", "frame.json"]
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from radiant_app.cloud_task import retrained_at_cloud, virtual_cameras_of
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.inbox import VIRTUAL_CAMERAS, read_inbox, save_frames
+from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -158,6 +158,8 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
     task = read_json(folder / "task.json")
     inbox = read_inbox(folder, task["devices"], stage, emit)
+    if not inbox.models:
+        return _nothing_placed(folder, inbox)
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
     # A device's model shows the same at its own cameras wherever both were moved to.
     rendered = [
@@ -186,6 +188,8 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     task = read_json(folder / "task.json")
     aggregate = AggregateConfig(**task["aggregate"])
     inbox = read_inbox(folder, task["edges"], stage, emit)
+    if not inbox.models:
+        return _nothing_placed(folder, inbox)
     outputs = ["scene.ply", "summary.json", *save_frames(folder, inbox)]
     if aggregate.cloud == "retrain":
         result = retrained_at_cloud(task, inbox, stage, emit, _fit_options(stage, task["backend"], emit))
@@ -202,6 +206,12 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
     write_json(folder / "summary.json", counts)
     return outputs
+
+
+def _nothing_placed(folder: Path, inbox: Inbox) -> Sequence[str]:
+    """What an edge or the cloud leaves when every model was refused: why."""
+    write_json(folder / "summary.json", {**NOTHING, "num_models": 0})
+    return ["summary.json", *save_frames(folder, inbox)]
 
 
 def load_views(teacher: Path, cameras: Cameras) -> Rendered:
