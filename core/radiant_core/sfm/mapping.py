@@ -1,8 +1,8 @@
 """From matches to one sparse model: incremental mapping, more pairs and the global mapper for what is left, strays removed.
 
 Once per scene. Several models may come back, fragments among them: the one with most images, then most points, is kept.
-An image is a stray when it sees almost no point, or few points and its GPS is far from where the model puts it: the global
-mapper claims every image and leaves such.
+An image is a stray when it sees almost no point, when few points and its GPS is far from where the model puts it, or when no chain of
+images with common points leads to most others, so that nothing fixes where it is: the global mapper claims every image and leaves such.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -156,8 +158,10 @@ def without_strays(job: MappingJob, model: pycolmap.Reconstruction | None) -> py
     """The model without its strays; None when fewer than two images or almost no points are left."""
     if model is None:
         return None
-    for image_id in _strays(job, model):
-        model.deregister_frame(model.image(image_id).frame_id)
+    # Who leaves takes points along, on which others may have hung.
+    while strays := _strays(job, model) or _unconnected(model):
+        for image_id in strays:
+            model.deregister_frame(model.image(image_id).frame_id)
     return model if model.num_reg_images() >= 2 and model.num_points3D() >= MIN_POINTS else None
 
 
@@ -167,6 +171,18 @@ def _strays(job: MappingJob, model: pycolmap.Reconstruction) -> list[int]:
     far = _far_from_gps(job, model, ids)
     stray = (num_points < MIN_POINTS) | (far & (num_points < FEW_POINTS))
     return [ids[index] for index in np.flatnonzero(stray)]
+
+
+def _unconnected(model: pycolmap.Reconstruction) -> list[int]:
+    """The images outside the largest set in which every image hangs on to another by 15 common points or more."""
+    ids = sorted(model.reg_image_ids())
+    row_of = {image_id: row for row, image_id in enumerate(ids)}
+    seen_by = [(row, row_of[element.image_id]) for row, point in enumerate(model.points3D.values()) for element in point.track.elements]
+    rows, columns = np.array(seen_by, np.int64).reshape(-1, 2).T
+    seen = csr_array((np.ones(len(rows), np.int32), (rows, columns)), shape=(model.num_points3D(), len(ids)))
+    _, part = connected_components((seen.T @ seen) >= MIN_POINTS, directed=False)
+    largest = np.bincount(part).argmax() if ids else 0
+    return [image_id for image_id, number in zip(ids, part, strict=True) if number != largest]
 
 
 def _far_from_gps(job: MappingJob, model: pycolmap.Reconstruction, ids: list[int]) -> np.ndarray:

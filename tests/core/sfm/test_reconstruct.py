@@ -13,7 +13,7 @@ import torch
 
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import read_model, write_model
-from radiant_core.io.photos import list_photographs
+from radiant_core.io.photos import Photograph, list_photographs
 from radiant_core.sfm.align import compare_centers
 from radiant_core.sfm.colmap_calls import pycolmap
 from radiant_core.sfm.mapping import MappingJob, without_strays
@@ -188,11 +188,33 @@ def test_an_image_that_sees_almost_nothing_is_a_stray(hamlet_result: tuple) -> N
         if point.has_point3D():
             model.delete_observation(stray.image_id, index)
     photos = list_photographs(next(iter(work.parent.glob("photos dir*")))).photographs
+    assert _left(photos, work, model) == set(result.scene.cameras.names) - {stray.name}
+
+
+def test_images_that_hang_on_to_no_other_are_strays(hamlet_result: tuple) -> None:
+    result, _, work = hamlet_result
+    model = pycolmap.Reconstruction(work / "sparse")
+    photos = list_photographs(next(iter(work.parent.glob("photos dir*")))).photographs
+    apart = set(sorted(model.reg_image_ids())[:3])
+    tracks = [[(element.image_id, element.point2D_idx) for element in point.track.elements] for point in model.points3D.values()]
+    shared = [track for track in tracks if 0 < sum(image_id in apart for image_id, _ in track) < len(track)]
+    # The three keep what only they see, and 14 points in common with the others: one too few.
+    for track in shared[14:]:
+        theirs = [observation for observation in track if observation[0] in apart]
+        others = [observation for observation in track if observation[0] not in apart]
+        for image_id, index in others if len(theirs) > 1 else theirs:
+            if model.image(image_id).points2D[index].has_point3D():
+                model.delete_observation(image_id, index)
+    assert all(model.image(image_id).num_points3D > 60 for image_id in apart)
+    names = {model.image(image_id).name for image_id in apart}
+    assert _left(photos, work, model) == set(result.scene.cameras.names) - names
+
+
+def _left(photos: tuple[Photograph, ...], work: Path, model: pycolmap.Reconstruction) -> set[str]:
     job = MappingJob(photo_folder=work, photographs=photos, database=work, pairs=[], work_folder=work, config=QUICK, report=quiet)
     kept = without_strays(job, model)
     assert kept is not None
-    left = {kept.image(image_id).name for image_id in kept.reg_image_ids()}
-    assert left == set(result.scene.cameras.names) - {stray.name}
+    return {kept.image(image_id).name for image_id in kept.reg_image_ids()}
 
 
 def test_images_of_another_size_are_not_undistorted_with_the_wrong_camera(hamlet: Path, tmp_path: Path) -> None:
