@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, get_args
 
 from radiant_core.decisions import Decision
 from radiant_core.errors import StageFailed
@@ -46,6 +46,14 @@ class StageDone:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MemoryPeaked:
+    """The most memory that the process of a stage held, its libraries included."""
+
+    stage: str
+    peak_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class StageSkipped:
     """A stage was finished by an earlier run and its files are intact."""
 
@@ -77,10 +85,10 @@ class Failed:
     exit_code: int
 
 
-Event = StageStarted | StageProgress | StageDone | StageSkipped | Warned | Decided | Failed
+Event = StageStarted | StageProgress | StageDone | MemoryPeaked | StageSkipped | Warned | Decided | Failed
 Listener = Callable[[Event], None]
 
-_TYPES: dict[str, Any] = {kind.__name__: kind for kind in (StageStarted, StageProgress, StageDone, StageSkipped, Warned, Decided, Failed)}
+_TYPES: dict[str, Any] = {kind.__name__: kind for kind in get_args(Event)}
 
 
 def encode(event: Event) -> str:

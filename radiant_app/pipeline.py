@@ -22,6 +22,7 @@ from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field import run_in_the_field
+from radiant_app.memory import peak_bytes
 from radiant_app.run_folder import Manifest, opened_run
 from radiant_app.sources import detect_source, source_files
 from radiant_app.stages import Progress, executor_of, plan_stage, training_settings, with_uploads
@@ -160,6 +161,7 @@ def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan, more: d
     result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
     planned = {"planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
-    metrics = {**result, "seconds": seconds, **planned, **more}
+    peaks = {**manifest.peak_bytes, "run": peak_bytes()}
+    metrics = {**result, "seconds": seconds, "peak_bytes": peaks, **planned, **more}
     write_json(run / "metrics.json", metrics)
     return metrics

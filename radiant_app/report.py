@@ -133,6 +133,7 @@ def _node_row(run: Path, manifest: Manifest, node: str, num_cameras: int, planne
         "measured_s": _seconds(manifest.stages, node),
         "emulated_s": _seconds(manifest.emulated, node),
         "sending_s": _seconds(manifest.emulated, node + UPLINK),
+        "peak_mb": manifest.peak_bytes[node] / 1e6 if node in manifest.peak_bytes else None,
         "seconds_per_step": summary["train_s"] / max(1, summary["num_steps"]),
         **{key: summary[key] for key in ("num_splats", "num_steps", "model_bytes")},
     }

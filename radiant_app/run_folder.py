@@ -20,12 +20,13 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from radiant_app.config import RunConfig
-from radiant_app.events import UPLINK, Decided, Event, StageDone, StageSkipped, StageStarted, Warned
+from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import LOCK_NAME, RunLock, write_json
 
 MANIFEST_VERSION = 1
+RECORDED = ("config", "status", "stages", "emulated", "peak_bytes", "decisions", "warnings", "ledger")
 
 
 @dataclass
@@ -39,6 +40,8 @@ class Manifest:
     """Stage → started_s and ended_s since the run began; a skipped stage keeps the times of the run that finished it."""
     emulated: dict[str, dict[str, float]] = field(default_factory=dict)
     """As `stages`, of devices, edges and their uplinks in an emulated run: never among measured times."""
+    peak_bytes: dict[str, int] = field(default_factory=dict)
+    """Stage → the most memory its process held, with its libraries."""
     decisions: list[dict[str, Any]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     ledger: list[dict[str, Any]] = field(default_factory=list)
@@ -51,6 +54,8 @@ class Manifest:
         elif isinstance(event, StageDone):
             self._times(event)[event.stage]["ended_s"] = now_s
             self.save()
+        elif isinstance(event, MemoryPeaked):
+            self.peak_bytes[event.stage] = event.peak_bytes
         elif isinstance(event, StageSkipped):
             self._times(event).setdefault(event.stage, {"started_s": now_s, "ended_s": now_s})
         elif isinstance(event, Decided):
@@ -76,6 +81,7 @@ class Manifest:
             for stage in [stage for stage in times if stage.removesuffix(UPLINK) not in stages]:
                 self._forget(stage)
                 del times[stage]
+                self.peak_bytes.pop(stage, None)
 
     @property
     def ended_s(self) -> float:
@@ -84,7 +90,7 @@ class Manifest:
 
     def save(self) -> None:
         """Write manifest.json."""
-        record = {key: getattr(self, key) for key in ("config", "status", "stages", "emulated", "decisions", "warnings", "ledger")}
+        record = {key: getattr(self, key) for key in RECORDED}
         write_json(self.folder / "manifest.json", {"version": MANIFEST_VERSION, "software": software_versions(), **record})
 
 
@@ -202,6 +208,7 @@ class _Record(BaseModel):
     config: dict[str, Any]
     stages: dict[str, dict[str, float]]
     emulated: dict[str, dict[str, float]] = {}
+    peak_bytes: dict[str, int] = {}
     decisions: list[dict[str, Any]]
     warnings: list[str]
 
@@ -221,5 +228,5 @@ def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
         raise BadInput(
             f"{out} was begun with another {', '.join(differing)}: repeat those settings to resume, remove it, or choose another folder."
         )
-    kept = {name: getattr(record, name) for name in ("stages", "emulated", "decisions", "warnings")}
+    kept = {name: getattr(record, name) for name in ("stages", "emulated", "peak_bytes", "decisions", "warnings")}
     return Manifest(folder=out, config=settings, **kept)

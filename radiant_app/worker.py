@@ -12,7 +12,8 @@ import sys
 import threading
 from pathlib import Path
 
-from radiant_app.events import Event, Failed, encode
+from radiant_app.events import Event, Failed, MemoryPeaked, encode
+from radiant_app.memory import peak_bytes
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.run_store import seal
 
@@ -33,6 +34,7 @@ def main(arguments: list[str]) -> int:
         from radiant_app.nodes import run_node
 
         outputs = run_node(kind, Path(folder), stage, emit)
+        emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
         seal(Path(folder), key, outputs)
     except RadiantError as error:
         emit(Failed(stage=stage, message=str(error), exit_code=error.exit_code))

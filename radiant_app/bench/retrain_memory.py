@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from radiant_app.bench.drone_scene import SceneSize, drone_scene
-from radiant_app.bench.raster_memory import peak_bytes, reset_peak_bytes
+from radiant_app.memory import peak_bytes, reset_peak_bytes
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.retrain import retrain_on_synthetic_views
 from radiant_core.cameras import Cameras
