@@ -29,7 +29,7 @@ from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.frames import enu_from_geodetic
+from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
 from radiant_core.io.photos import SUFFIXES
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
@@ -157,7 +157,19 @@ def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progre
     origin = np.median(known, axis=0)
     positions = np.full((len(names), 3), np.nan)
     positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
+    _leave_out_other_sites(names, positions, progress)
     return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)
+
+
+def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress: Progress) -> None:
+    """Forget, in place, the positions (P,3) m that belong to no site around the origin, the median of all: one run makes one scene."""
+    away_m = np.linalg.norm(positions[:, :2], axis=1)
+    far = np.flatnonzero(away_m > MAX_REACH_M)
+    if len(far):
+        told = f"{len(far)} of {len(names)} photographs lie more than {MAX_REACH_M / 1e3:.0f} km from the middle of all"
+        first = f"{names[far[0]]} first with {away_m[far[0]] / 1e3:,.0f} km"
+        progress.listen(Warned(stage="plan", message=f"{told}, {first}, and are left out: give another site a run of its own."))
+        positions[far] = np.nan
 
 
 def _photo_folder(source: Path) -> Path:
@@ -183,7 +195,7 @@ def _tell_unplaced(captured: Captured, progress: Progress) -> None:
     lost = [name for name, placed in zip(captured.names, captured.placed, strict=True) if not placed]
     if lost:
         named = ", ".join(lost[:MAX_NAMED]) + (" …" if len(lost) > MAX_NAMED else "")
-        progress.listen(Warned(stage="plan", message=f"{len(lost)} of {len(captured.names)} photographs have no GPS position: {named}."))
+        progress.listen(Warned(stage="plan", message=f"{len(lost)} of {len(captured.names)} photographs have no usable position: {named}."))
 
 
 def _planned(

@@ -17,6 +17,8 @@ from radiant_core.numerics import FloatArray, checked_array
 
 WGS84_SEMI_MAJOR_M = 6378137.0
 WGS84_FLATTENING = 1 / 298.257223563
+MAX_REACH_M = 300e3
+"""Farthest that a position of one site may lie from the middle of all: generous for drones and aeroplanes, small against the globe."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -18,14 +18,16 @@ MAX_POINTS = 200_000
 
 
 def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
-    """The P points of the scene in the colours of the photographs."""
+    """The P points of the scene in the colours of the photographs. Points that nobody observed are centres of a delivered model's
+    Gaussians, and are called so."""
+    kind = "sparse points" if len(scene.observations) else "Gaussians"
     kept = _evenly(len(scene.points), max_points)
     return Layer(
         name="Sparse points",
         points=scene.points[kept],
         point_colors=scene.colors[kept],
         point_size_px=_point_size_px(len(kept)),
-        legend=(LegendEntry(text=_count_text("sparse points", len(kept), len(scene.points)), color=GREY, marker="dot"),),
+        legend=(LegendEntry(text=_count_text(kind, len(kept), len(scene.points)), color=GREY, marker="dot"),),
     )
 
 

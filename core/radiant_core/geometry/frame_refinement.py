@@ -159,7 +159,11 @@ def _fitted_pair(
     if isinstance(fit, str):
         return _Pair(a=a, b=b, share=overlap.share, fit=None, agrees=False, told=fit)
     apart = xi_about(fit.center, fit.a_from_b)
-    variances = np.diag(fit.covariance) + LENS_BEND**2 + sum(spread_to(fit.center, _middle(models[i]), models[i].uncertainty, GPS_BIAS_M) for i in pair)
+    variances = (
+        np.diag(fit.covariance)
+        + LENS_BEND**2
+        + sum(spread_to(fit.center, _middle(models[i]), models[i].uncertainty, GPS_BIAS_M) for i in pair)
+    )
     limits = MAX_SIGMAS * np.sqrt(variances)
     agrees = not _beyond(apart, limits)
     told = f"their common ground lies {_figures(apart)} apart, where GPS allows {_figures(limits / np.sqrt([3, 3, 3, 3, 3, 3, 1]))}"

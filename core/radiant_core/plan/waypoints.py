@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.frames import enu_from_geodetic
+from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
 from radiant_core.numerics import FloatArray, checked_array
 
-MAX_REACH_M = 300e3
-"""Farthest that a waypoint of one flight may lie from the median of all: generous for drones and aeroplanes, small against the globe."""
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 """From the deepest sea to the edge of space."""
 MAX_NAME_CHARACTERS = 255

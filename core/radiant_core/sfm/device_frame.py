@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.cameras import Cameras
-from radiant_core.frames import Frame, FrameUncertainty, Sim3, enu_from_geodetic
+from radiant_core.frames import MAX_REACH_M, Frame, FrameUncertainty, Sim3, enu_from_geodetic
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.align import Alignment, robust_sim3
@@ -76,6 +76,10 @@ def device_frame(
     positions_m = enu_from_geodetic([lat_lon_alt[name] for name in names], origin)
     centers = scene.cameras.named(names).centers
     extent_m = float(np.linalg.norm(np.ptp(positions_m, axis=0)))
+    away_m = float(np.linalg.norm(np.median(positions_m, axis=0)))
+    if away_m > MAX_REACH_M:
+        told = f"its photographs lie {away_m / 1e3:,.0f} km from the middle of all, more than {MAX_REACH_M / 1e3:.0f} km: run it as a scene"
+        return RefusedFrame(reason=f"{told} of its own.")
     fit = robust_sim3(centers, positions_m, seed)
     if fit.target_from_source is None:
         return RefusedFrame(reason="its camera centres or its GPS positions are all the same, which fixes no scale and no heading.")

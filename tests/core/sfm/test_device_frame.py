@@ -171,3 +171,11 @@ def test_poison_and_places_off_the_globe_are_refused() -> None:
     for bad in ((np.nan, 0.0, 0.0), (46.0, np.inf, 0.0), (99.0, 0.0, 0.0)):
         with pytest.raises(BadInput):
             device_frame(scene, {**gps, first: bad}, ORIGIN, 0)
+
+
+def test_photographs_of_another_country_are_refused_as_another_scene() -> None:
+    rng = np.random.default_rng(0)
+    scene, _, true_m = device_at(grid(rng), rng)
+    gps = {name: (lat + 5, lon, alt) for name, (lat, lon, alt) in gps_of(scene.cameras.names, true_m).items()}
+    frame = device_frame(scene, gps, ORIGIN)
+    assert isinstance(frame, RefusedFrame) and re.search(r"lie 55\d km .* more than 300 km: run it as a scene of its own", frame.reason)
