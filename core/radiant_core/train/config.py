@@ -46,8 +46,9 @@ class TrainConfig:
     """visible: a step moves the Gaussians that its image shows; dense: all of them by their moments, as 3DGS does."""
     sh_degree_every: int = 0
     """Steps after which the next degree of colour joins in, as 3DGS does; 0: all degrees from the start."""
-    densify: Literal["none", "adc"] = "none"
-    """none: as many Gaussians as at the start; adc: the adaptive density control of 3DGS clones, splits and prunes them."""
+    densify: Literal["none", "adc", "planned", "mcmc"] = "none"
+    """none: as many Gaussians as at the start; adc: the adaptive density control of 3DGS clones, splits and prunes them; planned: the same
+    with a number of Gaussians that grows evenly to `max_num_splats`; mcmc: they are relocated and added by sampling, to that limit."""
     densify_from_step: int = 500
     """Density control begins after this step."""
     densify_until_step: int = 15_000
@@ -63,6 +64,18 @@ class TrainConfig:
     prune_radius_px: float | None = None
     """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code of 3DGS passes 20 but clears the
     radii before it looks at them, so that nothing is pruned by this rule; None is what it does."""
+    budget_s: float | None = None
+    """Seconds of training after which the run ends, if the steps have not ended it; every schedule follows what is spent of either."""
+    start_scale: float = 1.0
+    """Share of the image size that training begins with."""
+    full_size_from: float = 0.4
+    """Share of the run from which images have their full size."""
+    exposure: Literal["none", "affine"] = "none"
+    """affine: every photograph has an affine map of the colours of its own, learnt with the model."""
+    exposure_lr: float = 1e-2
+    """Learning rate of the exposures at the start; it falls to a tenth."""
+    num_looks: int = 6
+    """How often validation views are looked at in the second half of a run."""
     sky: bool = True
     """Whether Gaussians on a far half sphere are added where photographs look above the horizon."""
     fill_in: bool = True
@@ -73,7 +86,7 @@ class TrainConfig:
     """Seed of the order of images and of every random choice."""
 
     def __post_init__(self) -> None:
-        for name in ("num_steps", "long_side_px", "max_num_splats", "densify_every", "reset_opacity_every", "schedule_steps"):
+        for name in ("num_steps", "long_side_px", "max_num_splats", "densify_every", "reset_opacity_every", "schedule_steps", "num_looks"):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name} is {getattr(self, name)}, expected at least 1.")
         for name in ("sh_degree_every", "densify_from_step", "densify_until_step", "densify_min_gradient"):
@@ -91,12 +104,15 @@ class TrainConfig:
             raise BadInput(f"ssim_weight is {self.ssim_weight}, expected 0 to 1.")
         if self.adam not in ("visible", "dense"):
             raise BadInput(f"adam is {self.adam!r}, expected 'visible' or 'dense'.")
-        if self.densify not in ("none", "adc"):
-            raise BadInput(f"densify is {self.densify!r}, expected 'none' or 'adc'.")
-
-    def scaled_steps(self, num_steps: int) -> int:
-        """A number of steps meant for a run of `schedule_steps`, scaled to this run; at least 1."""
-        return max(1, round(num_steps * self.num_steps / self.schedule_steps))
+        if not (0 < self.start_scale <= 1 and 0 <= self.full_size_from <= 1):
+            raise BadInput(f"start_scale is {self.start_scale} and full_size_from {self.full_size_from}, expected shares of at most 1.")
+        if self.budget_s is not None and not 0 < self.budget_s < math.inf:
+            raise BadInput(f"budget_s is {self.budget_s}, expected a positive number of seconds, or None for no limit.")
+        if not 0 < self.exposure_lr < math.inf:
+            raise BadInput(f"exposure_lr is {self.exposure_lr}, expected a positive number.")
+        for name, choices in (("densify", ("none", "adc", "planned", "mcmc")), ("exposure", ("none", "affine"))):
+            if getattr(self, name) not in choices:
+                raise BadInput(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(choices)}.")
 
 
 # Short runs have no time for small steps: `draft` and `default` start from rates found on the sample scene's validation images.

@@ -22,6 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.splats import morton_order
 from radiant_core.train.config import TrainConfig
@@ -51,6 +52,8 @@ class DensityCounts:
     """Times a Gaussian would have been cloned or split but for the limit of Gaussians."""
     num_resets: int = 0
     """Resets of all opacities."""
+    num_relocated: int = 0
+    """Dead Gaussians moved onto live ones (`mcmc.py`)."""
 
     def __add__(self, other: DensityCounts) -> DensityCounts:
         return DensityCounts(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)})
@@ -138,18 +141,21 @@ def growing(
 
 def split_offsets(quats: NDArray[np.float32], log_scales: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.float32]:
     """Where the children of K Gaussians lie relative to them (CHILDREN · K,3), drawn from their own N(0, Σ); 0 beyond float32."""
-    turns = np.repeat(quats, CHILDREN, axis=0).astype(np.float64)
-    lengths = np.linalg.norm(turns, axis=1, keepdims=True)
-    unit = np.divide(turns, lengths, out=np.tile([1.0, 0, 0, 0], (len(turns), 1)), where=lengths > 0)
-    w, xyz = unit[:, :1], unit[:, 1:]
     limit = float(np.finfo(np.float32).max) / 4
     scales = np.exp(np.minimum(np.repeat(log_scales, CHILDREN, axis=0).astype(np.float64), math.log(limit)))
-    local = scales * rng.standard_normal((len(turns), 3))
-    # R v = v + 2 w (q × v) + 2 q × (q × v) for a unit quaternion (w, q).
-    across = np.cross(xyz, local)
-    offsets = local + 2 * (w * across + np.cross(xyz, across))
+    offsets = rotated(np.repeat(quats, CHILDREN, axis=0).astype(np.float64), scales * rng.standard_normal(scales.shape))
     offsets[~(np.abs(offsets).max(axis=1, initial=0) < limit)] = 0
     return offsets.astype(np.float32)
+
+
+def rotated(quats: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors (K,3) turned by quaternions wxyz (K,4) of any length; a zero one turns nothing."""
+    lengths = np.linalg.norm(quats, axis=1, keepdims=True)
+    unit = np.divide(quats, lengths, out=np.tile([1.0, 0, 0, 0], (len(quats), 1)), where=lengths > 0)
+    w, xyz = unit[:, :1], unit[:, 1:]
+    # R v = v + 2 w (q × v) + 2 q × (q × v) for a unit quaternion (w, q).
+    across = np.cross(xyz, vectors)
+    return vectors + 2 * (w * across + np.cross(xyz, across))
 
 
 def prunable(
@@ -170,47 +176,77 @@ class AdaptiveDensity:
         """`extent` of the cameras in the world's unit; `splats` is the model before the first step."""
         self._config = config
         self._extent = extent
-        self._from, self._until, self._reset_every = (
-            config.scaled_steps(steps) for steps in (config.densify_from_step, config.densify_until_step, config.reset_opacity_every)
-        )
+        self._num_first = len(splats)
+        self._last_reset = 0
         # Not scaled: a mean over few steps is noise. Every 7th of 2,000 steps, 27,000 Gaussians of the town were 150,000 after 98 steps.
         self._every = config.densify_every
         self.counts = DensityCounts()
         self._forget(splats)
 
-    def watch(self, step: int, output: RenderOutput, size_wh: tuple[int, int]) -> None:
-        """Take the gradients of a rendering (one camera) when its backward pass comes; `step` counts from 1."""
-        if step >= self._until or not output.means2d.requires_grad:
+    def watch(self, schedule_step: float, output: RenderOutput, size_wh: tuple[int, int]) -> None:
+        """Take the gradients of a rendering (one camera) when its backward pass comes."""
+        if schedule_step >= self._config.densify_until_step or not output.means2d.requires_grad:
             return
         visible = _plain(output.visible)
         if self._config.prune_radius_px is not None:
             self._radii_px = _larger(self._radii_px, _plain(output.radii_px)[0])
         output.means2d.register_hook(partial(self._add, visible, size_wh))
 
-    def after_step(self, step: int, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
+    def before_step(self, splats: SplatTensors) -> None:
+        """Nothing: this policy adds no gradients."""
+
+    def after_step(self, step: int, schedule_step: float, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
         """The model after step number `step` (from 1), the same or an edited one whose tensors `optimizer` then steps."""
-        if step >= self._until:
+        config = self._config
+        if schedule_step >= config.densify_until_step:
             return splats
-        if step > self._from and step % self._every == 0 and len(splats):
-            splats = self._edited(step, splats, optimizer)
-        if step % self._reset_every == 0:
+        if schedule_step > config.densify_from_step and step % self._every == 0 and len(splats):
+            splats = self._edited(step, schedule_step, splats, optimizer)
+        if schedule_step // config.reset_opacity_every > self._last_reset:
+            self._last_reset = int(schedule_step // config.reset_opacity_every)
             reset_opacities(splats, optimizer)
             self.counts += DensityCounts(num_resets=1)
         return splats
 
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Copies of the sums since the last edit, and what was at the start."""
+        sums = {"sums": self._sums, "seen": self._seen, "radii_px": self._radii_px}
+        since = {"num_first": np.array(self._num_first), "last_reset": np.array(self._last_reset)}
+        return {**{name: _to_numpy(array).copy() for name, array in sums.items()}, **since}
+
+    def restore(self, arrays: dict[str, NDArray[Any]], counts: DensityCounts, splats: SplatTensors) -> None:
+        """Go on from `state_arrays` and counts of a run whose model is now `splats`."""
+        self.counts = counts
+        self._num_first, self._last_reset = int(arrays["num_first"]), int(arrays["last_reset"])
+        self._forget(splats)
+        for name in ("sums", "seen", "radii_px"):
+            own = getattr(self, f"_{name}")
+            own[:] = arrays[name] if isinstance(own, np.ndarray) else torch.from_numpy(arrays[name]).to(own.device)
+
     def _add(self, visible: Any, size_wh: tuple[int, int], gradient: Tensor) -> None:
         # numpy on the CPU, torch on a GPU: the operators are the same, and torch's threads would spin on after each of them (libgomp).
         across, down = (_plain(gradient)[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
-        with np.errstate(over="ignore"):
-            self._sums += (across * across + down * down) ** 0.5
+        with np.errstate(over="ignore", invalid="ignore"):
+            length = (across * across + down * down) ** 0.5
+            # The step of a gradient that is not finite is not taken, and must not be remembered here either.
+            self._sums += length * (length < math.inf)
         self._seen += visible
 
-    def _edited(self, step: int, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
+    def _limit(self, schedule_step: float) -> int:
+        """How many Gaussians there may be now: all from the start, or planned growth on a straight line."""
+        config = self._config
+        if config.densify == "adc":
+            return config.max_num_splats
+        span = config.densify_until_step - config.densify_from_step
+        share = min(1.0, max(0.0, (schedule_step - config.densify_from_step) / max(1, span)))
+        return round(self._num_first + share * max(0, config.max_num_splats - self._num_first))
+
+    def _edited(self, step: int, schedule_step: float, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
         rules = DensityRules(
             min_gradient=self._config.densify_min_gradient,
             extent=self._extent,
-            max_num_splats=self._config.max_num_splats,
-            prune_large=step > self._reset_every,
+            max_num_splats=self._limit(schedule_step),
+            prune_large=schedule_step > self._config.reset_opacity_every,
             prune_radius_px=self._config.prune_radius_px,
         )
         tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}

@@ -73,6 +73,34 @@ class SelectiveAdam:
             _require_rate(name, rate)
             self._groups[name].rate = rate
 
+    def rate(self, name: str) -> float:
+        """The learning rate of one tensor, 0 where it keeps still."""
+        return self._groups[name].rate if name in self._groups else 0.0
+
+    @property
+    def num_steps(self) -> int:
+        """Steps taken so far."""
+        return self._step
+
+    def state_arrays(self) -> dict[str, NDArray]:
+        """Copies of moments and step counts of the rows."""
+        arrays = {"row_steps": self._row_steps.cpu().numpy().copy()}
+        for name, group in self._groups.items():
+            arrays[f"{name}.first"] = group.first_moments.cpu().numpy().copy()
+            arrays[f"{name}.second"] = group.second_moments.cpu().numpy().copy()
+        return arrays
+
+    def restore(self, arrays: Mapping[str, NDArray], num_steps: int) -> None:
+        """Take over what `state_arrays` gave after so many steps; ValueError for other shapes, KeyError for a missing one."""
+        device = self._row_steps.device
+        for name, group in self._groups.items():
+            for moments, array in ((group.first_moments, arrays[f"{name}.first"]), (group.second_moments, arrays[f"{name}.second"])):
+                if moments.shape != array.shape:
+                    raise ValueError(f"moments of {name} are {array.shape}, expected {tuple(moments.shape)}")
+                moments.copy_(torch.from_numpy(array))
+        self._row_steps = torch.from_numpy(arrays["row_steps"].copy()).to(device)
+        self._step = num_steps
+
     def moments(self, name: str) -> tuple[Tensor, Tensor]:
         """First and second moments of a tensor, in its shape; changed in place by each step."""
         return self._groups[name].first_moments, self._groups[name].second_moments

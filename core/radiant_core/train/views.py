@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +34,25 @@ class TrainingViews:
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+    def select(self, indices: NDArray[np.integer] | list[int]) -> TrainingViews:
+        """Some of the views, in the given order; the images are shared."""
+        weights = None if self.weights is None else tuple(self.weights[index] for index in indices)
+        return TrainingViews(
+            cameras=self.cameras.select(np.asarray(indices)), images=tuple(self.images[index] for index in indices), weights=weights
+        )
+
+    def scaled(self, scale: float) -> TrainingViews:
+        """The views at that share (0 to 1) of their size, each new pixel the mean of what it covers."""
+        longest = max(image.shape[0] if image.shape[0] > image.shape[1] else image.shape[1] for image in self.images)
+        cameras = self.cameras.scaled(max(1, round(scale * longest)))
+        sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
+        weights = None if self.weights is None else tuple(map(_reduced, self.weights, sizes))
+        return TrainingViews(cameras=cameras, images=tuple(map(_reduced, self.images, sizes)), weights=weights)
+
+
+def _reduced(image: NDArray[np.uint8], size_wh: tuple[int, int]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def concatenate_views(parts: list[TrainingViews]) -> TrainingViews:

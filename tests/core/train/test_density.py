@@ -140,20 +140,25 @@ class TestSchedule:
         optimizer = SelectiveAdam({}, {})
         policy = self.policy(splats)
         edits, resets = [], []
-        monkeypatch.setattr(policy, "_edited", lambda step, splats, optimizer: edits.append(step) or splats)
+        monkeypatch.setattr(policy, "_edited", lambda step, schedule_step, splats, optimizer: edits.append(step) or splats)
         for step in range(1, 20_001):
             before = policy.counts.num_resets
-            policy.after_step(step, splats, optimizer)
+            policy.after_step(step, float(step), splats, optimizer)
             resets += [step] if policy.counts.num_resets > before else []
         assert edits == list(range(600, 15_000, 100))
         assert resets == [3_000, 6_000, 9_000, 12_000]
 
-    def test_milestones_of_standard_scale_with_the_run_the_interval_does_not(self) -> None:
+    def test_milestones_of_standard_scale_with_the_run_the_interval_does_not(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        splats = SplatTensors.from_splats(ground_splats(5))
         config = replace(train_preset("standard"), num_steps=3_000)
-        steps = (config.densify_from_step, config.densify_until_step, config.reset_opacity_every, config.sh_degree_every)
-        assert [config.scaled_steps(number) for number in steps] == [50, 1_500, 300, 100]
-        assert config.densify_every == 100
-        assert [replace(config, num_steps=30_000).scaled_steps(number) for number in steps] == list(steps)
+        policy = AdaptiveDensity(config, EXTENT, splats)
+        edits, resets = [], []
+        monkeypatch.setattr(policy, "_edited", lambda step, schedule_step, splats, optimizer: edits.append(step) or splats)
+        for step in range(1, config.num_steps + 1):
+            before = policy.counts.num_resets
+            policy.after_step(step, step * 10.0, splats, SelectiveAdam({}, {}))
+            resets += [step] if policy.counts.num_resets > before else []
+        assert edits == list(range(100, 1_500, 100)) and resets == [300, 600, 900, 1_200]
 
     def test_statistics_are_means_over_the_steps_that_saw_a_gaussian_in_gsplats_units(self) -> None:
         splats = SplatTensors.from_splats(ground_splats(40))
@@ -168,7 +173,7 @@ class TestSchedule:
                 splats, torch.tensor(CAMERAS.cam_from_world[one]), torch.tensor(CAMERAS.Ks[one]), 48, 36, sh_degree=0, backend="reference"
             )
             output.means2d.retain_grad()
-            policy.watch(step, output, (48, 36))
+            policy.watch(float(step), output, (48, 36))
             (output.images * torch.arange(36)[None, :, None, None] / 36).mean().backward()
             assert output.means2d.grad is not None
             sums += np.linalg.norm(output.means2d.grad[0].numpy() * [24.0, 18.0], axis=1)
@@ -256,7 +261,7 @@ def test_flat_photographs_and_one_gaussian_end_in_a_finite_model(value: int) -> 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"densify": "mcmc"}, "'none' or 'adc'"),
+        ({"densify": "grow"}, "expected one of none, adc, planned, mcmc"),
         ({"densify_every": 0}, "densify_every is 0"),
         ({"densify_min_gradient": math.nan}, "densify_min_gradient is nan"),
         ({"prune_radius_px": 0.0}, "prune_radius_px is 0.0"),

@@ -1,0 +1,142 @@
+"""Densification as sampling (Kheradmand et al., 3D Gaussian Splatting as Markov Chain Monte Carlo, NeurIPS 2024).
+
+Dead Gaussians (opacity ≤ 0.005) are moved onto live ones drawn by opacity, and the model grows by 5 % a round up to a hard limit. Where n
+Gaussians share one place, each gets (their Eqn. 9)
+    o' = 1 − (1 − o)^(1/n),    σ' = σ · o / Σ_{i=1..n} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
+so that the picture stays nearly the same. Opacity and size cost a little, and centres of Gaussians that are nearly transparent wander by
+their own covariance. Edits once every `densify_every` steps, the wandering every `WANDER_EVERY`, its variance as if it were every step.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.special import comb
+
+from radiant_core.render.contract import RenderOutput, SplatTensors
+from radiant_core.splats import morton_order
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.density import MIN_OPACITY, DensityCounts, rotated
+from radiant_core.train.optimizer import SelectiveAdam
+
+GROWTH = 1.05
+MAX_COPIES = 51
+"""More than so many Gaussians in one place count as so many."""
+OPACITY_COST = 0.01
+SCALE_COST = 0.01
+WANDER_RATE = 5e5
+WANDER_EVERY = 10
+GATE_STEEPNESS = 100.0
+"""Gaussians more opaque than `MIN_OPACITY` hardly wander: the gate is sigmoid(−100 (o − 0.005))."""
+
+
+def shared_place(
+    logit_opacities: NDArray[np.floating], log_scales: NDArray[np.floating], num_copies: NDArray[np.integer]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Logit opacities (K,) and log scales (K,3) that each of n ≥ 1 Gaussians (K,) gets which share the place of one."""
+    n = np.clip(num_copies, 1, MAX_COPIES)
+    # Not opaque to the last bit, where neither logarithm nor the logit would exist.
+    o = np.clip(1 / (1 + np.exp(-np.clip(logit_opacities.astype(np.float64), -60, 60))), 1e-12, 1 - 1e-7)
+    shared = -np.expm1(np.log1p(-o) / n)
+    factors = np.empty(len(n))
+    for copies in np.unique(n):
+        i, k = np.meshgrid(np.arange(1, copies + 1), np.arange(copies), indexing="ij")
+        weights = np.where(k < i, comb(i - 1, k) * (-1.0) ** k / np.sqrt(k + 1), 0).sum(axis=0)
+        chosen = n == copies
+        factors[chosen] = (shared[chosen, None] ** (np.arange(copies) + 1) * weights).sum(axis=1)
+    growth = np.log(np.maximum(o / np.maximum(factors, 1e-12), 1e-6))
+    shared = np.clip(shared, MIN_OPACITY, 1 - 1e-7)
+    return (np.log(shared) - np.log1p(-shared)).astype(np.float32), (log_scales + growth[:, None]).astype(np.float32)
+
+
+class RelocatedDensity:
+    """Moves, adds and shakes the Gaussians of one training; `counts.num_cloned` are those added, `num_relocated` those moved."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        self._config = config
+        self.counts = DensityCounts()
+
+    def watch(self, schedule_step: float, output: RenderOutput, size_wh: tuple[int, int]) -> None:
+        """Nothing: this policy needs no gradients of the picture."""
+
+    @torch.no_grad()
+    def before_step(self, splats: SplatTensors) -> None:
+        """Add the gradients of mean opacity and mean size, each times 0.01."""
+        if splats.logit_opacities.grad is not None:
+            o = splats.logit_opacities.sigmoid()
+            splats.logit_opacities.grad += OPACITY_COST / len(o) * o * (1 - o)
+        if splats.log_scales.grad is not None:
+            splats.log_scales.grad += SCALE_COST / splats.log_scales.numel() * splats.log_scales.clamp(max=30).exp()
+
+    def after_step(self, step: int, schedule_step: float, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
+        """The model after step number `step` (from 1): relocated and grown where a round is due, shaken where that is."""
+        config = self._config
+        rng = np.random.default_rng((config.seed, step))
+        if config.densify_from_step < schedule_step < config.densify_until_step and step % config.densify_every == 0 and len(splats):
+            splats = self._edited(splats, optimizer, rng)
+        if step % WANDER_EVERY == 0:
+            wander(splats, WANDER_RATE * optimizer.rate("means") * math.sqrt(WANDER_EVERY), rng)
+        return splats
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Nothing: every round looks at the model alone."""
+        return {}
+
+    def restore(self, arrays: dict[str, NDArray[Any]], counts: DensityCounts, splats: SplatTensors) -> None:
+        """Go on with what was counted."""
+        self.counts = counts
+
+    def _edited(self, splats: SplatTensors, optimizer: SelectiveAdam, rng: np.random.Generator) -> SplatTensors:
+        tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}
+        logits = tensors["logit_opacities"].cpu().numpy()
+        alive = logits > math.log(MIN_OPACITY / (1 - MIN_OPACITY))
+        if not alive.any():
+            return splats
+        num_dead = int((~alive).sum())
+        num_added = max(0, min(self._config.max_num_splats, int(GROWTH * len(logits))) - len(logits))
+        self.counts += DensityCounts(num_cloned=num_added, num_relocated=num_dead)
+        if num_dead + num_added == 0:
+            return splats
+        opacities = np.where(alive, 1 / (1 + np.exp(-logits.astype(np.float64))), 0)
+        drawn = rng.choice(len(logits), num_dead + num_added, p=opacities / opacities.sum())
+        copies = 1 + np.bincount(drawn, minlength=len(logits))
+        shared = np.flatnonzero(copies > 1)
+        new_logits, new_scales = logits.copy(), tensors["log_scales"].cpu().numpy().copy()
+        new_logits[shared], new_scales[shared] = shared_place(logits[shared], new_scales[shared], copies[shared])
+        rows = np.concatenate([np.flatnonzero(alive), drawn])
+        order = morton_order(tensors["means"].cpu().numpy()[rows])
+        rows, fresh = rows[order], (np.arange(len(rows)) >= int(alive.sum()))[order]
+        device = splats.means.device
+        index = torch.from_numpy(rows).to(device)
+        changed = {"logit_opacities": new_logits[rows], "log_scales": new_scales[rows]}
+        edited = SplatTensors(
+            **{name: torch.from_numpy(changed[name]).to(device) if name in changed else tensor[index] for name, tensor in tensors.items()}
+        )
+        # Those that now share a place begin anew as well: their moments belong to another opacity and size.
+        optimizer.select_rows(edited.tensors(), index, torch.from_numpy(fresh | (copies[rows] > 1)).to(device))
+        return edited
+
+
+@torch.no_grad()
+def wander(splats: SplatTensors, rate: float, rng: np.random.Generator) -> None:
+    """Move the centres, in place, by Σ η gate(o) · rate with η ~ N(0, I) drawn anew for each Gaussian that may move at all."""
+    logits = splats.logit_opacities.detach().cpu().numpy().astype(np.float64)
+    opacities = 1 / (1 + np.exp(-np.clip(logits, -60, 60)))
+    gates = 1 / (1 + np.exp(np.clip(GATE_STEEPNESS * (opacities - MIN_OPACITY), -60, 60)))
+    moving = np.flatnonzero(gates > 1e-4)
+    if not len(moving) or not rate > 0:
+        return
+    index = torch.from_numpy(moving).to(splats.means.device)
+    quats, log_scales = (tensor.detach()[index].cpu().numpy().astype(np.float64) for tensor in (splats.quats, splats.log_scales))
+    variances = np.exp(np.clip(2 * log_scales, -60, 60))
+    noise = rotated(quats, variances * rotated(quats * [1, -1, -1, -1], rng.standard_normal((len(moving), 3))))
+    steps = noise * (gates[moving] * rate)[:, None]
+    # A centre never wanders farther than its own longest axis in one go.
+    limits = np.sqrt(variances.max(axis=1))
+    lengths = np.linalg.norm(steps, axis=1)
+    steps *= np.minimum(1, limits / np.maximum(lengths, 1e-300))[:, None]
+    splats.means[index] += torch.from_numpy(steps).to(splats.means)

@@ -1,0 +1,58 @@
+"""The best model of a run by views that nothing is fitted to. Looked at a few times in the second half of a run.
+
+The last model is not always the best: a device with few photographs overfits them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.render.contract import Backend, SplatTensors
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats
+from radiant_core.train.views import TrainingViews
+
+FIRST_LOOK = 0.5
+"""Share of the run before which no model is the best: densification and learning rates are still at work."""
+
+
+def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -> float:
+    """Mean PSNR in dB of a model over views."""
+    pairs = zip(render_views(splats, views.cameras, backend), views.images, strict=True)
+    return float(np.mean([psnr_db(view.image, image / 255) for view, image in pairs]))
+
+
+class BestModel:
+    """The best of `num_looks` models, one each at even shares of the second half of a run; `looks` are steps and their PSNR in dB."""
+
+    def __init__(self, views: TrainingViews, num_looks: int) -> None:
+        self._views, self._num_looks = views, num_looks
+        self.looks: list[tuple[int, float]] = []
+        self.splats: Splats | None = None
+        self.step: int | None = None
+
+    def is_due(self, progress: float) -> bool:
+        """Whether the next look is to be taken at this share of the run."""
+        done = len(self.looks)
+        return done < self._num_looks and progress >= 1 - (1 - FIRST_LOOK) * (1 - (done + 1) / self._num_looks)
+
+    def look(self, step: int, splats: SplatTensors, backend: Backend) -> None:
+        """Score the model after `step` steps and keep it if it is the best so far."""
+        model = splats.to_splats()
+        figure = validation_psnr_db(model, self._views, backend)
+        if not self.looks or figure > max(value for _, value in self.looks):
+            self.splats, self.step = model, step
+        self.looks.append((step, figure))
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """The best model so far; empty without one."""
+        return {} if self.splats is None else {name: array.copy() for name, array in self.splats.arrays().items()}
+
+    def restore(self, arrays: dict[str, NDArray[Any]], step: int | None, looks: list[tuple[int, float]]) -> None:
+        """Take over what `state_arrays` gave, with the step of the best and all looks."""
+        self.splats = Splats(**arrays) if arrays else None
+        self.step, self.looks = step, looks
