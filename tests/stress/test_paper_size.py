@@ -290,3 +290,40 @@ if __name__ == "__main__":
     began_s = time.perf_counter()
     run(Path(sys.argv[2]), int(sys.argv[3]))
     print(json.dumps({"seconds": time.perf_counter() - began_s, "peak_bytes": peak_bytes()}))
+
+
+@pytest.mark.stress
+def test_training_at_draft_size_takes_no_more_memory_anywhere_for_the_whole_scene(scenes, tmp_path: Path) -> None:
+    """The quarter on one edge with four devices and the whole on four edges: every device and edge has as many photographs in both."""
+    from radiant_app.config import RunConfig
+    from radiant_app.pipeline import run
+    from radiant_core.train.needs import Overrides
+
+    peaks = {}
+    for num_cameras, num_edges in ((400, 1), (1600, 4)):
+        folder = scenes[num_cameras][0]
+        system = tmp_path / f"{num_edges}.toml"
+        devices = [[f'[[edge.device]]\nid = "{edge}-{device}"\n' for device in range(4)] for edge in range(num_edges)]
+        system.write_text("".join(f'[[edge]]\nid = "edge-{edge}"\n{"".join(own)}' for edge, own in enumerate(devices)))
+        size = Overrides(long_side_px=160, num_steps=300, max_num_splats=8_000)
+        config = RunConfig(
+            source=folder / "images", poses=folder / "known", frames="known", system=system, train_preset="draft", overrides=size,
+            out=tmp_path / f"run_{num_cameras}",
+        )  # fmt: skip
+        metrics = run(config).metrics
+        assert metrics["missing"] == {} and len(metrics["images"]) == num_cameras // 8
+        assert all(row["psnr_db"] > row["initial_psnr_db"] for row in metrics["images"])
+        found = metrics["peak_bytes"]
+        peaks[num_cameras] = {
+            tier: max(found[node] for node in found if node.startswith(tier)) for tier in ("devices", "edges", "cloud", "run")
+        }
+        seconds = sum(metrics["seconds"].values())
+        print(
+            f"\n{num_cameras} cameras: {metrics['psnr_db']:.2f} dB, {metrics['num_gaussians']:,} Gaussians, {seconds:.0f} s of processes",
+            end="",
+        )
+        print({tier: f"{peak / MIB:.0f} MiB" for tier, peak in peaks[num_cameras].items()})
+    for tier in ("devices", "edges"):
+        assert peaks[1600][tier] < 1.1 * peaks[400][tier], tier
+    # The cloud and the process that plans hold the scene they deliver, nothing else of it.
+    assert peaks[1600]["cloud"] - peaks[400]["cloud"] < 64 * MIB and peaks[1600]["run"] - peaks[400]["run"] < 256 * MIB

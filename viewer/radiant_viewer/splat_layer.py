@@ -23,7 +23,7 @@ def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
     kind = "sparse points" if len(scene.observations) else "Gaussians"
     kept = _evenly(len(scene.points), max_points)
     return Layer(
-        name="Sparse points",
+        name="Sparse points" if len(scene.observations) else "Gaussians",
         points=scene.points[kept],
         point_colors=scene.colors[kept],
         point_size_px=_point_size_px(len(kept)),
