@@ -1,0 +1,171 @@
+"""A run of training as something that stops and goes on: the same bits, schedules by time, steps that are not taken, the best model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from radiant_core.aggregate.synthetic_views import synthetic_views
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.density import DensityCounts
+from radiant_core.train.trainer import MAX_FAILURES, FitOptions, Training, TrainState, fit_splats, view_of_step
+from radiant_core.train.validation import validation_psnr_db
+from radiant_core.train.views import TrainingViews
+from tests.core.scenes import cameras_above, ground_splats
+
+CAMERAS = cameras_above([(x, y) for x in (-2.0, 0.0, 2.0) for y in (-1.5, 1.5)])
+CONFIG = replace(
+    train_preset("draft"),
+    num_steps=40,
+    sh_degree=1,
+    densify_from_step=2_000,
+    densify_until_step=25_000,
+    densify_every=5,
+    reset_opacity_every=1_000_000,
+    max_num_splats=80,
+    start_scale=0.5,
+    exposure="affine",
+)
+
+
+def photographs() -> TrainingViews:
+    truth = ground_splats(400)
+    colors = np.random.default_rng(5).uniform(-1.5, 1.5, truth.sh0.shape).astype(np.float32)
+    views = synthetic_views(replace(truth, sh0=colors), CAMERAS)
+    return TrainingViews(cameras=views.cameras, images=views.images)
+
+
+def start() -> Splats:
+    return ground_splats(40)
+
+
+def stopped_after(num_steps: int, config: TrainConfig, options: FitOptions) -> Training:
+    training = Training(start(), photographs(), config, options)
+    for _ in range(num_steps):
+        training.take_step()
+    return training
+
+
+@pytest.mark.parametrize("densify", ["none", "adc", "planned", "mcmc"])
+@pytest.mark.parametrize("stop_at", [1, 13, 16, 39])
+def test_a_run_stopped_anywhere_goes_on_with_the_same_bits(densify, stop_at: int) -> None:
+    views = photographs()
+    config = replace(CONFIG, densify=densify)
+    options = FitOptions(validation=views.select([0, 3]))
+    whole = fit_splats(start(), views, config, options)
+    state = stopped_after(stop_at, config, options).state()
+    fresh = Training(start(), views, config, options)
+    fresh.restore(state)
+    while not fresh.is_done:
+        fresh.take_step()
+    resumed = fresh.result()
+    for name, array in whole.splats.arrays().items():
+        np.testing.assert_array_equal(array, resumed.splats.arrays()[name], err_msg=name)
+    assert (whole.density, whole.validation, whole.best_step) == (resumed.density, resumed.validation, resumed.best_step)
+    assert (whole.first_loss, whole.last_loss, whole.max_exposure) == (resumed.first_loss, resumed.last_loss, resumed.max_exposure)
+    if densify != "none":
+        assert whole.density != DensityCounts() and len(whole.splats) > 40
+
+
+def test_a_state_is_a_copy_that_later_steps_leave_alone() -> None:
+    training = stopped_after(4, replace(CONFIG, densify="adc"), FitOptions())
+    state = training.state()
+    before = {name: array.copy() for name, array in state.arrays.items()}
+    training.take_step()
+    for name, array in before.items():
+        np.testing.assert_array_equal(array, state.arrays[name], err_msg=name)
+
+
+def test_a_state_of_another_run_is_refused() -> None:
+    state = stopped_after(3, replace(CONFIG, densify="adc"), FitOptions()).state()
+    other = Training(start(), photographs().select([0, 1]), CONFIG, FitOptions())
+    with pytest.raises(BadInput, match=r"of another run .*exposure maps"):
+        other.restore(state)
+    with pytest.raises(BadInput, match="of another run"):
+        Training(start(), photographs(), CONFIG, FitOptions()).restore(TrainState(arrays={}, numbers={}))
+
+
+def test_time_ends_a_run_and_drives_its_schedules() -> None:
+    ticks = iter(range(10**6))
+    # The clock advances by one at every look: at the start, by the progress and by the report.
+    options = FitOptions(clock=lambda: float(next(ticks)))
+    config = replace(CONFIG, num_steps=10**6, schedule_steps=30_000, budget_s=400.0, densify="adc", reset_opacity_every=10_000)
+    result = fit_splats(start(), photographs(), config, options)
+    assert 20 < result.num_steps < 400 and 400 <= result.seconds < 420
+    assert result.density.num_resets == 2 and result.density.num_split > 0
+
+
+def test_what_comes_first_of_steps_and_time_ends_a_run() -> None:
+    ticks = iter(range(10**6))
+    options = FitOptions(clock=lambda: float(next(ticks)))
+    assert fit_splats(start(), photographs(), replace(CONFIG, num_steps=7, budget_s=1e6), options).num_steps == 7
+
+
+def test_training_begins_with_small_images_and_ends_with_whole_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    from radiant_core.render.contract import rasterize
+
+    sizes = []
+
+    def spy(splats, viewmats, Ks, width, height, **options):
+        sizes.append((width, height))
+        return rasterize(splats, viewmats, Ks, width, height, **options)
+
+    monkeypatch.setattr("radiant_core.train.trainer.rasterize", spy)
+    fit_splats(start(), photographs(), replace(CONFIG, num_steps=10))
+    assert sizes == [(24, 18)] * 4 + [(48, 36)] * 6
+
+
+def test_a_step_that_is_not_finite_is_not_taken_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    from radiant_core.train.native_loss import target_loss
+
+    calls = []
+
+    def poisoned(image, statistics, weights, ssim_weight):
+        calls.append(None)
+        loss = target_loss(image, statistics, weights, ssim_weight)
+        # An infinite gradient in one step, an infinite loss in another.
+        return loss * torch.tensor({3: float("inf"), 5: 0.0}.get(len(calls), 1.0)) + (torch.inf if len(calls) == 5 else 0)
+
+    monkeypatch.setattr("radiant_core.train.trainer.target_loss", poisoned)
+    training = Training(start(), photographs(), replace(CONFIG, num_steps=8, densify="adc"), FitOptions())
+    for _ in range(2):
+        training.take_step()
+    before = training.state().arrays
+    training.take_step()
+    for name, array in training.state().arrays.items():
+        if name.split(".")[0] in ("splats", "adam", "exposure"):
+            np.testing.assert_array_equal(array, before[name], err_msg=name)
+    while not training.is_done:
+        training.take_step()
+    result = training.result()
+    assert result.num_rolled_back == 2 and result.num_steps == 8
+    assert all(np.isfinite(array).all() for array in result.splats.arrays().values()) and np.isfinite(result.last_loss)
+
+
+def test_training_gives_up_after_many_steps_that_are_not_finite(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("radiant_core.train.trainer.target_loss", lambda image, *rest: image.sum() * torch.inf)
+    with pytest.raises(StageFailed, match=f"{MAX_FAILURES} steps in a row could not be taken.*the loss became"):
+        fit_splats(start(), photographs(), replace(CONFIG, num_steps=100))
+
+
+def test_the_best_model_by_validation_is_returned_not_the_last() -> None:
+    views = photographs()
+    validation = views.select([5])
+    # Two photographs alone, learnt by heart at high rates: the view between them gets worse in the end.
+    config = replace(CONFIG, num_steps=60, exposure="none", start_scale=1.0, means_lr=5e-2, scales_lr=0.1, num_looks=5, means_lr_end=1.0)
+    result = fit_splats(start(), views.select([0, 1]), config, FitOptions(validation=validation))
+    figures = dict(result.validation)
+    assert [step for step, _ in result.validation] == [36, 42, 48, 54, 60]
+    assert result.best_step == max(figures, key=lambda step: figures[step])
+    assert validation_psnr_db(result.splats, validation, "auto") == pytest.approx(figures[result.best_step], abs=1e-6)
+
+
+def test_every_view_comes_once_per_epoch_in_new_orders() -> None:
+    epochs = [[view_of_step(epoch * 7 + place, 7, seed=3) for place in range(7)] for epoch in range(4)]
+    assert all(sorted(epoch) == list(range(7)) for epoch in epochs)
+    assert len({tuple(epoch) for epoch in epochs}) == 4
