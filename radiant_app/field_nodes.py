@@ -22,6 +22,7 @@ import numpy as np
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, moved_cameras, numbered, sim3_of
 from radiant_app.nodes import load_images, sfm_progress, train_device
+from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.photos import photograph_positions
@@ -106,7 +107,20 @@ def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str,
     if isinstance(frame, RefusedFrame):
         raise BadInput(f"its frame is refused: {frame.reason}")
     emit(Decided(decision=_frame_decision(stage, asdict(frame.uncertainty), len(positions))))
+    _draw_frame(folder, frame.scene.cameras, positions, task["origin"], frame.sigma_m)
     return _Placed(scene=frame.scene, images=result.undistorted_folder, uncertainty=asdict(frame.uncertainty))
+
+
+def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[float, float, float]], origin: Any, sigma_m: float) -> None:
+    """frame.png: GPS against the cameras. It tells where photographs were taken, so it stays in the device's folder."""
+    from radiant_core.frames import enu_from_geodetic
+    from radiant_viewer.frame_chart import frame_picture
+    from radiant_viewer.images import save_png
+
+    names = [name for name in cameras.names if name in lat_lon_alt]
+    gps_m = enu_from_geodetic([lat_lon_alt[name] for name in names], np.array(origin))
+    detail = f"{len(names)} photographs; GPS is off by {sigma_m:.1f} m per axis in the usual case"
+    save_png(folder / "frame.png", frame_picture(gps_m, cameras.named(names).centers, f"Frame of {folder.name} by GPS", detail))
 
 
 def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
