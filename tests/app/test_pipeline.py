@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
@@ -57,6 +58,8 @@ def test_every_output_is_there_and_reads(finished: tuple[RunConfig, RunResult, l
         assert (config.out / name).stat().st_size > 0, name
     assert len(load_ply(config.out / "scene.ply")) == result.metrics["num_gaussians"] == len(result.load_splats())
     assert result.metrics["lpips"] is None and result.metrics["lpips_reason"]
+    for row in (*result.metrics["images"], result.metrics, result.metrics["median"]):
+        assert row["psnr_cc_db"] >= row["psnr_db"] - 1e-6 and 0 < row["ssim_cc"] <= 1
     page = result.report.read_text()
     assert not re.findall(r'(?:src|href)="(?!data:)', page), "the report must be self-contained"
 
@@ -98,6 +101,32 @@ def test_resuming_skips_every_finished_stage_and_keeps_the_scene(finished: tuple
     skipped, done = ({e.stage for e in of if isinstance(e, kind)} for of, kind in ((events, StageSkipped), (first, StageDone)))
     assert skipped <= done and all("/teachers/" in stage for stage in done - skipped)
     assert (config.out / "scene.ply").read_bytes() == before
+
+
+def test_weights_for_lpips_given_later_make_resume_score_again_and_nothing_else(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, first, _ = finished
+    copy, weights = tmp_path / "copy", tmp_path / "alex.safetensors"
+    shutil.copytree(config.out, copy)
+    generator, arrays = np.random.default_rng(0), {}
+    for index, (number, fan_in, out, kernel) in enumerate(
+        [(0, 3, 64, 11), (3, 64, 192, 5), (6, 192, 384, 3), (8, 384, 256, 3), (10, 256, 256, 3)]
+    ):
+        arrays[f"features.{number}.weight"] = generator.normal(size=(out, fan_in, kernel, kernel)).astype(np.float32) / (fan_in * kernel**2)
+        arrays[f"features.{number}.bias"] = np.zeros(out, np.float32)
+        arrays[f"lin{index}.model.1.weight"] = np.ones((1, out, 1, 1), np.float32)
+    save_file(arrays, weights)
+    events: list[Event] = []
+    result = run(replace(config, out=copy, lpips_weights=weights, lpips_network="alex"), events.append, resume=True)
+    assert [event.stage for event in events if isinstance(event, StageDone)] == ["evaluation"]
+    rows = result.metrics["images"]
+    assert result.metrics["lpips"] == pytest.approx(np.mean([row["lpips"] for row in rows])) and result.metrics["lpips"] > 0
+    assert result.metrics["psnr_db"] == first.metrics["psnr_db"] and result.metrics["lpips_reason"] is None
+    assert "LPIPS alex" in result.report.read_text()
+    with pytest.raises(BadInput, match="no LPIPS weights"):
+        run(replace(config, out=tmp_path / "new", lpips_weights=tmp_path / "none"))
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import torch
 import torch.nn.functional as F
@@ -24,15 +24,15 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import LpipsNetwork
 from radiant_core.evaluate.image_pair import checked_image_pair
 from radiant_core.io.run_store import write_atomic
-
-LpipsNetwork = Literal["vgg", "alex"]
-"""vgg: VGG16, the one that radiance fields are compared by; alex: AlexNet, smaller and closest to human judgement in the paper."""
 
 INPUT_SHIFT = (-0.030, -0.088, -0.188)
 INPUT_SCALE = (0.458, 0.448, 0.450)
 LENGTH_EPSILON = 1e-10
+MIN_SIDE_PX: dict[LpipsNetwork, int] = {"vgg": 16, "alex": 31}
+"""A shorter image would vanish before the last tap."""
 MAX_FILE_BYTES = 2**30
 """torchvision's VGG16 has 528 MiB, most of it layers that are not needed."""
 
@@ -55,8 +55,6 @@ class _Conv:
 @dataclass(frozen=True, kw_only=True)
 class _Network:
     convs: tuple[_Conv, ...]
-    min_side_px: int
-    """A shorter image would vanish before the last tap."""
     backbone_files: str
     """Pattern of the names that torchvision publishes the backbone under."""
 
@@ -78,7 +76,6 @@ _NETWORKS: dict[LpipsNetwork, _Network] = {
             _Conv(number=26, channels=(512, 512)),
             _Conv(number=28, channels=(512, 512), tap=True),
         ),
-        min_side_px=16,
         backbone_files="vgg16*.pth",
     ),
     "alex": _Network(
@@ -89,7 +86,6 @@ _NETWORKS: dict[LpipsNetwork, _Network] = {
             _Conv(number=8, channels=(384, 256), tap=True),
             _Conv(number=10, channels=(256, 256), tap=True),
         ),
-        min_side_px=31,
         backbone_files="alexnet*.pth",
     ),
 }
@@ -106,7 +102,7 @@ class Lpips:
     @property
     def min_side_px(self) -> int:
         """Shorter images have no LPIPS."""
-        return _NETWORKS[self.network].min_side_px
+        return MIN_SIDE_PX[self.network]
 
     def __call__(self, render: ArrayLike, photograph: ArrayLike) -> float:
         """LPIPS of two images (H,W,3) in 0..1, 0 where they are equal; BadInput on other shapes or values, or a side that is too short."""
