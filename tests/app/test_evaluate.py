@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from safetensors.torch import save_file
 
 from radiant_app.cli import app
 from radiant_app.evaluate_command import EvaluateRequest, evaluate
@@ -33,6 +31,7 @@ from radiant_core.io.upload import save_upload
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
+from tests.app.alex_weights import write_alex_weights
 
 TRUE_SIZE_WH = (96, 72)
 
@@ -109,18 +108,7 @@ def _write_colmap(folder: Path, cameras: Cameras, model: str = "PINHOLE 96 72 90
 
 @pytest.fixture(scope="module")
 def alex_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """AlexNet with random weights and heads, in one file."""
-    generator, weights = torch.Generator().manual_seed(1), {}
-    for index, (number, fan_in, out, kernel) in enumerate(
-        [(0, 3, 64, 11), (3, 64, 192, 5), (6, 192, 384, 3), (8, 384, 256, 3), (10, 256, 256, 3)]
-    ):
-        spread = (2 / (fan_in * kernel**2)) ** 0.5
-        weights[f"features.{number}.weight"] = spread * torch.randn((out, fan_in, kernel, kernel), generator=generator)
-        weights[f"features.{number}.bias"] = torch.zeros(out)
-        weights[f"lin{index}.model.1.weight"] = torch.rand((1, out, 1, 1), generator=generator)
-    path = tmp_path_factory.mktemp("weights") / "alex.safetensors"
-    save_file(weights, path)
-    return path
+    return write_alex_weights(tmp_path_factory.mktemp("weights") / "alex.safetensors")
 
 
 def score(**request: Any) -> dict[str, Any]:

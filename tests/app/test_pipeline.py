@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import save_file
 
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
@@ -26,6 +25,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.train.needs import Overrides
+from tests.app.alex_weights import write_alex_weights
 
 TINY = Overrides(long_side_px=96, num_steps=100, max_num_splats=1500)
 TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats)
@@ -107,16 +107,8 @@ def test_weights_for_lpips_given_later_make_resume_score_again_and_nothing_else(
     finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
 ) -> None:
     config, first, _ = finished
-    copy, weights = tmp_path / "copy", tmp_path / "alex.safetensors"
+    copy, weights = tmp_path / "copy", write_alex_weights(tmp_path / "alex.safetensors")
     shutil.copytree(config.out, copy)
-    generator, arrays = np.random.default_rng(0), {}
-    for index, (number, fan_in, out, kernel) in enumerate(
-        [(0, 3, 64, 11), (3, 64, 192, 5), (6, 192, 384, 3), (8, 384, 256, 3), (10, 256, 256, 3)]
-    ):
-        arrays[f"features.{number}.weight"] = generator.normal(size=(out, fan_in, kernel, kernel)).astype(np.float32) / (fan_in * kernel**2)
-        arrays[f"features.{number}.bias"] = np.zeros(out, np.float32)
-        arrays[f"lin{index}.model.1.weight"] = np.ones((1, out, 1, 1), np.float32)
-    save_file(arrays, weights)
     events: list[Event] = []
     result = run(replace(config, out=copy, lpips_weights=weights, lpips_network="alex"), events.append, resume=True)
     assert [event.stage for event in events if isinstance(event, StageDone)] == ["evaluation"]
