@@ -34,6 +34,7 @@ Frames = Literal["shared", "gps", "known"]
 RunPreset = Literal["default", "paper"]
 UploadFormat = Literal["float32", "float16", "spz"]
 Teachers = Literal["early", "late"]
+LpipsNetwork = Literal["vgg", "alex"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
@@ -52,6 +53,11 @@ NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training s
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
 Seed = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of every random choice.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
+LpipsWeights = Annotated[
+    Path | None,
+    typer.Option("--lpips-weights", help="Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or one safetensors."),
+]
+LpipsNet = Annotated[LpipsNetwork, typer.Option("--lpips-net", help="Network of LPIPS: VGG16 or AlexNet.")]
 Out = Annotated[Path, typer.Option("--out", help="Where the result is written; must not exist or be empty.", show_default=False)]
 RunOut = Annotated[Path | None, typer.Option("--out", help="Folder of the run, new or empty; a batch has one beside its file.")]
 SystemFile = Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; else two edges with two each.")]
@@ -80,6 +86,8 @@ def run(
     long_side_px: LongSide = None,
     steps: NumSteps = None,
     max_splats: MaxSplats = None,
+    lpips_weights: LpipsWeights = None,
+    lpips_net: LpipsNet = "vgg",
     seed: Seed = 0,
     workers: Annotated[int, typer.Option(min=0, help="Processes at a time; 0: one per core.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
@@ -115,6 +123,8 @@ def run(
         single_owner=single_owner,
         teachers=teachers,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
+        lpips_weights=lpips_weights,
+        lpips_network=lpips_net,
         seed=seed,
         max_workers=workers,
     )
@@ -213,14 +223,33 @@ def render(
 
 @app.command()
 def evaluate(
-    run_folder: RunFolder,
-    ply: Annotated[Path | None, typer.Option(help="Another model to score on the run's held-out photographs.")] = None,
+    model: Annotated[Path, typer.Argument(help="A run, a 3DGS PLY, or a model.safetensors.", show_default=False)],
+    scene: Annotated[
+        Path | None,
+        typer.Argument(
+            help="A run, a folder of `radiant sfm`, or an undistorted COLMAP project in its own frame; without it the run MODEL.",
+            show_default=False,
+        ),
+    ] = None,
+    long_side_px: Annotated[
+        int | None, typer.Option("--long-side-px", min=16, help="Long side of the images; without it the run's, else 1600 at most.")
+    ] = None,
+    lpips_weights: LpipsWeights = None,
+    lpips_net: LpipsNet = "vgg",
+    out: Annotated[Path | None, typer.Option("--out", help="JSON file for all figures; must not exist.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """PSNR, SSIM and FLIP on the run's held-out photographs."""
-    from radiant_app import commands
+    """PSNR, SSIM (both also after colour correction), FLIP and LPIPS on the photographs that a scene holds out."""
+    from radiant_app.evaluate_command import EvaluateRequest
+    from radiant_app.evaluate_command import evaluate as score
 
-    _finish(commands.evaluate(run_folder, ply, _listener()), as_json)
+    request = EvaluateRequest(
+        model=model, scene=scene, long_side_px=long_side_px, lpips_weights=lpips_weights, lpips_network=lpips_net, out=out
+    )
+    result = score(request, _listener())
+    if not as_json:
+        _print_figures(result)
+    _finish(result, as_json)
 
 
 @app.command()
@@ -359,6 +388,17 @@ def _print_summary(result: Any) -> None:
         table.add_row(job.name, job.status, *texts, job.message or (job.out if job.exit_code == 0 else ""))
     Console().print(table, markup=False)
     typer.echo(f"summary: {result.folder / 'summary.html'}")
+
+
+def _print_figures(result: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    forms = {"psnr_db": "{:.2f}", "ssim": "{:.4f}", "psnr_cc_db": "{:.2f}", "ssim_cc": "{:.4f}", "flip": "{:.4f}", "lpips": "{:.4f}"}
+    table = Table("photograph", *forms)
+    for row in (*result["images"], {"name": "mean", **result}, {"name": "median", **result["median"]}):
+        table.add_row(row["name"], *("" if row[figure] is None else form.format(row[figure]) for figure, form in forms.items()))
+    Console().print(table, markup=False)
 
 
 def _finish(result: dict[str, Any], as_json: bool) -> None:

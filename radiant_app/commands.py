@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from radiant_app.cloud_task import virtual_cameras_of
-from radiant_app.evaluation import held_out_figures, png_bytes
+from radiant_app.evaluation import png_bytes
 from radiant_app.events import StageProgress, StageStarted
 from radiant_app.nodes import load_images, place_of
 from radiant_app.progress import ProgressDisplay
@@ -62,7 +61,7 @@ def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], dis
     config, decisions = fit_to_backend(replace(train_preset(preset), seed=seed), resolve_backend("auto"), overrides)
     scene = training_part(load_scene_of(scene_folder))
     cameras = scene.cameras.scaled(config.long_side_px)
-    views = TrainingViews(cameras=cameras, images=load_images(_images_folder(scene_folder), cameras))
+    views = TrainingViews(cameras=cameras, images=load_images(images_folder_of(scene_folder), cameras))
     initial, _ = first_splats(scene, views, config)
     with stage_bar(display, "train") as report:
         options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
@@ -138,24 +137,6 @@ def render(model: Path, out: Path, cameras_path: Path | None, long_side_px: int 
     return {"pictures": len(cameras), "folder": str(out)}
 
 
-def evaluate(run: Path, ply: Path | None, display: ProgressDisplay) -> dict[str, Any]:
-    """Score the run's scene, or another PLY, on the run's held-out photographs."""
-    from radiant_core.render.rendered_view import render_views
-
-    require_run(run, "evaluation/cameras.safetensors")
-    folder = run / "evaluation"
-    cameras = load_cameras(folder / "cameras.safetensors")
-    photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(folder / "photos", cameras)]
-    splats, initial = load_ply(ply or run / "scene.ply"), load_splats(folder / "initial.safetensors")
-    with stage_bar(display, "evaluate") as report:
-        views = []
-        for done, view in enumerate(chain(render_views(splats, cameras), render_views(initial, cameras)), 1):
-            views.append(view)
-            report(done, 2 * len(cameras) + 1, view.name)
-        figures = held_out_figures(views[: len(cameras)], views[len(cameras) :], photographs)
-    return {**figures, "num_gaussians": len(splats)}
-
-
 def screenshot(run: Path, view: Any, path: Path) -> str:
     """Write one view of a run as PNG."""
     from radiant_viewer.images import save_png
@@ -200,7 +181,8 @@ def load_scene_of(folder: Path) -> SfmScene:
     return load_scene(path)
 
 
-def _images_folder(folder: Path) -> Path:
+def images_folder_of(folder: Path) -> Path:
+    """The photographs of the folder of a run or of `radiant sfm`; BadInput where nothing names them."""
     owner = folder / "sfm" if (folder / "sfm" / "result.json").is_file() else folder
     if not (owner / "result.json").is_file():
         raise BadInput(f"{owner} holds no result.json that names its photographs: give the folder of 'radiant sfm' or of a run.")

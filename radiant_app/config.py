@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 from radiant_core.aggregate.config import AggregatePreset
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import LpipsNetwork
 from radiant_core.io.upload import UploadFormat
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
@@ -73,6 +74,10 @@ class RunConfig:
     """What devices and edges send: exact, half the bytes, or SPZ with a fifth of them."""
     teachers: Literal["early", "late"] = "early"
     """early: an edge renders the views of a device when it has arrived; late: of all when the last has. The result is the same."""
+    lpips_weights: Path | None = None
+    """Weights for LPIPS, see `radiant_core.evaluate.lpips.load_lpips`; None: LPIPS is not measured."""
+    lpips_network: LpipsNetwork = "vgg"
+    """Network of LPIPS."""
     seed: int = 0
     """Seed of every random choice."""
     max_workers: int = 0
@@ -99,7 +104,7 @@ class RunConfig:
             raise BadInput(f"poses are given and frames is {self.frames!r}: give them with --frames known.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
-        for path in (self.source, self.out, self.poses, self.plan):
+        for path in (self.source, self.out, self.poses, self.plan, self.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")
 

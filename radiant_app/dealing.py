@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.cloud_task import retrain_settings
+from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
 from radiant_core import __version__
@@ -168,16 +169,18 @@ class SharedDealer(Dealer):
         return plan.cameras_of(device)
 
 
-def evaluation_task(run: Path, images: Path, cameras: Cameras, backend: str) -> NodeTask:
-    """Prepare evaluation/: the finished scene, the untrained one (already there), the held-out photographs and their cameras."""
+def evaluation_task(run: Path, images: Path, cameras: Cameras, backend: str, lpips_network: str | None) -> NodeTask:
+    """Prepare evaluation/: the finished scene, the held-out photographs and their cameras; the untrained scene, and weights for LPIPS where
+    a network is named, are already there."""
     folder = run / "evaluation"
     deal_files(images, cameras.names, folder / "photos")
     deal_files(run / "cloud", ["scene.ply"], folder)
     deal_files(run, ["plan.json"], folder)
     save_cameras(folder / "cameras.safetensors", cameras)
-    task = {"backend": backend, "seams": True}
+    task = {"backend": backend, "seams": True, "lpips": lpips_network}
     write_json(folder / "task.json", task)
-    inputs = [folder / name for name in ("photos", "scene.ply", "plan.json", "cameras.safetensors", "initial.safetensors")]
+    names = ["photos", "scene.ply", "plan.json", "cameras.safetensors", "initial.safetensors", *([LPIPS_NAME] if lpips_network else [])]
+    inputs = [folder / name for name in names]
     return NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=content_key(__version__, task, *inputs))
 
 

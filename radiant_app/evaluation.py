@@ -6,7 +6,7 @@ Seam masks come from the scene's own depth here; a comparison of methods has to 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from radiant_app.events import Event, StageProgress
 from radiant_core.cameras import Cameras
-from radiant_core.evaluate.image_error import NO_FLIP_REASON, NO_LPIPS_REASON, image_errors, mean_errors, psnr_db
+from radiant_core.evaluate.image_error import (
+    FIGURES,
+    NO_FLIP_REASON,
+    NO_LPIPS_REASON,
+    ImageErrors,
+    image_errors,
+    mean_errors,
+    median_errors,
+    psnr_db,
+)
+from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.seam_error import band_and_interior_psnr_db, seam_masks
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import load_ply
@@ -23,6 +33,8 @@ from radiant_core.io.records import load_cameras, load_plan, load_splats
 from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.render.rendered_view import RenderedView, render_views
 
+LPIPS_NAME = "lpips.safetensors"
+"""Weights for LPIPS, laid where a scene is scored."""
 PICTURE_KINDS = ("photographs", "renders", "differences")
 """Folders with one PNG per held-out photograph."""
 
@@ -32,43 +44,50 @@ def run_evaluate(folder: Path, stage: str, emit: Callable[[Event], None]) -> Seq
     task = read_json(folder / "task.json")
     cameras = load_cameras(folder / "cameras.safetensors")
     scene, initial = load_ply(folder / "scene.ply"), load_splats(folder / "initial.safetensors")
+    lpips = given_lpips(folder, task)
     photographs = [load_photograph(folder / "photos" / name, size) for name, size in _names_and_sizes(cameras)]
-    report = _reporter(stage, 2 * len(cameras), emit)
+    report = _reporter(stage, 3 * len(cameras), emit)
     rendered = [report(view) for view in render_views(scene, cameras, task["backend"])]
     untrained = [report(view) for view in render_views(initial, cameras, task["backend"])]
-    pictures = [name for view, photo in zip(rendered, photographs, strict=True) for name in save_comparison(folder, view, photo)]
-    result = {**held_out_figures(rendered, untrained, photographs), "num_gaussians": len(scene)}
+    rows, pictures = [], []
+    for view, before, photo in zip(rendered, untrained, photographs, strict=True):
+        rows.append(image_row(view, photo, before=before, lpips=lpips))
+        pictures += save_comparison(folder, view, photo)
+        report(view)
+    result = {**summary_of(rows, lpips_network=lpips.network if lpips else None), "num_gaussians": len(scene)}
     if task["seams"]:
         result |= _seam_figures(folder / "plan.json", cameras, rendered, photographs)
     write_json(folder / "result.json", result)
     return ["result.json", *pictures]
 
 
-def held_out_figures(
-    rendered: Sequence[RenderedView], untrained: Sequence[RenderedView], photographs: Sequence[NDArray[np.float32]]
+def given_lpips(folder: Path, task: Mapping[str, Any]) -> Lpips | None:
+    """The network that a task names, its weights dealt into `folder`; None where none is named."""
+    return load_lpips(folder / LPIPS_NAME, task["lpips"]) if task["lpips"] else None
+
+
+def image_row(
+    view: RenderedView, photograph: NDArray[np.float32], *, before: RenderedView | None = None, lpips: Lpips | None = None
 ) -> dict[str, Any]:
-    """Mean and per-image figures of renders against photographs (H,W,3) in 0..1, with both baselines."""
-    errors = [image_errors(view.name, view.image, photo) for view, photo in zip(rendered, photographs, strict=True)]
-    mean = mean_errors(errors)
-    per_image = [
-        {
-            "name": error.name,
-            "psnr_db": error.psnr_db,
-            "ssim": error.ssim,
-            "flip": error.flip,
-            "initial_psnr_db": psnr_db(before.image, photo),
-            "mean_color_psnr_db": psnr_db(np.broadcast_to(photo.mean(axis=(0, 1)), photo.shape), photo),
-        }
-        for error, before, photo in zip(errors, untrained, photographs, strict=True)
-    ]
+    """All figures of one render against its photograph (H,W,3) in 0..1, with the PSNR of both baselines: the photograph's own mean colour
+    and, where it is given, the render `before` training."""
+    errors = image_errors(view.name, view.image, photograph, lpips)
+    untrained = {} if before is None else {"initial_psnr_db": psnr_db(before.image, photograph)}
+    mean_color = np.broadcast_to(photograph.mean(axis=(0, 1)), photograph.shape)
+    return {"name": view.name, **errors.figures(), **untrained, "mean_color_psnr_db": psnr_db(mean_color, photograph)}
+
+
+def summary_of(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:
+    """What metrics.json says of the rows of `image_row`: means of all figures, their medians, reasons where one is null, the rows."""
+    errors = [ImageErrors(name=row["name"], **{figure: row[figure] for figure in FIGURES}) for row in rows]
+    mean, median = mean_errors(errors), median_errors(errors)
     return {
-        "psnr_db": mean.psnr_db,
-        "ssim": mean.ssim,
-        "flip": mean.flip,
+        **mean.figures(),
+        "median": median.figures(),
         "flip_reason": NO_FLIP_REASON if mean.flip is None else None,
-        "lpips": None,
-        "lpips_reason": NO_LPIPS_REASON,
-        "images": per_image,
+        "lpips_reason": NO_LPIPS_REASON if mean.lpips is None else None,
+        "lpips_network": lpips_network,
+        "images": list(rows),
     }
 
 

@@ -103,10 +103,11 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
         raise StageFailed("no device delivered a model. " + " ".join(f"{name}: {reason}" for name, reason in missing.items()))
-    scorer = Scorer(dealer=dealer, moves=dealer.moves(), long_side_px=train.long_side_px)
+    lpips_network = config.lpips_network if config.lpips_weights else None
+    scorer = Scorer(dealer=dealer, moves=dealer.moves(), long_side_px=train.long_side_px, lpips_network=lpips_network)
     executor.fold(_scoring_tree(scorer.moves), scorer.prepare, progress.listen)
     progress.manifest.ledger = [*dealer.ledger, *scorer.ledger]
-    result = collect_scores(config.out, sorted(scorer.moves), missing)
+    result = collect_scores(config.out, sorted(scorer.moves), missing, lpips_network)
     (config.out / "evaluation").mkdir(exist_ok=True)
     write_json(config.out / "evaluation" / "result.json", {**result, "frames": config.frames, "pooled": folders is None})
     save_delivered(config.out, dealer, captured.origin)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.dealing import Dealer, Filled, deal_files, received
+from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
 from radiant_core import __version__
@@ -141,6 +142,8 @@ class Scorer:
     dealer: FieldDealer
     moves: dict[str, list[Any]]
     long_side_px: int
+    lpips_network: str | None
+    """With it, evaluation/ holds the weights."""
     ledger: list[dict[str, Any]] = field(default_factory=list)
 
     def prepare(self, node: Tree) -> NodeTask | None:
@@ -152,7 +155,14 @@ class Scorer:
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         deal_files(run / "cloud", ["scene.ply"], folder / "inbox")
         deal_files(run, ["plan.json"], folder / "inbox")
-        task = {"corrections": self.moves[device], "long_side_px": self.long_side_px, "backend": self.dealer.backend}
+        if self.lpips_network:
+            deal_files(run / "evaluation", [LPIPS_NAME], folder / "inbox")
+        task = {
+            "corrections": self.moves[device],
+            "long_side_px": self.long_side_px,
+            "backend": self.dealer.backend,
+            "lpips": self.lpips_network,
+        }
         write_json(folder / "task.json", task)
         inputs = [folder / "inbox", *(folder.parent / name for name in ("held_out.safetensors", "model.safetensors"))]
         self.ledger.append({"node": node.id, "tier": "device", **received([folder / "inbox"])})

@@ -154,7 +154,7 @@ def _frame_decision(stage: str, uncertainty: dict[str, float], num_positions: in
 
 def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Score the downloaded scene on the photographs that this device held out, and say how much its own synthetic views give away."""
-    from radiant_app.evaluation import held_out_figures, region_width, save_comparison
+    from radiant_app.evaluation import given_lpips, image_row, region_width, save_comparison
     from radiant_core.evaluate.seam_error import seam_masks, seam_sums
     from radiant_core.io.ply import load_ply
     from radiant_core.render.rendered_view import render_views
@@ -174,7 +174,10 @@ def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         cameras = replace(cameras, names=tuple(names))
         rendered = list(render_views(load_ply(folder / "inbox" / "scene.ply"), cameras, task["backend"]))
         untrained = list(render_views(load_splats(own / "initial.safetensors"), held_out, task["backend"]))
-        result |= {"images": held_out_figures(rendered, untrained, photographs)["images"]}
+        lpips = given_lpips(folder / "inbox", task)
+        result["images"] = [
+            image_row(view, photo, before=before, lpips=lpips) for view, before, photo in zip(rendered, untrained, photographs, strict=True)
+        ]
         plan, _ = load_plan(folder / "inbox" / "plan.json")
         masks = seam_masks(cameras, [view.depth for view in rendered], plan, region_width(plan.sites))
         result["seam_sums"] = seam_sums([view.image for view in rendered], photographs, masks).tolist()

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.evaluation import region_width
+from radiant_app.evaluation import region_width, summary_of
 from radiant_app.field_dealing import FieldDealer, device_cameras
 from radiant_app.inbox import moved_cameras, sim3_of
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import StageFailed
-from radiant_core.evaluate.image_error import NO_FLIP_REASON, NO_LPIPS_REASON
 from radiant_core.evaluate.seam_error import pooled_seam_error
 from radiant_core.frames import Frame
 from radiant_core.io.ply import load_ply
@@ -27,7 +26,7 @@ from radiant_core.splats import SH_C0
 MAX_SHOWN_POINTS = 20_000
 
 
-def collect_scores(run: Path, devices: Sequence[str], missing: dict[str, str]) -> dict[str, Any]:
+def collect_scores(run: Path, devices: Sequence[str], missing: dict[str, str], lpips_network: str | None) -> dict[str, Any]:
     """The figures of all devices as one record; StageFailed when no device has a held-out photograph."""
     results = {
         device: read_json(run / "devices" / device / "score" / "result.json", ("images", "leakage", "seam_sums"))
@@ -37,17 +36,10 @@ def collect_scores(run: Path, devices: Sequence[str], missing: dict[str, str]) -
     images = [row for result in results.values() for row in result["images"]]
     if not images:
         raise StageFailed("no device could score the scene: none holds a photograph out that it could place; give more photographs.")
-    flips = [row["flip"] for row in images if row["flip"] is not None]
     seams = pooled_seam_error([np.array(result["seam_sums"]) for result in results.values()])
     plan, _ = load_plan(run / "plan.json")
     return {
-        "psnr_db": float(np.mean([row["psnr_db"] for row in images])),
-        "ssim": float(np.mean([row["ssim"] for row in images])),
-        "flip": float(np.mean(flips)) if len(flips) == len(images) else None,
-        "flip_reason": None if len(flips) == len(images) else NO_FLIP_REASON,
-        "lpips": None,
-        "lpips_reason": NO_LPIPS_REASON,
-        "images": images,
+        **summary_of(images, lpips_network=lpips_network),
         "num_gaussians": len(load_ply(run / "cloud" / "scene.ply")),
         "seam_psnr_db": seams.seam_psnr_db,
         "interior_psnr_db": seams.interior_psnr_db,

@@ -65,7 +65,7 @@ class Job:
 
     @property
     def input_files(self) -> tuple[Path, ...]:
-        """Files besides the source that the run reads."""
+        """Files and folders besides the source that the run reads."""
         return tuple(value for value in self.options.values() if isinstance(value, Path))
 
 
@@ -112,8 +112,8 @@ def _check(jobs: Sequence[Job], folder: Path) -> None:
         except BadInput as error:
             raise BadInput(f"job {job.name!r}: {error}") from error
         for file in job.input_files:
-            if not file.is_file():
-                raise BadInput(f"job {job.name!r}: {file} is no file: correct the path; it is relative to the job file.")
+            if not file.exists():
+                raise BadInput(f"job {job.name!r}: {file} is no file or folder: correct the path; it is relative to the job file.")
         if folder.is_relative_to(job.out) or job.out.is_relative_to(folder / RECORDS):
             raise BadInput(f"job {job.name!r}: out is {job.out}, which the batch needs for itself: choose another folder.")
         for other in jobs[:index]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from radiant_app.config import RunConfig
 from radiant_app.dealing import SharedDealer, deal_files, evaluation_task
-from radiant_app.evaluation import PICTURE_KINDS
+from radiant_app.evaluation import LPIPS_NAME, PICTURE_KINDS
 from radiant_app.events import Listener, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.local import run_task
@@ -31,6 +31,7 @@ from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
+from radiant_core.evaluate.lpips import MIN_SIDE_PX, load_lpips, save_lpips
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_splats
@@ -76,7 +77,11 @@ def run(
     system = even_system(2, 2) if config.system is None else load_system(config.system)
     if config.emulated:
         require_emulable(system)
+    lpips = None if config.lpips_weights is None else load_lpips(config.lpips_weights, config.lpips_network)
     with opened_run(config, resume) as manifest:
+        if lpips is not None:
+            (config.out / "evaluation").mkdir(exist_ok=True)
+            save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
         progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
         cloud_plan, tree = (
             _run_shared(config, system, progress) if config.frames == "shared" else run_in_the_field(config, system, progress)
@@ -99,7 +104,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
         config, with_uploads(system, config.upload, progress), training.cameras.centers[:, :2], origin, progress
     )
     train, aggregate, backend = training_settings(config, progress)
-    _require_size(scene, train)
+    _require_size(config, scene, train)
     dealer = SharedDealer(
         run=config.out,
         images=images,
@@ -138,12 +143,13 @@ def _sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
     return scene, folder / read_json(folder / "result.json", ("images",))["images"]
 
 
-def _require_size(scene: SfmScene, train: TrainConfig) -> None:
+def _require_size(config: RunConfig, scene: SfmScene, train: TrainConfig) -> None:
     width, height = min(scene.cameras.scaled(train.long_side_px).sizes_wh.tolist(), key=min)
-    if min(width, height) < SSIM_WINDOW_PX:
+    least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (MIN_SIDE_PX[config.lpips_network] if config.lpips_weights else 0, "LPIPS"))
+    if min(width, height) < least_px:
         raise BadInput(
-            f"with a long side of {train.long_side_px} px a photograph is {width} × {height} px, expected {SSIM_WINDOW_PX} or more a side "
-            "for SSIM: raise --long-side-px."
+            f"with a long side of {train.long_side_px} px a photograph is {width} × {height} px, expected {least_px} or more a side "
+            f"for {figure}: raise --long-side-px."
         )
 
 
@@ -154,7 +160,8 @@ def _evaluation_stage(config: RunConfig, scene: SfmScene, train: TrainConfig, re
     untrained = initial_splats(scene.points, scene.colors, scene.cameras, max_num_splats=train.max_num_splats, sh_degree=train.sh_degree)
     save_splats(folder / "initial.safetensors", untrained)
     held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(train.long_side_px)
-    run_task(evaluation_task(config.out, images, held_out, backend), progress.listen, progress.clock)
+    lpips_network = config.lpips_network if config.lpips_weights else None
+    run_task(evaluation_task(config.out, images, held_out, backend, lpips_network), progress.listen, progress.clock)
 
 
 def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:

@@ -179,13 +179,15 @@ def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (
 
 
 def recorded_config(config: RunConfig) -> dict[str, Any]:
-    """The settings as the manifest keeps them: all but where the run lies and in which order and how many processes work on it."""
+    """The settings as the manifest keeps them: all but where the run lies, in which order and how many processes work on it, and
+    what its scene is scored with in the end."""
     fields = asdict(config)
     fields["source"] = str(config.source.resolve())
     for name in ("system", "poses", "plan"):
         path = getattr(config, name)
         fields[name] = None if path is None else str(path.resolve())
-    del fields["out"], fields["max_workers"], fields["teachers"]
+    for name in ("out", "max_workers", "teachers", "lpips_weights", "lpips_network"):
+        del fields[name]
     return fields
 
 

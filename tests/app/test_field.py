@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
 from radiant_core.train.needs import Overrides
 from radiant_viewer.run_view import load_run_view
+from tests.app.alex_weights import write_alex_weights
 
 TINY = Overrides(long_side_px=96, num_steps=60, max_num_splats=1500)
 TWO_EDGES = "".join(f'[[edge]]\nid = "{edge}"\n[[edge.device]]\nid = "{edge}-1"\n' for edge in ("north", "south"))
@@ -89,6 +91,19 @@ def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> Non
     run(config, events.append, resume=True)
     assert not any(isinstance(event, StageDone) for event in events) and any(isinstance(event, StageSkipped) for event in events)
     assert (config.out / "scene.ply").read_bytes() == before
+
+
+def test_weights_for_lpips_make_every_device_score_again_and_nothing_else(finished: tuple[RunConfig, RunResult], tmp_path: Path) -> None:
+    config, first = finished
+    copy = tmp_path / "copy"
+    shutil.copytree(config.out, copy)
+    weights = write_alex_weights(tmp_path / "alex.safetensors")
+    events: list[Event] = []
+    result = run(replace(config, out=copy, lpips_weights=weights, lpips_network="alex"), events.append, resume=True)
+    assert {event.stage for event in events if isinstance(event, StageDone)} == {"devices/north-1/score", "devices/south-1/score"}
+    assert result.metrics["lpips"] == pytest.approx(np.mean([row["lpips"] for row in result.metrics["images"]]))
+    assert result.metrics["lpips"] > 0 and result.metrics["lpips_network"] == "alex"
+    assert result.metrics["psnr_db"] == first.metrics["psnr_db"]
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.train.needs import Overrides
+from tests.app.alex_weights import write_alex_weights
 
 TINY = Overrides(long_side_px=96, num_steps=100, max_num_splats=1500)
 TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats)
@@ -57,6 +58,8 @@ def test_every_output_is_there_and_reads(finished: tuple[RunConfig, RunResult, l
         assert (config.out / name).stat().st_size > 0, name
     assert len(load_ply(config.out / "scene.ply")) == result.metrics["num_gaussians"] == len(result.load_splats())
     assert result.metrics["lpips"] is None and result.metrics["lpips_reason"]
+    for row in (*result.metrics["images"], result.metrics, result.metrics["median"]):
+        assert row["psnr_cc_db"] >= row["psnr_db"] - 1e-6 and 0 < row["ssim_cc"] <= 1
     page = result.report.read_text()
     assert not re.findall(r'(?:src|href)="(?!data:)', page), "the report must be self-contained"
 
@@ -98,6 +101,24 @@ def test_resuming_skips_every_finished_stage_and_keeps_the_scene(finished: tuple
     skipped, done = ({e.stage for e in of if isinstance(e, kind)} for of, kind in ((events, StageSkipped), (first, StageDone)))
     assert skipped <= done and all("/teachers/" in stage for stage in done - skipped)
     assert (config.out / "scene.ply").read_bytes() == before
+
+
+def test_weights_for_lpips_given_later_make_resume_score_again_and_nothing_else(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, first, _ = finished
+    copy, weights = tmp_path / "copy", write_alex_weights(tmp_path / "alex.safetensors")
+    shutil.copytree(config.out, copy)
+    events: list[Event] = []
+    result = run(replace(config, out=copy, lpips_weights=weights, lpips_network="alex"), events.append, resume=True)
+    assert [event.stage for event in events if isinstance(event, StageDone)] == ["evaluation"]
+    rows = result.metrics["images"]
+    assert result.metrics["lpips"] == pytest.approx(np.mean([row["lpips"] for row in rows])) and result.metrics["lpips"] > 0
+    assert result.metrics["psnr_db"] == first.metrics["psnr_db"] and result.metrics["lpips_reason"] is None
+    assert "LPIPS alex" in result.report.read_text()
+    with pytest.raises(BadInput, match="no LPIPS weights"):
+        run(replace(config, out=tmp_path / "new", lpips_weights=tmp_path / "none"))
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:

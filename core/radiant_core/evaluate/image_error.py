@@ -1,22 +1,26 @@
-"""How far a render is from its photograph: PSNR, SSIM, FLIP. Runs once per held-out image.
+"""How far a render is from its photograph: PSNR, SSIM, FLIP, LPIPS, and the first two after colour correction. Once per held-out image.
 
 PSNR = −10 log10(mean squared error), peak 1. SSIM (Wang et al. 2004, Eqn. 13) per channel with an 11×11 Gaussian
 window, σ 1.5 px, K1 0.01, K2 0.03, averaged over the windows that lie wholly inside the image: no border is made up. FLIP
-(Andersson et al. 2020) by the authors' package at its default 67 pixels per degree, images taken as sRGB.
+(Andersson et al. 2020) by the authors' package at its default 67 pixels per degree, images taken as sRGB. LPIPS as in `lpips.py`, where
+its weights are given. `_cc` figures take the render as `color_correction.py` corrects it; they stand beside the plain ones, never for them.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.evaluate.color_correction import color_corrected
+from radiant_core.evaluate.image_pair import checked_image_pair
+from radiant_core.numerics import FloatArray
 
 SSIM_WINDOW_PX = 11
 SSIM_SIGMA_PX = 1.5
@@ -26,26 +30,44 @@ SSIM_C2 = 0.03**2
 MIN_SQUARED_ERROR = 1e-10
 """Equal images count as 100 dB, so that every figure stays finite; 8-bit photographs cannot show more than 59 dB."""
 
-NO_LPIPS_REASON = "LPIPS needs trained network weights, which are not part of the package: it was not measured."
+NO_LPIPS_REASON = "LPIPS needs trained network weights, which are not part of the package: it was not measured; give --lpips-weights."
 NO_FLIP_REASON = "the package flip-evaluator is not installed: FLIP was not measured; install it to get the figure."
+
+LpipsNetwork = Literal["vgg", "alex"]
+"""vgg: VGG16, the one that radiance fields are compared by; alex: AlexNet, smaller and quicker."""
+ImageFigure = Literal["psnr_db", "ssim", "psnr_cc_db", "ssim_cc", "flip", "lpips"]
+FIGURES: tuple[ImageFigure, ...] = get_args(ImageFigure)
+"""Names of all figures, the headline first."""
+Distance = Callable[[ArrayLike, ArrayLike], float]
+"""A figure of a render and its photograph, both (H,W,3) in 0..1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageErrors:
-    """Figures of one image, or their means over several."""
+    """Figures of one image, or their means or medians over several; None where a figure was not measured of every image."""
 
     name: str
     psnr_db: float
     """Peak signal-to-noise ratio, higher is better, at most 100."""
     ssim: float
     """Structural similarity, 1 is equal."""
+    psnr_cc_db: float
+    """PSNR after colour correction, never below `psnr_db` but for rounding."""
+    ssim_cc: float
+    """SSIM after colour correction."""
     flip: float | None
     """Mean FLIP, 0 is equal; None with `NO_FLIP_REASON` where the package is missing."""
+    lpips: float | None = None
+    """LPIPS, 0 is equal; None with `NO_LPIPS_REASON` where no weights were given."""
+
+    def figures(self) -> dict[ImageFigure, float | None]:
+        """Figure by name, in the order of `FIGURES`."""
+        return {figure: getattr(self, figure) for figure in FIGURES}
 
 
 def psnr_db(render: ArrayLike, photograph: ArrayLike) -> float:
     """PSNR in dB of two images (H,W,3) in 0..1; BadInput on other shapes or values."""
-    render, photograph = _image_pair(render, photograph)
+    render, photograph = checked_image_pair(render, photograph)
     return psnr_db_of_mse(float(np.mean((render - photograph) ** 2)))
 
 
@@ -56,7 +78,7 @@ def psnr_db_of_mse(mean_squared_error: float) -> float:
 
 def ssim(render: ArrayLike, photograph: ArrayLike) -> float:
     """SSIM of two images (H,W,3) in 0..1, float64; BadInput on other shapes or values, or a side under 11 px."""
-    render, photograph = _image_pair(render, photograph)
+    render, photograph = checked_image_pair(render, photograph)
     if min(render.shape[:2]) < SSIM_WINDOW_PX:
         raise BadInput(f"images of {render.shape[1]}×{render.shape[0]} px are too small for SSIM: give at least 11 px a side.")
     mean_a, mean_b = _window_mean(render), _window_mean(photograph)
@@ -69,7 +91,7 @@ def ssim(render: ArrayLike, photograph: ArrayLike) -> float:
 
 def flip(render: ArrayLike, photograph: ArrayLike) -> float | None:
     """Mean FLIP of two sRGB images (H,W,3) in 0..1, or None without the package; BadInput on other shapes or values."""
-    render, photograph = _image_pair(render, photograph)
+    render, photograph = checked_image_pair(render, photograph)
     if importlib.util.find_spec("flip_evaluator") is None:
         return None
     import flip_evaluator
@@ -78,34 +100,39 @@ def flip(render: ArrayLike, photograph: ArrayLike) -> float | None:
     return float(mean)
 
 
-def image_errors(name: str, render: ArrayLike, photograph: ArrayLike) -> ImageErrors:
-    """All figures of one image (H,W,3) in 0..1 against its photograph; BadInput on other shapes or values."""
-    return ImageErrors(name=name, psnr_db=psnr_db(render, photograph), ssim=ssim(render, photograph), flip=flip(render, photograph))
+def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Distance | None = None) -> ImageErrors:
+    """All figures of one image (H,W,3) in 0..1 against its photograph; BadInput on other shapes or values.
 
-
-def mean_errors(errors: Sequence[ImageErrors], name: str = "mean") -> ImageErrors:
-    """Mean of each figure over the images; FLIP is None when any image lacks it. BadInput without images."""
-    if not errors:
-        raise BadInput("there are no images to average over: hold at least one photograph out.")
-    flips = [error.flip for error in errors if error.flip is not None]
+    `lpips` is a `radiant_core.evaluate.lpips.Lpips`, where weights are at hand.
+    """
+    corrected = color_corrected(render, photograph)
     return ImageErrors(
         name=name,
-        psnr_db=float(np.mean([error.psnr_db for error in errors])),
-        ssim=float(np.mean([error.ssim for error in errors])),
-        flip=float(np.mean(flips)) if len(flips) == len(errors) else None,
+        psnr_db=psnr_db(render, photograph),
+        ssim=ssim(render, photograph),
+        flip=flip(render, photograph),
+        lpips=None if lpips is None else lpips(render, photograph),
+        psnr_cc_db=psnr_db(corrected, photograph),
+        ssim_cc=ssim(corrected, photograph),
     )
 
 
-def _image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    pair = [checked_array(name, image, (None, None, 3)) for name, image in (("render", render), ("photograph", photograph))]
-    if pair[0].shape != pair[1].shape:
-        raise BadInput(f"a render {pair[0].shape} is compared with a photograph {pair[1].shape}: give them the same size.")
-    if pair[0].size == 0:
-        raise BadInput("an image without pixels cannot be compared.")
-    for name, image in zip(("render", "photograph"), pair, strict=True):
-        if image.min() < 0 or image.max() > 1:
-            raise BadInput(f"the {name} has values {image.min():.3g} to {image.max():.3g}, expected 0 to 1: clamp it first.")
-    return pair[0], pair[1]
+def mean_errors(errors: Sequence[ImageErrors], name: str = "mean") -> ImageErrors:
+    """Mean of each figure over the images; None when any image lacks it. BadInput without images."""
+    return _over_images(errors, name, np.mean)
+
+
+def median_errors(errors: Sequence[ImageErrors], name: str = "median") -> ImageErrors:
+    """Median of each figure over the images; None when any image lacks it. BadInput without images."""
+    return _over_images(errors, name, np.median)
+
+
+def _over_images(errors: Sequence[ImageErrors], name: str, over: Callable[[Any], Any]) -> ImageErrors:
+    if not errors:
+        raise BadInput("there are no images to average over: hold at least one photograph out.")
+    columns = {figure: [getattr(error, figure) for error in errors] for figure in FIGURES}
+    values: dict[str, Any] = {figure: None if None in column else float(over(column)) for figure, column in columns.items()}
+    return ImageErrors(name=name, **values)
 
 
 def _window_mean(image: FloatArray) -> NDArray[np.float64]:

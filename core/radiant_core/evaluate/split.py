@@ -1,7 +1,8 @@
 """Which photographs are kept apart. Computed once per scene, from names alone, so that it is the same in every run.
 
 held out: what the set itself keeps in val/ (Mill 19 does), else position 0, 8, 16, … by sorted name; used for scoring only.
-validation: position 0, 8, 16, … of what remains, used for choices inside training.
+validation: position 0, 8, 16, … of what remains, from 8 training photographs on; used for choices inside training, never to score.
+training:   the rest. A choice that was made by the validation part may then be trained on both.
 """
 
 from __future__ import annotations
@@ -26,8 +27,21 @@ def held_out_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
 
 
 def validation_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
-    """Mask (C,) of every eighth of the training photographs, those that `held_out_mask` leaves; raises as it."""
-    return _every_nth(names, ~held_out_mask(names, every), every)
+    """Mask (C,) of the validation part of a whole set: what `training_validation_mask` takes of what `held_out_mask` leaves."""
+    held_out = held_out_mask(names, every)
+    training = np.flatnonzero(~held_out)
+    mask = np.zeros(len(names), bool)
+    mask[training] = training_validation_mask([names[int(index)] for index in training], every)
+    return mask
+
+
+def training_validation_mask(training_names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
+    """Mask (C,) of the validation part of training photographs (C), for a trainer that knows nothing of the held-out ones.
+
+    The first, ninth, … in sorted order: ⌈C / every⌉ of them, or none where C < `every`. Raises as `held_out_mask`.
+    """
+    mask = _every_nth(training_names, np.ones(len(training_names), bool), every)
+    return mask if len(training_names) >= every else np.zeros(len(training_names), bool)
 
 
 def _every_nth(names: Sequence[str], candidates: NDArray[np.bool_], every: int) -> NDArray[np.bool_]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.image_error import ImageErrors, flip, image_errors, mean_errors, psnr_db, ssim
+from radiant_core.evaluate.image_error import FIGURES, ImageErrors, flip, image_errors, mean_errors, median_errors, psnr_db, ssim
 
 RNG = np.random.default_rng(11)
 PHOTO = np.clip(np.cumsum(RNG.normal(scale=0.1, size=(40, 33, 3)), axis=1) + 0.5, 0, 1)
@@ -80,12 +82,35 @@ def test_without_the_package_flip_is_left_out(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_means_are_means_and_flip_needs_every_image() -> None:
-    a = ImageErrors(name="a", psnr_db=20, ssim=0.5, flip=0.1)
-    b = ImageErrors(name="b", psnr_db=30, ssim=0.7, flip=0.3)
-    assert mean_errors([a, b]) == ImageErrors(name="mean", psnr_db=25, ssim=0.6, flip=0.2)
-    assert mean_errors([a, ImageErrors(name="c", psnr_db=1, ssim=1, flip=None)]).flip is None
+    a = ImageErrors(name="a", psnr_db=20, ssim=0.5, psnr_cc_db=22, ssim_cc=0.6, flip=0.1)
+    b = ImageErrors(name="b", psnr_db=30, ssim=0.7, psnr_cc_db=32, ssim_cc=0.8, flip=0.3)
+    assert mean_errors([a, b]).figures() == pytest.approx(
+        {"psnr_db": 25, "ssim": 0.6, "psnr_cc_db": 27, "ssim_cc": 0.7, "flip": 0.2, "lpips": None}
+    )
+    assert mean_errors([a, replace(b, flip=None)]).flip is None
     with pytest.raises(BadInput, match="no images"):
         mean_errors([])
+
+
+def mean_difference(render, photograph) -> float:
+    return float(np.abs(render - photograph).mean())
+
+
+def test_means_and_medians_are_of_every_figure() -> None:
+    errors = [image_errors(str(step), np.clip(PHOTO + step, 0, 1), PHOTO, mean_difference) for step in (0, 0.1, 0.5)]
+    plainly: list[tuple[Any, Any]] = [(mean_errors, np.mean), (median_errors, np.median)]
+    for over, plain in plainly:
+        found = over(errors).figures()
+        assert tuple(found) == FIGURES and None not in found.values()
+        assert found == {figure: pytest.approx(plain([error.figures()[figure] for error in errors])) for figure in FIGURES}
+    assert median_errors(errors).name == "median" and median_errors(errors).psnr_db < mean_errors(errors).psnr_db
+    with pytest.raises(BadInput, match="no images"):
+        median_errors([])
+
+
+def test_lpips_is_measured_only_where_it_is_given() -> None:
+    assert image_errors("a", RENDER, PHOTO).lpips is None
+    assert image_errors("a", RENDER, PHOTO, lambda render, photograph: 0.25).lpips == 0.25
 
 
 @pytest.mark.parametrize("figure", [psnr_db, ssim, flip])

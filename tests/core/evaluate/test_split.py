@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.split import held_out_mask, validation_mask
+from radiant_core.evaluate.split import held_out_mask, training_validation_mask, validation_mask
 
 NAMES = [f"{index:03d}.jpg" for index in range(60)]
 
@@ -26,7 +26,7 @@ def test_held_out_and_validation_are_disjoint_and_leave_the_rest() -> None:
     assert (~held & ~validation).sum() == 45
 
 
-@pytest.mark.parametrize("mask_of", [held_out_mask, validation_mask])
+@pytest.mark.parametrize("mask_of", [held_out_mask, validation_mask, training_validation_mask])
 @pytest.mark.parametrize("every", [2, 3, 8])
 def test_the_order_of_the_list_does_not_matter(mask_of, every: int) -> None:
     shuffled = list(np.random.default_rng(0).permutation(NAMES))
@@ -45,7 +45,21 @@ def test_a_set_with_a_split_of_its_own_keeps_it() -> None:
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_small_sets_work(count: int) -> None:
     assert held_out_mask(NAMES[:count]).tolist() == [True, False][:count]
-    assert validation_mask(NAMES[:count]).tolist() == [False, True][:count]
+    assert not validation_mask(NAMES[:count]).any()
+
+
+@pytest.mark.parametrize(("count", "expected"), [(0, 0), (1, 0), (7, 0), (8, 1), (9, 2), (16, 2), (17, 3), (60, 8)])
+def test_a_trainer_that_sees_no_held_out_names_gets_a_validation_part(count: int, expected: int) -> None:
+    mask = training_validation_mask(NAMES[:count])
+    assert mask.sum() == expected and mask.shape == (count,)
+    assert chosen(NAMES[:count], mask) <= set(NAMES[:count:8])
+
+
+def test_both_ways_to_the_validation_part_agree() -> None:
+    shuffled = list(np.random.default_rng(1).permutation(NAMES))
+    training = [name for name, held in zip(shuffled, held_out_mask(shuffled), strict=True) if not held]
+    assert chosen(training, training_validation_mask(training)) == chosen(shuffled, validation_mask(shuffled))
+    assert not chosen(shuffled, validation_mask(shuffled)) & chosen(shuffled, held_out_mask(shuffled))
 
 
 def test_nothing_to_train_on_and_names_that_come_twice_are_refused() -> None:
@@ -53,3 +67,5 @@ def test_nothing_to_train_on_and_names_that_come_twice_are_refused() -> None:
         held_out_mask(NAMES, every=1)
     with pytest.raises(BadInput, match="comes twice"):
         held_out_mask(["a", "a"])
+    with pytest.raises(BadInput, match="comes twice"):
+        training_validation_mask(["a", "a"])

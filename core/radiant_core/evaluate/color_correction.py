@@ -1,0 +1,32 @@
+"""The part of a render's error that one colour transform of the whole image takes away. Once per held-out image.
+
+A photograph's exposure and white balance are unknown to a model that was not trained on it. The corrected render is
+    clip(M x + b),   M (3,3), b (3,) = argmin Σ over pixels ‖M x + b − y‖² + λ ‖M − I‖²
+for colours x of the render and y of the photograph. RawNeRF (Mildenhall et al. 2022) scores so with a diagonal M; the quadratic terms that
+mip-NeRF 360 adds are left out. It is fitted to the very photograph it is scored on: its figures flatter and stand beside the plain ones.
+The term with λ keeps M = I where a flat image leaves M open. Since M = I, b = 0 is allowed, the squared error never rises.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from radiant_core.evaluate.image_pair import checked_image_pair
+from radiant_core.numerics import FloatArray
+
+MIN_SPREAD = 1e-4
+"""√(λ per pixel): a render whose colours vary by less than this, a fortieth of an 8-bit step, says nothing about M."""
+
+
+def color_corrected(render: ArrayLike, photograph: ArrayLike) -> FloatArray:
+    """The render (H,W,3) corrected towards the photograph (H,W,3), all in 0..1; BadInput on other shapes or values."""
+    render, photograph = checked_image_pair(render, photograph)
+    x, y = render.reshape(-1, 3), photograph.reshape(-1, 3)
+    x_mean = x.mean(axis=0)
+    centred = x - x_mean
+    missing = y - x
+    missing_mean = missing.mean(axis=0)
+    gram = centred.T @ centred / len(x) + MIN_SPREAD**2 * np.eye(3)
+    change = np.linalg.solve(gram, centred.T @ (missing - missing_mean) / len(x))
+    return np.clip(render + missing_mean + (centred @ change).reshape(render.shape), 0, 1)
