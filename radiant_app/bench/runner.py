@@ -27,14 +27,30 @@ class BenchOptions:
     """Scene with known cameras (sfm), or a finished run (upload, teachers)."""
     threads: int | None = None
     """Threads of the rasterizer (raster)."""
+    presets: tuple[str, ...] = ()
+    """Presets to compare (train); empty for default and standard."""
+    budgets_s: tuple[float, ...] = ()
+    """CPU seconds of training (train); empty for its own."""
+    num_seeds: int | None = None
+    """Models per preset and budget (train)."""
+    long_side_px: int | None = None
+    """Size of the training images (train)."""
+    ablations: bool = False
+    """Whether one thing at a time is switched off (train)."""
+    plot: Path | None = None
+    """PNG for the curves (train)."""
 
 
 def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
     """Run the benchmark `name` and report; BadInput for an unknown name or an unwritable file."""
     if json_file is not None and not json_file.parent.is_dir():
         raise BadInput(f"there is no folder {json_file.parent} to write {json_file.name} into: make it first.")
-    if options.scene is not None and name not in ("sfm", *_OF_A_RUN):
-        raise BadInput(f"--scene is for the benchmarks sfm, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
+    if options.scene is not None and name not in ("sfm", "train", *_OF_A_RUN):
+        raise BadInput(f"--scene is for the benchmarks sfm, train, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
+    if name != "train" and (options.presets or options.budgets_s or options.num_seeds or options.ablations or options.plot):
+        raise BadInput(f"--preset, --budget, --seeds, --ablations and --plot are for the benchmark train, not for {name}: leave them out.")
+    if options.plot is not None and not options.plot.parent.is_dir():
+        raise BadInput(f"there is no folder {options.plot.parent} to write {options.plot.name} into: make it first.")
     if options.scene is None and name in _OF_A_RUN:
         raise BadInput(f"the benchmark {name} measures a finished run: name its folder with --scene.")
     metrics = measure(name, options)
@@ -59,6 +75,8 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
 
         typer.echo(build_description(options.threads))
         return bench_raster(options.quick, options.threads)
+    if name == "train":
+        return _measure_training(options)
     if name == "upload" and options.scene is not None:
         from radiant_app.bench.upload import bench_upload
 
@@ -67,7 +85,22 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         from radiant_app.bench.teachers import bench_teachers
 
         return bench_teachers(options.scene, options.quick)
-    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, raster, upload or teachers.")
+    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, raster, train, upload or teachers.")
+
+
+def _measure_training(options: BenchOptions) -> Sequence[Metric]:
+    from radiant_app.bench.train import TrainBench, bench_of, bench_train, curves_of
+
+    bench: TrainBench = bench_of(options)
+    rows, metrics = bench_train(bench)
+    if options.plot is not None:
+        from radiant_viewer.curve_chart import curve_picture
+        from radiant_viewer.images import save_png
+
+        detail = f"{bench.scene.name}, {bench.long_side_px} px, {len(bench.seeds)} seeds; every dot is one model"
+        save_png(options.plot, curve_picture(curves_of(rows), "Training: quality against time and size", detail))
+        typer.echo(f"written: {options.plot}")
+    return metrics
 
 
 def table(metrics: Sequence[Metric]) -> str:

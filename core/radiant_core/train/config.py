@@ -8,6 +8,8 @@ from typing import Literal, get_args
 
 from radiant_core.errors import BadInput
 
+NEVER = 10**9
+"""Steps that no schedule reaches."""
 Preset = Literal["draft", "default", "standard", "paper"]
 """draft: a quick look; default: our best; standard: plain 3DGS with its 30,000 steps; paper: plain 3DGS with the paper's
 20,000 steps, densified from step 500 to 15,000 every 100 (its Sec. IV-B), not reduced on a CPU."""
@@ -70,8 +72,8 @@ class TrainConfig:
     """Share of the image size that training begins with."""
     full_size_from: float = 0.4
     """Share of the run from which images have their full size."""
-    exposure: Literal["none", "affine"] = "none"
-    """affine: every photograph has an affine map of the colours of its own, learnt with the model."""
+    exposure: Literal["none", "affine", "auto"] = "none"
+    """affine: every photograph has an affine map of the colours of its own, learnt with the model; auto: where exposures differ."""
     exposure_lr: float = 1e-2
     """Learning rate of the exposures at the start; it falls to a tenth."""
     num_looks: int = 6
@@ -110,13 +112,24 @@ class TrainConfig:
             raise BadInput(f"budget_s is {self.budget_s}, expected a positive number of seconds, or None for no limit.")
         if not 0 < self.exposure_lr < math.inf:
             raise BadInput(f"exposure_lr is {self.exposure_lr}, expected a positive number.")
-        for name, choices in (("densify", ("none", "adc", "planned", "mcmc")), ("exposure", ("none", "affine"))):
+        for name, choices in (("densify", ("none", "adc", "planned", "mcmc")), ("exposure", ("none", "affine", "auto"))):
             if getattr(self, name) not in choices:
                 raise BadInput(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(choices)}.")
 
 
-# Short runs have no time for small steps: `draft` and `default` start from rates found on the sample scene's validation images.
-_SHORT = TrainConfig(means_lr=3.2e-4, scales_lr=2e-2, quats_lr=5e-3, opacities_lr=1e-1, sh0_lr=2e-2)
+# Short runs have no time for small steps: rates, Adam and growth were found on validation photographs (docs/experiments/training.md).
+_SHORT = TrainConfig(
+    means_lr=6.4e-4,
+    scales_lr=2e-2,
+    quats_lr=5e-3,
+    opacities_lr=5e-2,
+    sh0_lr=1e-2,
+    adam="dense",
+    densify="planned",
+    reset_opacity_every=NEVER,
+    start_scale=0.5,
+    exposure="auto",
+)
 _PLAIN = TrainConfig(sh_degree=3, sh_degree_every=1_000, max_scale_per_distance=None, adam="dense", densify="adc", sky=False, fill_in=False)
 _PRESETS: dict[str, TrainConfig] = {
     "draft": replace(_SHORT, num_steps=2_000, long_side_px=576),

@@ -8,8 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from radiant_core.decisions import Decision
+from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.views import TrainingViews
+
+MIN_EXPOSURE_SPREAD = 0.05
+"""Standard deviation of the photographs' gains from which on each gets an exposure of its own."""
+MIN_SHARED_POINTS = 20
+"""A photograph that shows fewer points of others says nothing of its exposure."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,3 +80,44 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
         reason=f"the preset is to be followed as it is; with the {backend} renderer its full size takes hours",
         forced=True,
     )
+
+
+def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """What is "auto" in a configuration, decided by figures of the scene; `views.cameras` are the scene's in the same order."""
+    if config.exposure != "auto":
+        return config, ()
+    spread = exposure_spread(scene, views)
+    wanted = spread >= MIN_EXPOSURE_SPREAD
+    decision = Decision(
+        stage="train",
+        topic="exposure",
+        choice="one affine map per photograph" if wanted else "one exposure for all photographs",
+        figure=100 * spread,
+        unit="% spread of brightness at common points",
+        reason=f"from {100 * MIN_EXPOSURE_SPREAD:.0f} % on photographs of one place are taken for differently exposed",
+    )
+    return replace(config, exposure="affine" if wanted else "none"), (decision,)
+
+
+def exposure_spread(scene: SfmScene, views: TrainingViews) -> float:
+    """Standard deviation of the V photographs' gains, as a share: of each the median ratio of its brightness at sparse points to what the
+    other photographs show there on average. 0 where fewer than two photographs can be compared."""
+    point, view = scene.observations[:, 0], scene.observations[:, 1]
+    in_camera = np.einsum("tij,tj->ti", views.cameras.cam_from_world[view, :3, :3], scene.points[point])
+    in_camera += views.cameras.cam_from_world[view, :3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = np.einsum("tij,tj->ti", views.cameras.Ks[view], in_camera)[:, :2] / in_camera[:, 2:]
+    sizes = views.cameras.sizes_wh[view]
+    inside = (in_camera[:, 2] > 0) & (pixels >= 0).all(axis=1) & (pixels < sizes).all(axis=1)
+    point, view, pixels = point[inside], view[inside], pixels[inside].astype(np.int64)
+    # One step above black, where a ratio of brightness would be noise.
+    brightness = np.array([1.0 + views.images[v][y, x].mean() for v, (x, y) in zip(view, pixels, strict=True)], np.float64)
+    logs = np.log(brightness)
+    counts = np.bincount(point, minlength=len(scene.points))
+    means = np.bincount(point, weights=logs, minlength=len(scene.points)) / np.maximum(counts, 1)
+    # Against the mean of the others, since the photograph itself is part of the mean of all.
+    seen_by = counts[point]
+    shared = seen_by > 1
+    ratios = ((logs - means[point]) * seen_by / np.maximum(seen_by - 1, 1))[shared]
+    gains = [float(np.median(own)) for v in range(len(views)) if len(own := ratios[view[shared] == v]) >= MIN_SHARED_POINTS]
+    return float(np.std(gains)) if len(gains) > 1 else 0.0

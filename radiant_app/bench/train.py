@@ -1,0 +1,258 @@
+"""Benchmark of training: held-out PSNR against CPU seconds and Gaussians, presets against each other at budgets of CPU time.
+
+One model of all training photographs of a scene, no tiers. Budgets are CPU seconds of the whole process, in which a loaded machine counts
+no more than an idle one. Equal for all presets: scene, photographs, size, budgets, seeds, held-out photographs; every row has its Gaussians
+beside it. A preset is also given half of each budget, and the difference to the reference at the full one is stated with the 95 % bounds of
+a bootstrap over images and seeds. `ablations`: the first preset with one thing switched off at a time, at the first budget, paired.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from radiant_app.bench.runner import BenchOptions
+from radiant_app.commands import images_folder_of, load_scene_of, stage_bar
+from radiant_app.demo import sample_scenes_folder
+from radiant_app.nodes import load_images
+from radiant_app.progress import ProgressDisplay, tracked
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.bootstrap import PairedDifference, paired_bootstrap
+from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.evaluate.metric import Metric
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.render.contract import resolve_backend
+from radiant_core.scene import SfmScene
+from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.needs import Overrides, fit_to_backend
+from radiant_viewer.curve_chart import CurvePoint
+
+BUDGETS_S = (60.0, 180.0, 600.0)
+"""CPU seconds; the last is five minutes of two cores."""
+LONG_SIDE_PX = 1152
+ABLATION_LONG_SIDE_PX = 576
+ABLATION_BUDGET_S = 90.0
+ABLATION_SEEDS = (0, 1, 2)
+UNLIMITED_STEPS = 10**9
+REFERENCE = "standard"
+ABLATIONS: dict[str, dict[str, Any]] = {
+    "full size from the start": {"start_scale": 1.0},
+    "no densification": {"densify": "none"},
+    "adc instead of planned growth": {"densify": "adc"},
+    "mcmc instead of planned growth": {"densify": "mcmc"},
+    "Adam on visible Gaussians only": {"adam": "visible"},
+    "no fill-in points": {"fill_in": False},
+    "no sky": {"sky": False},
+    "sizes without limit": {"max_scale_per_distance": None},
+    "degree 0": {"sh_degree": 0},
+    "degree 2": {"sh_degree": 2},
+    "degree 3": {"sh_degree": 3},
+    "no exposures": {"exposure": "none"},
+    "exposures": {"exposure": "affine"},
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainBench:
+    """What to measure. Budgets in CPU seconds."""
+
+    scene: Path
+    presets: tuple[str, ...] = ("default", REFERENCE)
+    budgets_s: tuple[float, ...] = BUDGETS_S
+    seeds: tuple[int, ...] = (0,)
+    long_side_px: int = LONG_SIDE_PX
+    ablations: bool = False
+    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: ABLATIONS)
+
+    def __post_init__(self) -> None:
+        if not self.presets or not self.budgets_s or not self.seeds or not all(np.isfinite(s) and s > 0 for s in self.budgets_s):
+            raise BadInput(f"bench train was given {self.presets}, {self.budgets_s} s and seeds {self.seeds}: give one or more of each.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainedRow:
+    """One trained model: its variant, the budget it was given, and what it took and reached; psnr_db per held-out image."""
+
+    variant: str
+    budget_s: float
+    seed: int
+    cpu_s: float
+    num_steps: int
+    num_gaussians: int
+    psnr_db: tuple[float, ...]
+
+    @property
+    def mean_psnr_db(self) -> float:
+        """Mean over the held-out images."""
+        return float(np.mean(self.psnr_db))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Loaded:
+    name: str
+    training: SfmScene
+    held_out: SfmScene
+    images: Path
+
+
+def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
+    """All rows, and `train.<scene>.<variant>.<budget>s.<psnr_db|cpu_s|num_gaussians|num_steps>` with the differences described above.
+
+    `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs. BadInput where nothing can be held out.
+    """
+    with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
+        loaded = _load(bench.scene, Path(folder))
+        if bench.ablations:
+            return _ablations(bench, loaded)
+        halves = {budget_s / 2 for budget_s in bench.budgets_s}
+        jobs = [
+            (preset, _config(preset, bench.long_side_px), budget_s, seed)
+            for budget_s in sorted({*bench.budgets_s, *halves})
+            for preset in bench.presets
+            for seed in bench.seeds
+            if budget_s in bench.budgets_s or preset != REFERENCE
+        ]
+        rows = [_trained(loaded, *job) for job in tracked(jobs, "bench train")]
+    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(loaded.name, group)]
+    for preset in bench.presets:
+        for budget_s in bench.budgets_s if preset != REFERENCE and REFERENCE in bench.presets else ():
+            for share, label in ((1.0, "equal_time"), (0.5, "half_time")):
+                difference = _difference(rows, (preset, share * budget_s), (REFERENCE, budget_s))
+                metrics += _difference_metrics(f"train.{loaded.name}.{preset}.{budget_s:g}s.over_{REFERENCE}_at_{label}", difference)
+    return rows, metrics
+
+
+def bench_of(options: BenchOptions) -> TrainBench:
+    """The benchmark that the command line asks for; `quick` is two budgets of seconds at a small size."""
+    ablations = options.ablations
+    budgets_s = options.budgets_s or ((4.0, 8.0) if options.quick else (ABLATION_BUDGET_S,) if ablations else BUDGETS_S)
+    num_seeds = options.num_seeds or (len(ABLATION_SEEDS) if ablations and not options.quick else 1)
+    size = options.long_side_px or (240 if options.quick else ABLATION_LONG_SIDE_PX if ablations else LONG_SIDE_PX)
+    return TrainBench(
+        scene=options.scene or sample_scenes_folder() / "town" / "images",
+        presets=options.presets or (("default",) if ablations else ("default", REFERENCE)),
+        budgets_s=tuple(sorted(set(budgets_s))),
+        seeds=tuple(range(num_seeds)),
+        long_side_px=size,
+        ablations=ablations,
+    )
+
+
+def curves_of(rows: Sequence[TrainedRow]) -> dict[str, list[CurvePoint]]:
+    """The rows by variant, for a picture."""
+    curves: dict[str, list[CurvePoint]] = {}
+    for row in rows:
+        point = CurvePoint(cpu_s=row.cpu_s, num_gaussians=row.num_gaussians, psnr_db=row.mean_psnr_db)
+        curves.setdefault(row.variant, []).append(point)
+    return curves
+
+
+def _ablations(bench: TrainBench, loaded: _Loaded) -> tuple[list[TrainedRow], list[Metric]]:
+    whole, budget_s = bench.presets[0], bench.budgets_s[0]
+    base = _config(whole, bench.long_side_px)
+    variants = {whole: base, **{name: replace(base, **change) for name, change in bench.changes.items()}}
+    # What is switched off already, or on, is no ablation.
+    variants = {name: config for name, config in variants.items() if name == whole or config != base}
+    jobs = [(name, config, budget_s, seed) for seed in bench.seeds for name, config in variants.items()]
+    rows = [_trained(loaded, *job) for job in tracked(jobs, "bench train")]
+    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(loaded.name, group)]
+    for name in variants:
+        if name != whole:
+            difference = _difference(rows, (name, budget_s), (whole, budget_s))
+            metrics += _difference_metrics(f"train.{loaded.name}.{_key(name)}.{budget_s:g}s.over_{whole}", difference)
+    return rows, metrics
+
+
+def _config(preset: str, long_side_px: int) -> TrainConfig:
+    overrides = Overrides(long_side_px=long_side_px, num_steps=UNLIMITED_STEPS)
+    return fit_to_backend(train_preset(preset), resolve_backend("auto"), overrides)[0]
+
+
+def _load(source: Path, work: Path) -> _Loaded:
+    from radiant_app.sources import reconstruct_source
+
+    try:
+        scene, images = load_scene_of(source), images_folder_of(source)
+    except BadInput:
+        task = {"source": str(source), "sfm": {}}
+        with stage_bar(ProgressDisplay(Console(stderr=True)), "sfm") as report:
+            result = reconstruct_source(task, work / "sfm", lambda at: report(at.done, at.total, at.phase))
+        scene, images = result.scene, result.undistorted_folder
+    held = held_out_mask(scene.cameras.names)
+    if held.all() or held.sum() < 2:
+        raise BadInput(f"{source} has {len(scene.cameras)} placed photographs, of which {held.sum()} are held out: at least 2 are needed.")
+    name = source.resolve().parent.name if source.name in ("images", "sfm") else source.resolve().name
+    return _Loaded(
+        name=name, training=scene.restricted_to(np.flatnonzero(~held)), held_out=scene.restricted_to(np.flatnonzero(held)), images=images
+    )
+
+
+def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
+    from radiant_core.render.rendered_view import render_views
+    from radiant_core.train.initialize import first_splats
+    from radiant_core.train.needs import fit_to_scene
+    from radiant_core.train.trainer import FitOptions, fit_splats
+    from radiant_core.train.views import TrainingViews
+
+    cameras = loaded.training.cameras.scaled(config.long_side_px)
+    views = TrainingViews(cameras=cameras, images=load_images(loaded.images, cameras))
+    begun_s = time.process_time()
+    config, _ = fit_to_scene(replace(config, seed=seed, budget_s=budget_s), loaded.training, views)
+    initial, _ = first_splats(loaded.training, views, config)
+    # What was decided and placed before the first step belongs to the budget as well.
+    spent_s = time.process_time() - begun_s
+    config = replace(config, budget_s=max(1e-3, budget_s - spent_s))
+    result = fit_splats(initial, views, config, FitOptions(clock=time.process_time))
+    cpu_s = time.process_time() - begun_s
+    scored = loaded.held_out.cameras.scaled(config.long_side_px)
+    photographs = load_images(loaded.images, scored)
+    figures = [psnr_db(view.image, photo / 255) for view, photo in zip(render_views(result.splats, scored), photographs, strict=True)]
+    return TrainedRow(
+        variant=variant,
+        budget_s=budget_s,
+        seed=seed,
+        cpu_s=cpu_s,
+        num_steps=result.num_steps,
+        num_gaussians=len(result.splats),
+        psnr_db=tuple(figures),
+    )
+
+
+def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedRow]]:
+    groups: dict[tuple[str, float], list[TrainedRow]] = {}
+    for row in rows:
+        groups.setdefault((row.variant, row.budget_s), []).append(row)
+    return groups
+
+
+def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
+    key = f"train.{scene}.{_key(rows[0].variant)}.{rows[0].budget_s:g}s"
+    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in ("mean_psnr_db", "cpu_s", "num_gaussians", "num_steps")}
+    return [
+        Metric(key=f"{key}.psnr_db", value=means["mean_psnr_db"], unit="dB", direction="higher"),
+        Metric(key=f"{key}.cpu_s", value=means["cpu_s"], unit="s", direction="info"),
+        Metric(key=f"{key}.num_gaussians", value=means["num_gaussians"], unit="1", direction="info"),
+        Metric(key=f"{key}.num_steps", value=means["num_steps"], unit="1", direction="info"),
+    ]
+
+
+def _difference(rows: Sequence[TrainedRow], one: tuple[str, float], other: tuple[str, float]) -> PairedDifference:
+    groups = _groups(rows)
+    one_db, other_db = (np.array([row.psnr_db for row in groups[key]]) for key in (one, other))
+    return paired_bootstrap(one_db, other_db)
+
+
+def _difference_metrics(key: str, difference: PairedDifference) -> list[Metric]:
+    figures = {"mean_db": difference.mean, "at_least_db": difference.at_least, "low_db": difference.low, "high_db": difference.high}
+    return [Metric(key=f"{key}.{name}", value=value, unit="dB", direction="info") for name, value in figures.items()]
+
+
+def _key(variant: str) -> str:
+    return variant.replace(" ", "_").replace(".", "_")
