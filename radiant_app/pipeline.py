@@ -91,7 +91,7 @@ def run(
 
 def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[CloudPlan, Tree]:
     """One owner has all photographs: structure from motion once, then everything as planned. Ends with evaluation/result.json."""
-    scene, images = _sfm_stage(config, progress)
+    scene, images = sfm_stage(config, progress)
     held_out = held_out_mask(scene.cameras.names)
     training = scene.restricted_to(np.flatnonzero(~held_out))
     origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
@@ -99,7 +99,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
         config, with_uploads(system, config.upload, progress), training.cameras.centers[:, :2], origin, progress
     )
     train, aggregate, backend = training_settings(config, progress)
-    _require_size(scene, train)
+    require_size(scene, train)
     dealer = SharedDealer(
         run=config.out,
         images=images,
@@ -122,7 +122,8 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     return cloud_plan, tree
 
 
-def _sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
+def sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
+    """Structure from motion of the source in sfm/: the scene and the folder of its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
     sfm = {"matching": config.matching, "seed": config.seed}
@@ -138,7 +139,8 @@ def _sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
     return scene, folder / read_json(folder / "result.json", ("images",))["images"]
 
 
-def _require_size(scene: SfmScene, train: TrainConfig) -> None:
+def require_size(scene: SfmScene, train: TrainConfig) -> None:
+    """Raise BadInput where a photograph would become too small to be scored."""
     width, height = min(scene.cameras.scaled(train.long_side_px).sizes_wh.tolist(), key=min)
     if min(width, height) < SSIM_WINDOW_PX:
         raise BadInput(
