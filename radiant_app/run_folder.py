@@ -108,7 +108,7 @@ def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
 @contextmanager
 def opened_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
     """As `opened_run`, of any work with such settings; a file that fits a pattern of `keep` is worth keeping after bad input."""
-    if resume and out.is_dir() and any(out.iterdir()):
+    if resume and out.is_dir() and _is_begun(out):
         with RunLock(out), _ending(_reopened(out, settings)) as manifest:
             yield manifest
         return
@@ -163,9 +163,14 @@ def _made_folders(out: Path) -> list[Path]:
 
 
 def require_empty(out: Path) -> None:
-    """Raise BadInput when the folder holds anything but a lock."""
-    if any(path.name != LOCK_NAME for path in out.iterdir()):
+    """Raise BadInput when the folder holds anything but what a kill leaves before anything was begun."""
+    if _is_begun(out):
         raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with a run there by --resume.")
+
+
+def _is_begun(out: Path) -> bool:
+    """Whether a folder holds more than a lock and a half-written manifest."""
+    return any(path.name != LOCK_NAME and not path.match(".manifest.json.*.part") for path in out.iterdir())
 
 
 @contextmanager
