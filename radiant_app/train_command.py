@@ -111,10 +111,15 @@ def train(
     with opened_folder(request.out, request.settings, resume, KEPT) as manifest:
         progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
         scene, images = _scene_and_images(request, progress)
-        with _Stage(STAGE, progress, clock) as stage:
+
+        def tell(event: Event) -> None:
+            manifest.note(event, clock() - progress.started_s)
+            listen(event)
+
+        with _Stage(STAGE, tell, clock) as stage:
             training = _prepared(request, scene, images, stage)
             model, summary = _trained(training, request, stage)
-        with _Stage("evaluation", progress, clock) as stage:
+        with _Stage("evaluation", tell, clock) as stage:
             held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
             figures = _scored(request.out, (model, training.initial), held_out, images, stage)
         metrics = {**figures, "training": summary, **_totals(manifest, len(model))}
@@ -125,8 +130,8 @@ def train(
 class _Stage:
     """One stage of this process: tells when it begins and ends."""
 
-    def __init__(self, name: str, progress: Progress, clock: Callable[[], float]) -> None:
-        self.name, self._progress, self._clock = name, progress, clock
+    def __init__(self, name: str, tell: Listener, clock: Callable[[], float]) -> None:
+        self.name, self.tell, self._clock = name, tell, clock
         self._begun_s = clock()
 
     def __enter__(self) -> _Stage:
@@ -136,11 +141,6 @@ class _Stage:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.tell(StageDone(stage=self.name, seconds=self._clock() - self._begun_s))
-
-    def tell(self, event: Event) -> None:
-        """Record an event and pass it on."""
-        self._progress.manifest.note(event, self._clock() - self._progress.started_s)
-        self._progress.listener(event)
 
     @property
     def running(self) -> tuple[str, Listener]:
@@ -274,10 +274,15 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)
     scene, images = load_scene_of(request.source), images_of_scene(request.source)
-    manifest = Manifest(folder=request.out.parent, config={})
-    unsaved = replace(Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock()))
-    with _Stage(STAGE, unsaved, clock) as stage:
+    decisions: list[Decision] = []
+
+    def tell(event: Event) -> None:
+        if isinstance(event, Decided):
+            decisions.append(event.decision)
+        listen(event)
+
+    with _Stage(STAGE, tell, clock) as stage:
         training = _prepared(request, scene, images, stage)
         result = fit(training.initial, training.views, training.config, training.options, stage.running)
     save_ply(request.out, result.splats)
-    return {**training_summary(result), "decisions": manifest.decisions, "model": str(request.out)}
+    return {**training_summary(result), "decisions": [asdict(decision) for decision in decisions], "model": str(request.out)}

@@ -26,7 +26,7 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.views import TrainingViews
 
-STEPS = 120
+STEPS = 40
 
 
 def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, densify: str, statistics_mb: float = 0.0) -> None:
@@ -38,7 +38,7 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, den
     )  # fmt: skip
     splats, views = _scene(num_splats if densify == "none" else num_splats // 4, num_views, long_side_px, sh_degree)
     with tempfile.TemporaryDirectory() as folder:
-        checkpoints = CheckpointFolder(Path(folder), "memory", every_s=1.0)
+        checkpoints = CheckpointFolder(Path(folder), "memory", every_s=0.5)
         options = FitOptions(checkpoints=checkpoints, statistics_bytes=round(1e6 * statistics_mb))
         result = fit_splats(splats, views, config, options)
     print(json.dumps({"base_bytes": base, "peak_bytes": peak_bytes(), "num_splats": len(result.splats)}))
