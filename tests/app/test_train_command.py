@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,10 @@ import pytest
 from rich.console import Console
 
 from radiant_app.commands import sfm
+from radiant_app.dealing import deal_files
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
+from radiant_app.nodes import run_node
 from radiant_app.progress import ProgressDisplay
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.train_command import TrainRequest, train
@@ -23,8 +25,9 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
-from radiant_core.io.run_store import read_json
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.train.checkpoint import CheckpointFolder
+from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides
 from radiant_core.train.trainer import TrainState
 
@@ -48,8 +51,8 @@ def finished(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Tra
     return request, train(request, events.append), events
 
 
-def interrupted(request: TrainRequest) -> None:
-    """Train and press Ctrl-C after step 20; the checkpoints of the steps 19 and 20 are written."""
+def interrupted(work: Callable[[], object], folder: Path) -> None:
+    """Do some work and press Ctrl-C after step 20 of its training; the checkpoints of the steps 19 and 20 are in `folder`."""
     offer = CheckpointFolder.offer
 
     def save_and_stop(self: CheckpointFolder, step: int, state: Callable[[], TrainState]) -> None:
@@ -61,8 +64,8 @@ def interrupted(request: TrainRequest) -> None:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(CheckpointFolder, "offer", save_and_stop)
         with pytest.raises(KeyboardInterrupt):
-            train(request)
-    assert len(list(request.out.glob("checkpoints/*.json"))) == 2
+            work()
+    assert len(list(folder.glob("checkpoints/*.json"))) == 2
 
 
 def test_the_folder_holds_model_figures_pictures_and_what_was_decided(
@@ -121,7 +124,7 @@ def test_other_settings_or_a_used_folder_are_refused(finished: tuple[TrainReques
 def test_after_ctrl_c_the_training_goes_on_to_the_same_bytes(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:
     request, _, _ = finished
     stopped = replace(request, out=tmp_path / "stopped")
-    interrupted(stopped)
+    interrupted(lambda: train(stopped), stopped.out)
     assert read_json(stopped.out / "manifest.json")["status"] == "interrupted"
     train(stopped, resume=True)
     assert (stopped.out / "scene.ply").read_bytes() == (request.out / "scene.ply").read_bytes()
@@ -194,7 +197,7 @@ def test_checkpoints_of_other_photographs_are_refused(finished: tuple[TrainReque
     shutil.copytree(Path(read_json(source / "result.json")["images"]), photographs)
     (source / "result.json").write_text(json.dumps({"images": str(photographs), "unregistered": []}))
     stopped = replace(request, source=source, out=tmp_path / "out")
-    interrupted(stopped)
+    interrupted(lambda: train(stopped), stopped.out)
     first, second = sorted(photographs.iterdir())[1:3]
     shutil.copyfile(first, second)
     with pytest.raises(BadInput, match="checkpoints of a training with other settings, photographs or software"):
@@ -224,7 +227,7 @@ def test_other_amounts_are_refused_with_examples(text: str) -> None:
 def test_warnings_of_a_damaged_checkpoint_reach_the_manifest(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:
     request, _, _ = finished
     stopped = replace(request, out=tmp_path / "out")
-    interrupted(stopped)
+    interrupted(lambda: train(stopped), stopped.out)
     for path in stopped.out.glob("checkpoints/*.safetensors"):
         path.write_bytes(b"")
     events: list[Event] = []
@@ -232,3 +235,33 @@ def test_warnings_of_a_damaged_checkpoint_reach_the_manifest(finished: tuple[Tra
     assert any(isinstance(event, Warned) and "damaged" in event.message for event in events)
     assert any("damaged" in warning for warning in read_json(stopped.out / "manifest.json")["warnings"])
     assert (stopped.out / "scene.ply").read_bytes() == (request.out / "scene.ply").read_bytes()
+
+
+def test_a_device_goes_on_inside_its_training_and_drops_checkpoints_of_another_task(scene: Path, tmp_path: Path) -> None:
+    names = load_scene(scene / "scene.safetensors").cameras.names
+
+    def device(name: str, seed: int = 0) -> Path:
+        folder = tmp_path / name
+        deal_files(Path(read_json(scene / "result.json")["images"]), names, folder / "photos")
+        shutil.copyfile(scene / "scene.safetensors", folder / "scene.safetensors")
+        task = asdict(replace(train_preset("draft"), num_steps=40, long_side_px=96, seed=seed))
+        write_json(folder / "task.json", {"train": task, "backend": "native", "upload": "float32"})
+        return folder
+
+    def run(folder: Path) -> list[Event]:
+        events: list[Event] = []
+        run_node("device", folder, "devices/d", events.append)
+        return events
+
+    whole, killed = device("whole"), device("killed")
+    run(whole)
+    interrupted(lambda: run(killed), killed)
+    assert run(killed)
+    assert (killed / "model.safetensors").read_bytes() == (whole / "model.safetensors").read_bytes()
+    assert not (killed / "checkpoints").exists()
+    # Dealt anew for another plan: what the first task left is of no use, and in nobody's way.
+    replanned = device("replanned")
+    interrupted(lambda: run(replanned), replanned)
+    run(device("replanned", seed=1))
+    assert (replanned / "model.safetensors").read_bytes() != (whole / "model.safetensors").read_bytes()
+    assert not (replanned / "checkpoints").exists()
