@@ -176,21 +176,48 @@ def plan(
 
 @app.command()
 def train(
-    scene: Annotated[Path, typer.Argument(help="Folder made by `radiant sfm`.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="PLY of the model.", show_default=False)],
+    scene: Annotated[
+        Path, typer.Argument(help="A run, the folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", help="Folder of model, figures and pictures; or MODEL.ply alone.", show_default=False)],
     train_preset: TrainPresetOption = "default",
+    time: Annotated[str | None, typer.Option(help="End training after this time: 90, 90s, 5m, 1h.", show_default=False)] = None,
+    steps: Annotated[int | None, typer.Option("--steps", min=1, help="End training after so many steps.")] = None,
+    gaussians: Annotated[int | None, typer.Option("--gaussians", "--max-splats", min=100, help="Upper limit of Gaussians.")] = None,
+    memory: Annotated[
+        str | None, typer.Option(help="What the process may hold: 600MB, 2GB; sets the upper limit of Gaussians.", show_default=False)
+    ] = None,
+    validate: Annotated[bool, typer.Option("--validate", help="An eighth of the training photographs only picks the best model.")] = False,
     long_side_px: LongSide = None,
-    steps: NumSteps = None,
-    max_splats: MaxSplats = None,
     seed: Seed = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out from its last checkpoint.")] = False,
+    checkpoint_every: Annotated[str, typer.Option(help="Time between two checkpoints.")] = "10s",
     as_json: AsJson = False,
 ) -> None:
-    """One model from all photographs of a scene but every 8th, without regions."""
-    from radiant_app import commands
+    """One model from all photographs of a scene but every 8th, without regions; scored on those that were held out."""
+    from radiant_app.quantities import bytes_of, seconds_of
+    from radiant_app.train_command import TrainRequest
+    from radiant_app.train_command import train as run_training
     from radiant_core.train.needs import Overrides
 
-    overrides = Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats)
-    _finish(commands.train(scene, out, (train_preset, overrides, seed), _listener()), as_json)
+    request = TrainRequest(
+        source=scene,
+        out=out,
+        preset=train_preset,
+        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=gaussians),
+        time_s=None if time is None else seconds_of(time),
+        memory_bytes=None if memory is None else bytes_of(memory),
+        validate=validate,
+        seed=seed,
+        checkpoint_every_s=seconds_of(checkpoint_every),
+    )
+    with _listener() as listener:
+        result = run_training(request, listener, resume=resume)
+    if as_json or "psnr_db" not in result:
+        _finish(result, as_json)
+        return
+    typer.echo(f"held-out {result['psnr_db']:.2f} dB, {result['num_gaussians']:,} Gaussians")
+    typer.echo(f"model: {out / 'scene.ply'}")
 
 
 @app.command()
@@ -342,7 +369,7 @@ def main() -> NoReturn:
         sys.exit(BadInput.exit_code)
     signal.setitimer(signal.ITIMER_REAL, 0)
     if code == INTERRUPTED:
-        resumable = set(sys.argv[1:2]) & {"run", "demo"}
+        resumable = set(sys.argv[1:2]) & {"run", "demo", "train"}
         _say("interrupted" + ("; what was finished is kept: go on with the same command and --resume." if resumable else "."))
     sys.exit(code if isinstance(code, int) else 0)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +13,17 @@ import numpy as np
 from radiant_app.cloud_task import virtual_cameras_of
 from radiant_app.evaluation import png_bytes
 from radiant_app.events import StageProgress, StageStarted
-from radiant_app.nodes import load_images, place_of
+from radiant_app.nodes import place_of
 from radiant_app.progress import ProgressDisplay
 from radiant_app.run_folder import new_folder
 from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply, save_ply
-from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_scene
+from radiant_core.io.records import load_cameras, load_plan, load_splats, save_scene
 from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.io.upload import load_upload
 from radiant_core.scene import SfmScene
-from radiant_core.train.needs import Overrides
 
 
 def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay) -> dict[str, Any]:
@@ -44,35 +43,6 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay) -> dic
         "unregistered": ", ".join(result.unregistered) or "none",
         "warnings": "; ".join(result.warnings) or "none",
         "folder": str(out),
-    }
-
-
-def train(scene_folder: Path, out: Path, choice: tuple[Any, Overrides, int], display: ProgressDisplay) -> dict[str, Any]:
-    """One model of all training photographs of a scene as PLY; `choice` is preset, overrides and seed."""
-    from radiant_core.render.contract import resolve_backend
-    from radiant_core.train.config import train_preset
-    from radiant_core.train.initialize import first_splats
-    from radiant_core.train.needs import fit_to_backend
-    from radiant_core.train.trainer import FitOptions, fit_splats
-    from radiant_core.train.views import TrainingViews
-
-    require_file_to_be(out)
-    preset, overrides, seed = choice
-    config, decisions = fit_to_backend(replace(train_preset(preset), seed=seed), resolve_backend("auto"), overrides)
-    scene = training_part(load_scene_of(scene_folder))
-    cameras = scene.cameras.scaled(config.long_side_px)
-    views = TrainingViews(cameras=cameras, images=load_images(images_folder_of(scene_folder), cameras))
-    initial, _ = first_splats(scene, views, config)
-    with stage_bar(display, "train") as report:
-        options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
-        result = fit_splats(initial, views, config, options)
-    save_ply(out, result.splats)
-    return {
-        "gaussians": len(result.splats),
-        "seconds": round(result.seconds, 2),
-        "last_loss": result.last_loss,
-        "decisions": [asdict(decision) for decision in decisions],
-        "model": str(out),
     }
 
 
@@ -170,23 +140,6 @@ def require_run(folder: Path, name: str = "plan.json") -> None:
     """Raise BadInput unless `folder` holds the file `name` of a run."""
     if not (folder / name).is_file():
         raise BadInput(f"{folder} holds no {name}: give the folder of a run that went that far, made by 'radiant run --out'.")
-
-
-def load_scene_of(folder: Path) -> SfmScene:
-    """The scene in the folder of a run or of `radiant sfm`; BadInput where there is none."""
-    inner = folder / "sfm" / "scene.safetensors"
-    path = inner if inner.is_file() else folder / "scene.safetensors"
-    if not path.is_file():
-        raise BadInput(f"{folder} holds no scene.safetensors: give the folder of 'radiant sfm' or of a run.")
-    return load_scene(path)
-
-
-def images_folder_of(folder: Path) -> Path:
-    """The photographs of the folder of a run or of `radiant sfm`; BadInput where nothing names them."""
-    owner = folder / "sfm" if (folder / "sfm" / "result.json").is_file() else folder
-    if not (owner / "result.json").is_file():
-        raise BadInput(f"{owner} holds no result.json that names its photographs: give the folder of 'radiant sfm' or of a run.")
-    return owner / read_json(owner / "result.json", ("images",))["images"]
 
 
 def require_file_to_be(out: Path) -> None:

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.commands import images_folder_of, load_scene_of, require_file_to_be, stage_bar
+from radiant_app.commands import require_file_to_be, stage_bar
 from radiant_app.evaluation import image_row, summary_of
 from radiant_app.progress import ProgressDisplay
-from radiant_app.sources import detect_source
+from radiant_app.sources import detect_source, images_of_scene, load_scene_of
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
@@ -118,7 +118,7 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     if kind == "colmap" and model is not None:
         everything = _colmap_cameras(model, folder)
     else:
-        everything, images = load_scene_of(folder).cameras, images_folder_of(folder)
+        everything, images = load_scene_of(folder).cameras, images_of_scene(folder)
     cameras = everything.select(held_out_mask(everything.names))
     if kind == "colmap":
         _require_shapes(cameras, everything, images)

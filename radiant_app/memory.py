@@ -12,6 +12,11 @@ def reset_peak_bytes() -> int:
     return _status_bytes("VmRSS")
 
 
+def resident_bytes() -> int:
+    """Resident bytes now on Linux, elsewhere the highest so far."""
+    return _status_bytes("VmRSS") if sys.platform == "linux" else peak_bytes()
+
+
 def peak_bytes() -> int:
     """The highest resident bytes since the program began or, on Linux, since `reset_peak_bytes`."""
     if sys.platform == "linux":

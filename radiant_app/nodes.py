@@ -14,7 +14,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,21 +24,28 @@ from numpy.typing import NDArray
 from radiant_app.cloud_task import retrained_at_cloud, virtual_cameras_of
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
+from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
-from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.io.upload import UploadFormat, load_upload, save_upload, upload_problem
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, morton_order
 
 if TYPE_CHECKING:
     from radiant_core.aggregate.synthetic_views import Rendered
+    from radiant_core.train.checkpoint import CheckpointFolder
+    from radiant_core.train.config import TrainConfig
+    from radiant_core.train.trainer import FitOptions, TrainResult
+    from radiant_core.train.views import TrainingViews
 
 Emit = Callable[[Event], None]
+CHECKPOINTS = "checkpoints"
+"""Folder of a training's checkpoints inside its node's; gone when the node is done."""
 _BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
@@ -112,25 +119,71 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
 
     Returns the Gaussians before training and the names of the files written.
     """
+    from radiant_core.train.checkpoint import training_key
     from radiant_core.train.config import TrainConfig
-    from radiant_core.train.initialize import first_splats, sky_share
-    from radiant_core.train.trainer import fit_splats
     from radiant_core.train.views import TrainingViews
 
     stage, emit = running
     config = TrainConfig(**task["train"])
     cameras = scene.cameras.scaled(config.long_side_px)
-    emit(Decided(decision=_sky_decision(stage, sky_share(cameras), wanted=config.sky)))
     views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
+    config = needed(scene, views, config, running)
+    initial = first_model(scene, views, config, running)
+    options = fit_options(stage, task["backend"], emit)
+    checkpoints = checkpoints_in(folder, training_key(initial, views, config, options), running)
+    result = fit(initial, views, config, replace(options, checkpoints=checkpoints), running)
+    save_splats(folder / "model.safetensors", result.splats)
+    summary = {**training_summary(result), "num_photographs": len(cameras), "num_points": len(scene.points)}
+    write_json(folder / "summary.json", summary)
+    uploaded = _save_upload(folder, result.splats, task["upload"], stage, emit)
+    checkpoints.remove()
+    return initial, ["model.safetensors", "summary.json", *uploaded]
+
+
+def checkpoints_in(folder: Path, key: str, running: tuple[str, Emit]) -> CheckpointFolder:
+    """Checkpoints of the training with this key in a node's folder, without those that an older plan or other settings left there."""
+    from radiant_core.train.checkpoint import CheckpointFolder
+
+    stage, emit = running
+    checkpoints = CheckpointFolder(folder / CHECKPOINTS, key, warn=lambda message: emit(Warned(stage=stage, message=message)))
+    checkpoints.remove_foreign()
+    return checkpoints
+
+
+def needed(scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]) -> TrainConfig:
+    """The configuration as this scene needs it; tells what was decided."""
+    from radiant_core.train.needs import fit_to_scene
+
+    stage, emit = running
+    config, decisions = fit_to_scene(config, scene, views)
+    for decision in decisions:
+        emit(Decided(decision=replace(decision, stage=stage)))
+    return config
+
+
+def first_model(scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]) -> Splats:
+    """The Gaussians before training; tells what was added to the sparse points and why."""
+    from radiant_core.train.initialize import first_splats, sky_share
+
+    stage, emit = running
+    emit(Decided(decision=_sky_decision(stage, sky_share(views.cameras), wanted=config.sky)))
     initial, num_filled = first_splats(scene, views, config)
     emit(Decided(decision=_fill_decision(stage, num_filled, len(scene.points), wanted=config.fill_in)))
-    result = fit_splats(initial, views, config, _fit_options(stage, task["backend"], emit))
+    return initial
+
+
+def fit(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions, running: tuple[str, Emit]) -> TrainResult:
+    """`fit_splats`; tells what density control did and which steps could not be taken."""
+    from radiant_core.train.trainer import fit_splats
+
+    stage, emit = running
+    result = fit_splats(initial, views, config, options)
     if config.densify != "none":
         emit(Decided(decision=_density_decision(stage, result.density, len(initial), len(result.splats))))
-    save_splats(folder / "model.safetensors", result.splats)
-    summary = {**_training_summary(result), "num_photographs": len(cameras), "num_points": len(scene.points)}
-    write_json(folder / "summary.json", summary)
-    return initial, ["model.safetensors", "summary.json", *_save_upload(folder, result.splats, task["upload"], stage, emit)]
+    if result.num_rolled_back:
+        message = f"{result.num_rolled_back} of {result.num_steps:,} steps ended in something not finite and were not taken"
+        emit(Warned(stage=stage, message=message))
+    return result
 
 
 def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -168,15 +221,19 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     ]
     if len(inbox.models) > 1:
         emit(Decided(decision=_teachers_decision(stage, rendered, inbox.cameras)))
-    options = _fit_options(stage, task["backend"], emit)
+    # Who rendered a view does not change it.
+    key = content_key(__version__, {name: value for name, value in task.items() if name != "teachers"}, folder / "inbox")
+    checkpoints = checkpoints_in(folder, key, (stage, emit))
+    options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
     result = retrain_on_synthetic_views(inbox.models, inbox.cameras, train, aggregate, options, rendered)
     emit(Decided(decision=_retrain_decision(stage, aggregate, [len(model) for model in inbox.models], result)))
     # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
     splats = result.splats.select(morton_order(result.splats.means))
     save_splats(folder / "model.safetensors", splats)
-    write_json(folder / "summary.json", {**_training_summary(result), "num_models": len(inbox.models)})
+    write_json(folder / "summary.json", {**training_summary(result), "num_models": len(inbox.models)})
     save_cameras(folder / VIRTUAL_CAMERAS, virtual_cameras_of(folder, inbox.cameras, splats))
     uploaded = _save_upload(folder, splats, task["upload"], stage, emit)
+    checkpoints.remove()
     return ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox), *uploaded]
 
 
@@ -192,11 +249,11 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         return _nothing_placed(folder, inbox)
     outputs = ["scene.ply", "summary.json", *save_frames(folder, inbox)]
     if aggregate.cloud == "retrain":
-        result = retrained_at_cloud(task, inbox, stage, emit, _fit_options(stage, task["backend"], emit))
+        result = retrained_at_cloud(task, inbox, stage, emit, fit_options(stage, task["backend"], emit))
         if result is not None:
             emit(Decided(decision=_retrain_decision(stage, aggregate, [len(model) for model in inbox.models], result)))
             save_ply(folder / "scene.ply", result.splats)
-            write_json(folder / "summary.json", _training_summary(result))
+            write_json(folder / "summary.json", training_summary(result))
             return outputs
     rows = [task["edges"].index(name) for name in inbox.senders]
     sites, weights = np.array(task["sites"])[rows], np.array(task["weights"])[rows]
@@ -237,7 +294,8 @@ def load_images(folder: Path, cameras: Cameras) -> tuple[NDArray[np.uint8], ...]
     )
 
 
-def _fit_options(stage: str, backend: Any, emit: Emit):  # noqa: ANN202 - FitOptions, imported late for a quick start
+def fit_options(stage: str, backend: Any, emit: Emit) -> FitOptions:
+    """How a node's training renders and tells how far it is."""
     from radiant_core.train.trainer import FitOptions
 
     def report(progress: Any) -> None:
@@ -261,11 +319,13 @@ def _save_upload(folder: Path, splats: Splats, upload: UploadFormat, stage: str,
     return ["upload.safetensors"]
 
 
-def _training_summary(result: Any) -> dict[str, float | int]:
+def training_summary(result: Any) -> dict[str, float | int]:
+    """What a node's summary.json keeps of a `TrainResult`."""
     return {
         "num_splats": len(result.splats),
         "model_bytes": result.splats.num_bytes,
         "num_steps": result.num_steps,
+        "num_rolled_back": result.num_rolled_back,
         "train_s": result.seconds,
         "first_loss": result.first_loss,
         "last_loss": result.last_loss,

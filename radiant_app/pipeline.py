@@ -31,7 +31,7 @@ from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
-from radiant_core.evaluate.lpips import MIN_SIDE_PX, load_lpips, save_lpips
+from radiant_core.evaluate.lpips import MIN_SIDE_PX, LpipsNetwork, load_lpips, save_lpips
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_splats
@@ -96,7 +96,7 @@ def run(
 
 def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[CloudPlan, Tree]:
     """One owner has all photographs: structure from motion once, then everything as planned. Ends with evaluation/result.json."""
-    scene, images = _sfm_stage(config, progress)
+    scene, images = sfm_stage(config, progress)
     held_out = held_out_mask(scene.cameras.names)
     training = scene.restricted_to(np.flatnonzero(~held_out))
     origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
@@ -104,7 +104,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
         config, with_uploads(system, config.upload, progress), training.cameras.centers[:, :2], origin, progress
     )
     train, aggregate, backend = training_settings(config, progress)
-    _require_size(config, scene, train)
+    require_size(scene, train.long_side_px, config.lpips_network if config.lpips_weights else None)
     dealer = SharedDealer(
         run=config.out,
         images=images,
@@ -127,7 +127,8 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     return cloud_plan, tree
 
 
-def _sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
+def sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
+    """Structure from motion of the source in sfm/: the scene and the folder of its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
     sfm = {"matching": config.matching, "seed": config.seed}
@@ -143,12 +144,13 @@ def _sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
     return scene, folder / read_json(folder / "result.json", ("images",))["images"]
 
 
-def _require_size(config: RunConfig, scene: SfmScene, train: TrainConfig) -> None:
-    width, height = min(scene.cameras.scaled(train.long_side_px).sizes_wh.tolist(), key=min)
-    least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (MIN_SIDE_PX[config.lpips_network] if config.lpips_weights else 0, "LPIPS"))
+def require_size(scene: SfmScene, long_side_px: int, lpips: LpipsNetwork | None = None) -> None:
+    """Raise BadInput where a photograph would become too small to be scored, with LPIPS where a network is named."""
+    width, height = min(scene.cameras.scaled(long_side_px).sizes_wh.tolist(), key=min)
+    least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (MIN_SIDE_PX[lpips] if lpips else 0, "LPIPS"))
     if min(width, height) < least_px:
         raise BadInput(
-            f"with a long side of {train.long_side_px} px a photograph is {width} × {height} px, expected {least_px} or more a side "
+            f"with a long side of {long_side_px} px a photograph is {width} × {height} px, expected {least_px} or more a side "
             f"for {figure}: raise --long-side-px."
         )
 

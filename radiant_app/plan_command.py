@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.commands import load_scene_of, require_file_to_be, stage_bar, training_part
+from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
 from radiant_app.progress import ProgressDisplay
+from radiant_app.sources import load_scene_of
 from radiant_app.system_file import even_system, load_system
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput

@@ -101,17 +101,23 @@ def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
     Raises BadInput when the folder exists and is not empty (without `resume`), was made by other settings, or cannot be made. When
     the input turns out to be unusable, a folder made here goes away again: nothing half-written stays behind.
     """
-    settings = recorded_config(config)
-    if resume and config.out.is_dir() and any(config.out.iterdir()):
-        with RunLock(config.out), _ending(_reopened(config.out, settings)) as manifest:
+    with opened_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
+        yield manifest
+
+
+@contextmanager
+def opened_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
+    """As `opened_run`, of any work with such settings; a file that fits a pattern of `keep` is worth keeping after bad input."""
+    if resume and out.is_dir() and _is_begun(out):
+        with RunLock(out), _ending(_reopened(out, settings)) as manifest:
             yield manifest
         return
-    made = _made_folders(config.out)
+    made = _made_folders(out)
     # A lock that somebody else holds is no reason to clean up: what lies there is that run's work.
-    with RunLock(config.out):
-        require_empty(config.out)
-        fresh = Manifest(folder=config.out, config=settings)
-        with _undone_after_bad_input(config.out, made, keep=("sfm/done.json", "devices/*/done.json")), _ending(fresh) as manifest:
+    with RunLock(out):
+        require_empty(out)
+        fresh = Manifest(folder=out, config=settings)
+        with _undone_after_bad_input(out, made, keep=keep), _ending(fresh) as manifest:
             yield manifest
 
 
@@ -157,9 +163,14 @@ def _made_folders(out: Path) -> list[Path]:
 
 
 def require_empty(out: Path) -> None:
-    """Raise BadInput when the folder holds anything but a lock."""
-    if any(path.name != LOCK_NAME for path in out.iterdir()):
+    """Raise BadInput when the folder holds anything but what a kill leaves before anything was begun."""
+    if _is_begun(out):
         raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with a run there by --resume.")
+
+
+def _is_begun(out: Path) -> bool:
+    """Whether a folder holds more than a lock and a half-written manifest."""
+    return any(path.name != LOCK_NAME and not path.match(".manifest.json.*.part") for path in out.iterdir())
 
 
 @contextmanager

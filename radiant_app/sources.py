@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from radiant_core.errors import BadInput
+from radiant_core.io.records import load_scene
+from radiant_core.io.run_store import read_json
+from radiant_core.scene import SfmScene
 
 SourceKind = Literal["photographs", "colmap", "mill19"]
 
@@ -47,3 +50,25 @@ def reconstruct_source(task: dict[str, Any], folder: Path, report: Callable[[Any
     if kind == "mill19":
         return scene_from_mill19(images, folder, report)
     return reconstruct(images, folder, SfmConfig(**task["sfm"]), report)
+
+
+def has_scene(folder: Path) -> bool:
+    """Whether a folder is that of a run or of `radiant sfm`, with a scene in it."""
+    return any((folder / name).is_file() for name in ("sfm/scene.safetensors", "scene.safetensors"))
+
+
+def load_scene_of(folder: Path) -> SfmScene:
+    """The scene in the folder of a run or of `radiant sfm`; BadInput where there is none."""
+    inner = folder / "sfm" / "scene.safetensors"
+    path = inner if inner.is_file() else folder / "scene.safetensors"
+    if not path.is_file():
+        raise BadInput(f"{folder} holds no scene.safetensors: give the folder of 'radiant sfm' or of a run.")
+    return load_scene(path)
+
+
+def images_of_scene(folder: Path) -> Path:
+    """The folder of a scene's undistorted photographs; raises as `load_scene_of`."""
+    owner = folder / "sfm" if (folder / "sfm" / "result.json").is_file() else folder
+    if not (owner / "result.json").is_file():
+        raise BadInput(f"{owner} holds no result.json that names its photographs: give the folder of 'radiant sfm' or of a run.")
+    return owner / read_json(owner / "result.json", ("images",))["images"]

@@ -19,10 +19,11 @@ import numpy as np
 from rich.console import Console
 
 from radiant_app.bench.runner import BenchOptions
-from radiant_app.commands import images_folder_of, load_scene_of, stage_bar
+from radiant_app.commands import stage_bar
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.nodes import load_images
 from radiant_app.progress import ProgressDisplay, tracked
+from radiant_app.sources import images_of_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import PairedDifference, paired_bootstrap
 from radiant_core.evaluate.image_error import psnr_db
@@ -179,7 +180,7 @@ def _load(source: Path, work: Path) -> _Loaded:
     from radiant_app.sources import reconstruct_source
 
     try:
-        scene, images = load_scene_of(source), images_folder_of(source)
+        scene, images = load_scene_of(source), images_of_scene(source)
     except BadInput:
         task = {"source": str(source), "sfm": {}}
         with stage_bar(ProgressDisplay(Console(stderr=True)), "sfm") as report:

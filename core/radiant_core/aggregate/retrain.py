@@ -52,7 +52,9 @@ def retrain_on_synthetic_views(
     num_steps = aggregate.num_epochs * len(views)
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
-    config = replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, sh_degree_every=0, densify="none")
+    config = replace(
+        train, num_steps=num_steps, sh_degree=merged.sh_degree, sh_degree_every=0, densify="none", start_scale=1.0, exposure="none"
+    )
     return fit_splats(merged, views, config, replace(options, steps=_STEPS[aggregate.preset]))
 
 

@@ -14,10 +14,10 @@ from typing import Any
 
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
+from safetensors.numpy import save, save_file
 
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.run_store import write_atomic
+from radiant_core.io.run_store import atomic_path, write_atomic
 
 VERSION = "1"
 METADATA_NAME = "radiant"
@@ -25,13 +25,27 @@ METADATA_NAME = "radiant"
 
 def save_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about: Mapping[str, Any]) -> None:
     """Write `arrays` and what is said `about` them to `path`, atomically; raises as `write_atomic`."""
+    write_atomic(path, save(dict(arrays), _metadata(schema, about)))
+
+
+def stream_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about: Mapping[str, Any]) -> None:
+    """As `save_arrays`, without a copy of all arrays in memory on the way."""
+    with atomic_path(path) as temporary:
+        try:
+            save_file(dict(arrays), temporary, _metadata(schema, about))
+        except SafetensorError as error:
+            # It wraps what the system said; its own complaints about arrays come as other types.
+            raise BadInput(f"cannot write {path}: {error}: free space or choose another output folder.") from error
+
+
+def _metadata(schema: str, about: Mapping[str, Any]) -> dict[str, str]:
     # One entry only: safetensors writes several in an order that differs from process to process, and keys hash these bytes.
-    record = json.dumps({"schema": schema, "version": VERSION, "about": dict(about)}, allow_nan=False, sort_keys=True)
-    write_atomic(path, save(dict(arrays), {METADATA_NAME: record}))
+    record = {"schema": schema, "version": VERSION, "about": dict(about)}
+    return {METADATA_NAME: json.dumps(record, allow_nan=False, sort_keys=True)}
 
 
-def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str]) -> tuple[dict[str, NDArray], dict[str, Any]]:
-    """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes are exactly these.
+def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tuple[dict[str, NDArray], dict[str, Any]]:
+    """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes are exactly these; None: any names.
 
     Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
     """
@@ -39,9 +53,9 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str]) -> tuple[dic
         record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
         require_schema(record, schema)
         found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
-        if found != dtypes:
+        if dtypes is not None and found != dtypes:
             raise BadInput(f"it holds the arrays {found}, expected {dict(dtypes)}: write it anew with this version.")
-        return {name: file.get_tensor(name) for name in dtypes}, record["about"]
+        return {name: file.get_tensor(name) for name in found}, record["about"]
 
 
 def schema_of(path: Path) -> str:

@@ -31,8 +31,8 @@ MAX_JSON_BYTES = 64 * 2**20
 
 
 @contextmanager
-def atomic_writer(path: Path) -> Iterator[IO[bytes]]:
-    """A binary file that takes the place of `path` when the block ends well, and vanishes when it does not.
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A name beside `path` for a library that writes files itself; what it wrote takes the place of `path` when the block ends well.
 
     Temporary file in the same folder, fsync, replace, fsync of the folder: after a power cut the old or the new file is there.
     Raises BadInput when the system refuses (disk full, no such folder, not allowed); the old file is then untouched.
@@ -40,10 +40,8 @@ def atomic_writer(path: Path) -> Iterator[IO[bytes]]:
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
-        with temporary.open("xb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
+        yield temporary
+        _fsync(temporary)
         temporary.replace(path)
         _fsync(path.parent)
     except OSError as error:
@@ -51,6 +49,13 @@ def atomic_writer(path: Path) -> Iterator[IO[bytes]]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+@contextmanager
+def atomic_writer(path: Path) -> Iterator[IO[bytes]]:
+    """A binary file that takes the place of `path` when the block ends well, and vanishes when it does not; raises as `atomic_path`."""
+    with atomic_path(path) as temporary, temporary.open("xb") as file:
+        yield file
 
 
 def write_atomic(path: Path, data: bytes) -> None:

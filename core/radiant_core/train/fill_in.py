@@ -74,7 +74,7 @@ class _Cells:
 def _cells(image: NDArray[np.uint8]) -> _Cells:
     height, width = image.shape[:2]
     cell_px = max(width, height) / CELLS_ACROSS
-    columns, rows = max(1, round(width / cell_px)), max(1, round(height / cell_px))
+    columns, rows = (min(side, max(1, round(side / cell_px))) for side in (width, height))
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     middles = (np.stack([column.ravel(), row.ravel()], axis=1) + 0.5) * np.array([width / columns, height / rows])
     return _Cells(middles=middles, colors=_block_means(image, columns, rows).reshape(-1, 3))

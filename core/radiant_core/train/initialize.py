@@ -71,7 +71,7 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
     """
     limit = config.max_num_splats
     fill = fill_in_points(scene, views).thinned(max(limit - len(scene.points), limit // 4) if config.fill_in else 0)
-    kept = np.linspace(0, len(scene.points) - 1, max(1, min(len(scene.points), limit - len(fill.points)))).astype(np.int64)
+    kept = np.linspace(0, len(scene.points) - 1, min(len(scene.points), max(1, limit - len(fill.points)))).astype(np.int64)
     initial = initial_splats(
         np.concatenate([scene.points[kept], fill.points]),
         np.concatenate([scene.colors[kept], fill.colors]),

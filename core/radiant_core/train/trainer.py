@@ -26,7 +26,7 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.density import DensityCounts
 from radiant_core.train.exposure import Exposures
 from radiant_core.train.initialize import camera_extent
-from radiant_core.train.native_loss import StatisticsCache, target_loss
+from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.policy import density_policy
 from radiant_core.train.validation import BestModel
@@ -116,6 +116,8 @@ class FitOptions:
     validation: TrainingViews | None = None
     """Views that only choose which model is returned; None returns the last one."""
     checkpoints: Checkpoints | None = None
+    statistics_bytes: int = STATISTICS_BUDGET_BYTES
+    """Memory for what the loss keeps of its targets."""
 
 
 def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions = FitOptions()) -> TrainResult:
@@ -201,8 +203,8 @@ class Training:
         return TrainResult(
             splats=last if best is None or best.splats is None else best.splats,
             num_steps=self.step,
-            first_loss=float(np.mean(self._losses[:tenth])),
-            last_loss=float(np.mean(self._losses[-tenth:])),
+            first_loss=float(np.mean(self._losses[:tenth])) if self._losses else float("nan"),
+            last_loss=float(np.mean(self._losses[-tenth:])) if self._losses else float("nan"),
             seconds=self.seconds,
             density=DensityCounts() if self._density is None else self._density.counts,
             num_rolled_back=self._num_rolled_back,
@@ -265,7 +267,7 @@ class Training:
         self._views = self._full if scale == 1 else self._full.scaled(scale)
         cameras = self._views.cameras
         self._viewmats, self._Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
-        self._statistics = StatisticsCache()
+        self._statistics = StatisticsCache(self._options.statistics_bytes)
 
     def _schedule_step(self, steps_ahead: int = 1) -> float:
         """Where the schedules that are given in steps of a full run stand after the present step."""

@@ -1,0 +1,90 @@
+"""How many Gaussians a training may grow to within a limit of memory. Once per model, before the photographs are loaded.
+
+    memory(N) = base + 3 Σ_v p_v (1 + s²) + kept + 100 max_v p_v + N (C · 4 (11 + 3 K) + 600)        bytes
+
+base: what the process holds before, and BASE_BYTES that come with the first step; p_v pixels of view v, kept as bytes, and again at the
+share s of its side that training begins with; kept: the loss' statistics, 36 bytes a pixel where there is room; 100: a step on the
+largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times: parameters, gradients, two moments, what an edit or a
+checkpoint copies; 600 bytes each are the rasterizer's and an edit's.
+
+The constants are set so that tests/stress/test_train_memory.py holds on the sample town with planned growth: allowed 0.6, 1 and 2 GB, it
+peaked at 0.62, 1.00 and 2.14 GB. `python -m radiant_app.bench.train_memory` shows one case of other sizes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.splats import SH_BASES
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+
+BASE_BYTES = 95_000_000
+COPIES = 7.0
+RASTERIZER_BYTES_PER_SPLAT = 600
+IMAGE_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 36, 100
+MAX_STATISTICS_SHARE = 0.25
+"""Of what photographs leave free, at most this much keeps statistics: they save time, Gaussians make the picture."""
+MIN_SPLATS = 1_000
+"""A limit that leaves room for fewer is refused."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MemoryPlan:
+    """How a limit of memory is spent."""
+
+    max_num_splats: int
+    statistics_bytes: int
+    """Budget of the kept statistics of the loss."""
+    needed_bytes: int
+    """What the model above says for the two."""
+
+
+def bytes_per_splat(sh_degree: int, *, validated: bool = False) -> float:
+    """Bytes of one Gaussian in training; `validated`: the best model so far is kept beside it."""
+    return (COPIES + validated) * 4 * (11 + 3 * SH_BASES[sh_degree]) + RASTERIZER_BYTES_PER_SPLAT
+
+
+def fixed_bytes(config: TrainConfig, cameras: Cameras, base_bytes: int) -> int:
+    """What photographs, one step and the process take, whatever the number of Gaussians."""
+    pixels = cameras.sizes_wh.prod(axis=1)
+    copies = 1.0 + (config.start_scale**2 if config.start_scale < 1 else 0.0)
+    images = IMAGE_BYTES_PER_PX * copies * float(pixels.sum())
+    return round(base_bytes + BASE_BYTES + images + STEP_BYTES_PER_PX * float(pixels.max(initial=0)))
+
+
+def memory_plan(config: TrainConfig, cameras: Cameras, memory_bytes: int, base_bytes: int, *, validated: bool = False) -> MemoryPlan:
+    """The most Gaussians and the statistics that fit into `memory_bytes` with the photographs of `cameras`, at their training size.
+
+    `base_bytes` is what the process holds before they are loaded. Raises BadInput where fewer than 1,000 fit, with what would do.
+    """
+    fixed, each = fixed_bytes(config, cameras, base_bytes), bytes_per_splat(config.sh_degree, validated=validated)
+    free = memory_bytes - fixed
+    wanted = STATISTICS_BYTES_PER_PX * int(cameras.sizes_wh.prod(axis=1).sum())
+    statistics = max(0, min(wanted, STATISTICS_BUDGET_BYTES, int(MAX_STATISTICS_SHARE * free)))
+    count = int((free - statistics) // each)
+    if count < MIN_SPLATS:
+        enough = fixed + MIN_SPLATS * each / (1 - MAX_STATISTICS_SHARE)
+        raise BadInput(
+            f"{memory_bytes / 1e6:,.0f} MB of memory leave room for {max(0, count):,} Gaussians, expected {MIN_SPLATS:,} or more: "
+            f"give {enough / 1e6:,.0f} MB, or lower the photographs' size by --long-side-px."
+        )
+    return MemoryPlan(max_num_splats=count, statistics_bytes=statistics, needed_bytes=round(fixed + statistics + count * each))
+
+
+def within_memory(config: TrainConfig, plan: MemoryPlan, memory_bytes: int, stage: str, asked: int | None) -> tuple[TrainConfig, Decision]:
+    """The configuration with the limit of Gaussians that a plan leaves, or the one `asked` for where that is lower, and the decision."""
+    count = plan.max_num_splats if asked is None else min(asked, plan.max_num_splats)
+    decision = Decision(
+        stage=stage,
+        topic="memory",
+        choice=f"at most {count:,} Gaussians, {plan.statistics_bytes / 1e6:,.0f} MB for what the loss keeps of the photographs",
+        figure=memory_bytes / 1e6,
+        unit="MB allowed",
+        reason=f"{plan.max_num_splats:,} Gaussians are predicted to take {plan.needed_bytes / 1e6:,.0f} MB with all else",
+        forced=True,
+    )
+    return replace(config, max_num_splats=count), decision

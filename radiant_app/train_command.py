@@ -1,0 +1,288 @@
+"""`radiant train`: one model of one machine from all training photographs of a scene, without tiers: the centralised baseline.
+
+    OUT/manifest.json metrics.json scene.ply        settings and decisions; figures of the held-out photographs; the model
+    OUT/pictures/{photographs,renders,differences}/ the held-out photographs beside what the model shows there
+    OUT/sfm/                                        structure from motion, where the source is no scene yet
+    OUT/checkpoints/ done.json                      while it trains; once the model is whole
+
+With --out MODEL.ply the model alone is written: nothing is scored, and a kill starts again from nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.commands import require_file_to_be
+from radiant_app.config import RunConfig
+from radiant_app.evaluation import image_row, save_comparison, summary_of
+from radiant_app.events import Decided, Event, Listener, StageDone, StageProgress, StageSkipped, StageStarted, Warned
+from radiant_app.memory import peak_bytes, resident_bytes
+from radiant_app.nodes import CHECKPOINTS, first_model, fit, fit_options, load_images, needed, training_summary
+from radiant_app.pipeline import require_size, sfm_stage
+from radiant_app.run_folder import Manifest, opened_folder
+from radiant_app.sources import detect_source, has_scene, images_of_scene, load_scene_of
+from radiant_app.stages import Progress
+from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask, validation_mask
+from radiant_core.io.photos import load_photograph
+from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
+from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rendered_view import render_views
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_core.train.checkpoint import CheckpointFolder, training_key
+from radiant_core.train.config import Preset, TrainConfig, train_preset
+from radiant_core.train.memory import memory_plan, within_memory
+from radiant_core.train.needs import Overrides, fit_to_backend
+from radiant_core.train.trainer import FitOptions, TrainResult
+from radiant_core.train.views import TrainingViews
+
+STAGE = "train"
+MIN_PHOTOGRAPHS = 3
+STEPS_OF_A_TIME = 10_000_000
+"""Limit of steps where a time ends the training."""
+KEPT = ("sfm/done.json", f"{CHECKPOINTS}/*.json", "done.json")
+"""What is worth resuming after an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainRequest:
+    """What `radiant train` was asked for."""
+
+    source: Path
+    """A finished run, the folder of `radiant sfm`, a COLMAP project with its images, or photographs."""
+    out: Path
+    """A folder, new or empty; or the name of a PLY."""
+    preset: Preset = "default"
+    overrides: Overrides = Overrides()
+    time_s: float | None = None
+    """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
+    memory_bytes: int | None = None
+    """What the process may hold; None: as much as the preset's Gaussians take."""
+    validate: bool = False
+    """Whether an eighth of the training photographs only chooses the best model."""
+    seed: int = 0
+    checkpoint_every_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (("--time", self.time_s, "seconds"), ("--checkpoint-every", self.checkpoint_every_s, "seconds")):
+            if value is not None and not 0 < value < np.inf:
+                raise BadInput(f"{name} is {value}, expected a positive number of {unit}.")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All that decides the result, as the manifest keeps it."""
+        fields = {**asdict(self), "source": str(self.source.resolve())}
+        return {name: value for name, value in fields.items() if name not in ("out", "checkpoint_every_s")}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Training:
+    """One training that is ready to begin."""
+
+    config: TrainConfig
+    views: TrainingViews
+    initial: Splats
+    options: FitOptions
+
+    @property
+    def key(self) -> str:
+        return training_key(self.initial, self.views, self.config, self.options)
+
+
+def train(
+    request: TrainRequest, listen: Listener = lambda event: None, *, resume: bool = False, clock: Callable[[], float] = time.monotonic
+) -> dict[str, Any]:
+    """Train and score as `request` says; returns the content of metrics.json, or figures of the training for a single PLY.
+
+    Raises BadInput with one sentence for unusable input (nothing stays behind), StageFailed when training diverges.
+    """
+    if request.out.suffix.lower() == ".ply":
+        return _single_ply(request, listen, resume, clock)
+    with opened_folder(request.out, request.settings, resume, KEPT) as manifest:
+        progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
+        scene, images = _scene_and_images(request, progress)
+
+        def tell(event: Event) -> None:
+            manifest.note(event, clock() - progress.started_s)
+            listen(event)
+
+        with _Stage(STAGE, tell, clock) as stage:
+            training = _prepared(request, scene, images, stage)
+            model, summary = _trained(training, request, stage)
+        with _Stage("evaluation", tell, clock) as stage:
+            held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
+            figures = _scored(request.out, (model, training.initial), held_out, images, stage)
+        metrics = {**figures, "training": summary, **_totals(manifest, len(model))}
+        write_json(request.out / "metrics.json", metrics)
+        return metrics
+
+
+class _Stage:
+    """One stage of this process: tells when it begins and ends."""
+
+    def __init__(self, name: str, tell: Listener, clock: Callable[[], float]) -> None:
+        self.name, self.tell, self._clock = name, tell, clock
+        self._begun_s = clock()
+
+    def __enter__(self) -> _Stage:
+        self.tell(StageStarted(stage=self.name))
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.tell(StageDone(stage=self.name, seconds=self._clock() - self._begun_s))
+
+    @property
+    def running(self) -> tuple[str, Listener]:
+        """Its name and who listens."""
+        return self.name, self.tell
+
+
+def _scene_and_images(request: TrainRequest, progress: Progress) -> tuple[SfmScene, Path]:
+    """The scene of the source and the folder of its photographs; structure from motion in sfm/ where there is none yet."""
+    if has_scene(request.source):
+        return load_scene_of(request.source), images_of_scene(request.source)
+    detect_source(request.source)
+    return sfm_stage(RunConfig(source=request.source, out=request.out, seed=request.seed), progress)
+
+
+def _prepared(request: TrainRequest, scene: SfmScene, images: Path, stage: _Stage) -> _Training:
+    """Settings, photographs and first model; tells what was decided."""
+    base_bytes = resident_bytes()
+    if len(scene.cameras) < MIN_PHOTOGRAPHS:
+        raise BadInput(f"the scene has {len(scene.cameras)} photographs, expected at least {MIN_PHOTOGRAPHS}: take more that overlap.")
+    backend = resolve_backend("auto")
+    config, decisions = _settings(request, backend)
+    require_size(scene, config.long_side_px)
+    names = scene.cameras.names
+    validated = validation_mask(names) & request.validate
+    if request.validate and validated.sum() + held_out_mask(names).sum() >= len(names):
+        raise BadInput(f"of {len(names)} photographs none is left to train on: leave out --validate.")
+    training = scene.restricted_to(np.flatnonzero(~held_out_mask(names) & ~validated))
+    cameras = training.cameras.scaled(config.long_side_px)
+    options = fit_options(STAGE, backend, stage.tell)
+    if request.memory_bytes is not None:
+        kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
+        plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=request.validate)
+        config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
+        options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)
+    for decision in decisions:
+        stage.tell(Decided(decision=decision))
+    views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
+    if request.validate:
+        looked_at = scene.cameras.select(np.flatnonzero(validated)).scaled(config.long_side_px)
+        options = replace(options, validation=TrainingViews(cameras=looked_at, images=load_images(images, looked_at)))
+    config = needed(training, views, config, stage.running)
+    initial = first_model(training, views, config, stage.running)
+    return _Training(config=config, views=views, initial=initial, options=options)
+
+
+def _settings(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """The configuration that was asked for, as far as this machine can carry it."""
+    config, decisions = fit_to_backend(replace(train_preset(request.preset), seed=request.seed), backend, request.overrides)
+    if request.time_s is None:
+        return config, decisions
+    config = replace(config, budget_s=request.time_s, num_steps=request.overrides.num_steps or STEPS_OF_A_TIME)
+    budget = Decision(
+        stage=STAGE,
+        topic="budget",
+        choice="time ends the training" + (", or steps if they come first" if request.overrides.num_steps else ""),
+        figure=request.time_s,
+        unit="s",
+        reason="asked for on the command line",
+        forced=True,
+    )
+    # What the preset's steps were cut to says nothing where a time ends the training.
+    return config, (budget, *(decision for decision in decisions if decision.topic != "num_steps" or request.overrides.num_steps))
+
+
+def _trained(training: _Training, request: TrainRequest, stage: _Stage) -> tuple[Splats, dict[str, Any]]:
+    """The model and a summary of its training: those that lie in the folder where they are whole, else trained on from the checkpoint."""
+    out = request.out
+    checkpoints = CheckpointFolder(
+        out / CHECKPOINTS,
+        training.key,
+        every_s=request.checkpoint_every_s,
+        warn=lambda message: stage.tell(Warned(stage=STAGE, message=message)),
+    )
+    if is_sealed(out, training.key):
+        record = read_json(out / "training.json")
+        for decision in record["decisions"]:
+            stage.tell(Decided(decision=Decision(**decision)))
+        for message in record["warnings"]:
+            stage.tell(Warned(stage=STAGE, message=message))
+        stage.tell(StageSkipped(stage=STAGE))
+        checkpoints.remove()
+        return load_ply(out / "scene.ply"), record["summary"]
+    told: list[Event] = []
+
+    def tell(event: Event) -> None:
+        told.append(event)
+        stage.tell(event)
+
+    options = replace(training.options, checkpoints=checkpoints)
+    result = fit(training.initial, training.views, training.config, options, (STAGE, tell))
+    summary = {**training_summary(result), "num_photographs": len(training.views), **_validation_figures(result)}
+    save_ply(out / "scene.ply", result.splats)
+    record = {
+        "summary": summary,
+        "decisions": [asdict(event.decision) for event in told if isinstance(event, Decided)],
+        "warnings": [event.message for event in told if isinstance(event, Warned)],
+    }
+    write_json(out / "training.json", record)
+    seal(out, training.key, ["scene.ply", "training.json"])
+    checkpoints.remove()
+    return result.splats, summary
+
+
+def _validation_figures(result: TrainResult) -> dict[str, Any]:
+    if result.best_step is None:
+        return {}
+    return {"best_step": result.best_step, "validation": [{"step": step, "psnr_db": figure} for step, figure in result.validation]}
+
+
+def _scored(out: Path, models: tuple[Splats, Splats], cameras: Cameras, images: Path, stage: _Stage) -> dict[str, Any]:
+    """Figures of the trained and the first model on the held-out photographs; writes the pictures."""
+    trained, first = (render_views(model, cameras) for model in models)
+    rows = []
+    for view, before, (width, height) in zip(trained, first, cameras.sizes_wh, strict=True):
+        photograph = load_photograph(images / view.name, (int(width), int(height)))
+        save_comparison(out / "pictures", view, photograph)
+        rows.append(image_row(view, photograph, before=before))
+        stage.tell(StageProgress(stage=stage.name, done=len(rows), total=len(cameras), note=view.name))
+    return summary_of(rows, lpips_network=None)
+
+
+def _totals(manifest: Manifest, num_splats: int) -> dict[str, Any]:
+    seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
+    return {"num_gaussians": num_splats, "seconds": seconds, "peak_bytes": {**manifest.peak_bytes, STAGE: peak_bytes()}}
+
+
+def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Callable[[], float]) -> dict[str, Any]:
+    """The model alone, of a source that has a scene."""
+    if resume:
+        raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
+    require_file_to_be(request.out)
+    scene, images = load_scene_of(request.source), images_of_scene(request.source)
+    decisions: list[Decision] = []
+
+    def tell(event: Event) -> None:
+        if isinstance(event, Decided):
+            decisions.append(event.decision)
+        listen(event)
+
+    with _Stage(STAGE, tell, clock) as stage:
+        training = _prepared(request, scene, images, stage)
+        result = fit(training.initial, training.views, training.config, training.options, stage.running)
+    save_ply(request.out, result.splats)
+    return {**training_summary(result), "decisions": [asdict(decision) for decision in decisions], "model": str(request.out)}

@@ -1,0 +1,60 @@
+"""`radiant train` killed with SIGKILL in the middle of training and of writing a checkpoint ends with the bytes of one left alone."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from radiant_app.commands import sfm
+from radiant_app.demo import sample_scenes_folder
+from radiant_app.progress import ProgressDisplay
+from radiant_core.io.run_store import read_json
+from tests.stress.kill_harness import differing_files, run_killed, run_whole
+
+RESULTS = ("scene.ply",)
+OPTIONS = ("--steps", "120", "--long-side-px", "160", "--checkpoint-every", "0.05s")
+SLOW_WRITES = """
+import sys, time
+import radiant_core.io.array_file as array_file
+from radiant_app.cli import main
+write = array_file.save_file
+def slowly(arrays, path, metadata):
+    write(arrays, path, metadata)
+    if int(path.name.split("-")[1].split(".")[0]) >= 20:
+        time.sleep(30)  # the file lies there whole under its temporary name, and is not yet the checkpoint
+array_file.save_file = slowly
+sys.argv = ["radiant", *sys.argv[1:]]
+main()
+"""
+
+
+def radiant_train(scene: Path, out: Path, *more: str) -> list[str]:
+    return [sys.executable, "-m", "radiant_app", "train", str(scene), "--out", str(out), *OPTIONS, *more]
+
+
+def step_of(path: Path) -> int:
+    return int(path.name.lstrip(".").removeprefix("step-").split(".")[0])
+
+
+def test_a_training_killed_while_it_writes_and_while_it_trains_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    project, scene, whole, killed = (tmp_path / name for name in ("project", "scene", "whole", "killed"))
+    project.mkdir()
+    (project / "images").symlink_to(sample_scenes_folder() / "hamlet" / "images")
+    (project / "sparse").symlink_to(sample_scenes_folder() / "hamlet" / "known")
+    sfm(project, scene, "auto", ProgressDisplay(Console(quiet=True)))
+    run_whole(radiant_train(scene, whole))
+
+    def half_written() -> bool:
+        return any(step_of(path) >= 20 and path.stat().st_size > 0 for path in killed.glob("checkpoints/.*.part"))
+
+    def far_on() -> bool:
+        return any(step_of(path) >= 60 for path in killed.glob("checkpoints/step-*.json"))
+
+    slowly = [sys.executable, "-c", SLOW_WRITES, *radiant_train(scene, killed)[3:]]
+    story = run_killed(slowly, radiant_train(scene, killed, "--resume"), [half_written, far_on])
+    assert story.num_kills == 2, story
+    assert differing_files(whole, killed, RESULTS) == []
+    assert not (killed / "checkpoints").exists()
+    assert read_json(killed / "metrics.json")["psnr_db"] == read_json(whole / "metrics.json")["psnr_db"]
