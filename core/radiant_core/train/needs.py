@@ -17,6 +17,10 @@ from radiant_core.train.views import TrainingViews
 
 MIN_EXPOSURE_SPREAD = 0.05
 """Standard deviation of the photographs' gains from which on each gets an exposure of its own."""
+PIXELS_PER_GAUSSIAN = 80
+"""Training pixels for each Gaussian that planned growth may reach (docs/experiments/training.md)."""
+MIN_PLANNED = 4_000
+"""Planned growth may always reach so many."""
 MIN_SHARED_POINTS = 20
 """A photograph that shows fewer points of others says nothing of its exposure."""
 
@@ -34,7 +38,7 @@ class Overrides:
 
 
 _LIMITS = {
-    "native": Overrides(long_side_px=576, num_steps=1_500, max_num_splats=100_000),
+    "native": Overrides(long_side_px=576, num_steps=1_500, max_num_splats=200_000),
     "reference": Overrides(long_side_px=240, num_steps=120, max_num_splats=8_000),
 }
 _UNITS = {"long_side_px": "px", "num_steps": "steps", "max_num_splats": "Gaussians"}
@@ -84,8 +88,9 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
 
 def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """What is "auto" in a configuration, decided by figures of the scene; `views.cameras` are the scene's in the same order."""
+    config, decisions = _fit_size(config, views)
     if config.exposure != "auto":
-        return config, ()
+        return config, decisions
     spread = exposure_spread(scene, views)
     wanted = spread >= MIN_EXPOSURE_SPREAD
     decision = Decision(
@@ -96,7 +101,24 @@ def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> 
         unit="% spread of brightness at common points",
         reason=f"from {100 * MIN_EXPOSURE_SPREAD:.0f} % on photographs of one place are taken for differently exposed",
     )
-    return replace(config, exposure="affine" if wanted else "none"), (decision,)
+    return replace(config, exposure="affine" if wanted else "none"), (*decisions, decision)
+
+
+def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """Where growth is planned, no more Gaussians than the photographs have detail for."""
+    num_pixels = sum(image.shape[0] * image.shape[1] for image in views.images)
+    most = max(MIN_PLANNED, num_pixels // PIXELS_PER_GAUSSIAN)
+    if config.densify != "planned" or most >= config.max_num_splats:
+        return config, ()
+    decision = Decision(
+        stage="train",
+        topic="number of Gaussians",
+        choice=f"growth is planned to {most:,} instead of {config.max_num_splats:,}",
+        figure=num_pixels / 1e6,
+        unit="million pixels of training photographs",
+        reason=f"more than one Gaussian per {PIXELS_PER_GAUSSIAN} pixels cost time and gained nothing on photographs left out",
+    )
+    return replace(config, max_num_splats=most), (decision,)
 
 
 def exposure_spread(scene: SfmScene, views: TrainingViews) -> float:

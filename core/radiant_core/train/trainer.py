@@ -196,15 +196,17 @@ class Training:
         self._tell()
 
     def result(self) -> TrainResult:
-        """The model, the best by validation where there is one, and what the run took."""
+        """The model, the best by validation where there is one, and what the run took. StageFailed when no step could be taken."""
+        if not self._losses:
+            raise StageFailed(f"training: none of {self.step} steps could be taken: check the photographs and the learning rates.")
         _limit_scales(self._splats, self._full, self._config)
         last, best = self._splats.to_splats(), self._best
         tenth = max(1, len(self._losses) // 10)
         return TrainResult(
             splats=last if best is None or best.splats is None else best.splats,
             num_steps=self.step,
-            first_loss=float(np.mean(self._losses[:tenth])) if self._losses else float("nan"),
-            last_loss=float(np.mean(self._losses[-tenth:])) if self._losses else float("nan"),
+            first_loss=float(np.mean(self._losses[:tenth])),
+            last_loss=float(np.mean(self._losses[-tenth:])),
             seconds=self.seconds,
             density=DensityCounts() if self._density is None else self._density.counts,
             num_rolled_back=self._num_rolled_back,

@@ -283,4 +283,5 @@ def test_the_paper_preset_has_the_papers_numbers_and_standard_those_of_3dgs() ->
     # 3DGS lowers the centres' rate to a hundredth at 30,000 steps, two thirds of which the paper takes.
     assert paper.means_lr_end == pytest.approx(0.01 ** (20_000 / 30_000)) and standard.means_lr_end == 0.01
     for name in ("draft", "default"):
-        assert train_preset(name).densify == "none" and train_preset(name).fill_in and train_preset(name).sky
+        config = train_preset(name)
+        assert config.densify == "planned" and config.adam == "dense" and config.fill_in and config.sky and config.start_scale == 0.5

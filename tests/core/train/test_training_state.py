@@ -169,3 +169,9 @@ def test_every_view_comes_once_per_epoch_in_new_orders() -> None:
     epochs = [[view_of_step(epoch * 7 + place, 7, seed=3) for place in range(7)] for epoch in range(4)]
     assert all(sorted(epoch) == list(range(7)) for epoch in epochs)
     assert len({tuple(epoch) for epoch in epochs}) == 4
+
+
+def test_a_short_run_of_which_no_step_could_be_taken_fails_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("radiant_core.train.trainer.target_loss", lambda image, *rest: image.sum() * torch.inf)
+    with pytest.raises(StageFailed, match="none of 5 steps could be taken"):
+        fit_splats(start(), photographs(), replace(CONFIG, num_steps=5))
