@@ -74,7 +74,7 @@ class TrainConfig:
     """Share of the run from which images have their full size."""
     exposure: Literal["none", "affine", "auto"] = "none"
     """affine: every photograph has an affine map of the colours of its own, learnt with the model; auto: where exposures differ."""
-    exposure_lr: float = 1e-2
+    exposure_lr: float = 1e-3
     """Learning rate of the exposures at the start; it falls to a tenth."""
     num_looks: int = 6
     """How often validation views are looked at in the second half of a run."""
