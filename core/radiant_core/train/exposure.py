@@ -12,10 +12,32 @@ from typing import Any
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
+from radiant_core import _native
 from radiant_core.errors import StageFailed
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+
+
+class _NativeExposure(torch.autograd.Function):
+    """The map by the native module: torch's own threads would spin on after each of its operations."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, map_: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        image, map_ = image.detach().contiguous(), map_.detach()
+        shown = torch.empty_like(image)
+        _native.apply_exposure(image, map_, shown, torch.get_num_threads())
+        ctx.save_for_backward(image, map_)
+        return shown
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        image, map_ = ctx.saved_tensors
+        image_gradient, map_gradient = torch.empty_like(image), torch.empty_like(map_)
+        _native.apply_exposure_backward(image, map_, grads[0].contiguous(), image_gradient, map_gradient, torch.get_num_threads())
+        return image_gradient, map_gradient
 
 
 class Exposures:
@@ -35,6 +57,9 @@ class Exposures:
     def applied(self, view: int, image: Tensor) -> Tensor:
         """The rendered image (H,W,3) as the exposure of `view` shows it; remembers what to give the gradient to."""
         self._shown = self._maps[view].clone().requires_grad_()
+        if image.device.type == "cpu" and image.dtype == torch.float32:
+            shown: Tensor = _NativeExposure.apply(image, self._shown)
+            return shown
         return image + torch.addmm(self._shown[:, 3], image.view(-1, 3), self._shown[:, :3].T).view(image.shape)
 
     def require_finite(self) -> None:
