@@ -56,7 +56,7 @@ def test_any_number_of_threads_gives_the_same_bits() -> None:
 
 def test_wrong_shapes_are_refused_by_name() -> None:
     image, map_ = torch.zeros(4, 5, 3), torch.zeros(3, 4)
-    with pytest.raises(ValueError, match="map has shape"):
+    with pytest.raises(ValueError, match="color_map has shape"):
         _native.apply_exposure(image, torch.zeros(4, 3), torch.zeros(4, 5, 3))
     with pytest.raises(ValueError, match="shown_gradient has shape"):
         _native.apply_exposure_backward(image, map_, torch.zeros(5, 4, 3), torch.zeros(4, 5, 3), torch.zeros(3, 4))
