@@ -97,7 +97,8 @@ def _measure_training(options: BenchOptions) -> Sequence[Metric]:
         from radiant_viewer.curve_chart import curve_picture
         from radiant_viewer.images import save_png
 
-        detail = f"{bench.scene.name}, {bench.long_side_px} px, {len(bench.seeds)} seeds; every dot is one model"
+        num_seeds = f"{len(bench.seeds)} seed" + ("s" if len(bench.seeds) > 1 else "")
+        detail = f"{bench.scene.name}, {bench.long_side_px} px, {num_seeds}; every dot is one model"
         save_png(options.plot, curve_picture(curves_of(rows), "Training: quality against time and size", detail))
         typer.echo(f"written: {options.plot}")
     return metrics

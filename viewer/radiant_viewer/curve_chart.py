@@ -15,6 +15,8 @@ from radiant_viewer.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, ne
 from radiant_viewer.palette import CATEGORIES
 
 WIDTH_PX, HEIGHT_PX, TOP_PX, LEFT_PX, FOOT_PX = 1100, 520, 76, 72, 58
+MIN_LABEL_GAP = 0.14
+"""Least distance of two labels, as a share of the axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,13 +51,23 @@ def curve_picture(curves: Mapping[str, Sequence[CurvePoint]], title: str, detail
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_locator(MaxNLocator(6))
-        axes.set_xticks(sorted({float(f"{getattr(point, name):.2g}") for points in curves.values() for point in points})[:8])
+        axes.set_xticks(_apart([getattr(point, name) for points in curves.values() for point in points]))
         axes.tick_params(colors=SOFT_COLOR, labelsize=8)
         axes.grid(visible=True, axis="y", color=SOFT_COLOR, alpha=0.15)
         axes.spines[["top", "right"]].set_visible(False)
         if panel == 0:
             axes.legend(fontsize=9, frameon=False)
     return figure_image(figure)
+
+
+def _apart(values: Sequence[float]) -> list[float]:
+    """Round values to label on a logarithmic axis, the smallest and others that leave room for the labels between them."""
+    rounded = sorted({float(f"{value:.2g}") for value in values})
+    kept = rounded[:1]
+    for value in rounded[1:]:
+        if np.log(value / kept[-1]) > MIN_LABEL_GAP * np.log(max(rounded[-1] / rounded[0], 1.01)):
+            kept.append(value)
+    return kept
 
 
 def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, color: tuple[float, float, float]) -> None:

@@ -1,0 +1,73 @@
+"""`radiant bench train`: every preset at its budgets and at half of them, differences with bounds, ablations, the picture."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from radiant_app.bench.runner import BenchOptions, run_bench
+from radiant_app.bench.train import TrainBench, bench_of, bench_train, curves_of
+from radiant_app.demo import sample_scenes_folder
+from radiant_core.errors import BadInput
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The hamlet as a COLMAP project: nothing has to be reconstructed."""
+    folder = tmp_path_factory.mktemp("bench") / "hamlet"
+    shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "images")
+    shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "sparse" / "0")
+    return folder
+
+
+def test_presets_meet_at_their_budgets_and_the_difference_has_bounds(project: Path) -> None:
+    rows, metrics = bench_train(TrainBench(scene=project, budgets_s=(0.8,), seeds=(0, 1), long_side_px=96))
+    assert {(row.variant, row.budget_s, row.seed) for row in rows} == {
+        (variant, budget_s, seed) for variant, budget_s in (("default", 0.4), ("default", 0.8), ("standard", 0.8)) for seed in (0, 1)
+    }
+    for row in rows:
+        # A budget ends with the step that exceeds it, and first points are placed whatever they take.
+        assert row.num_steps > 0 and row.num_gaussians > 100 and len(row.psnr_db) == 2 and row.cpu_s < row.budget_s + 2
+    found = {metric.key: metric.value for metric in metrics}
+    assert found["train.hamlet.default.0.8s.psnr_db"] == pytest.approx(
+        sum(row.mean_psnr_db for row in rows if (row.variant, row.budget_s) == ("default", 0.8)) / 2
+    )
+    for label in ("equal_time", "half_time"):
+        key = f"train.hamlet.default.0.8s.over_standard_at_{label}"
+        assert found[f"{key}.low_db"] <= found[f"{key}.mean_db"] <= found[f"{key}.high_db"]
+        assert found[f"{key}.at_least_db"] <= found[f"{key}.mean_db"]
+    curves = curves_of(rows)
+    assert {name: len(points) for name, points in curves.items()} == {"default": 4, "standard": 2}
+
+
+def test_ablations_are_paired_with_the_whole(project: Path) -> None:
+    changes = {"no densification": {"densify": "none"}, "as it is": {}}
+    bench = TrainBench(scene=project, presets=("default",), budgets_s=(0.5,), seeds=(0,), long_side_px=96, ablations=True, changes=changes)
+    rows, metrics = bench_train(bench)
+    assert [row.variant for row in rows] == ["default", "no densification"]
+    keys = {metric.key for metric in metrics}
+    assert "train.hamlet.no_densification.0.5s.over_default.mean_db" in keys
+    assert not any("as_it_is" in key for key in keys)
+
+
+def test_the_command_writes_figures_and_a_picture(project: Path, tmp_path: Path) -> None:
+    options = BenchOptions(quick=True, scene=project, budgets_s=(0.4,), long_side_px=96, plot=tmp_path / "curves.png")
+    run_bench("train", tmp_path / "train.json", options)
+    rows = json.loads((tmp_path / "train.json").read_text())
+    assert any(row["key"] == "train.hamlet.standard.0.4s.num_gaussians" for row in rows)
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_options_that_do_not_belong_together_are_refused(project: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="are for the benchmark train, not for raster"):
+        run_bench("raster", None, BenchOptions(budgets_s=(1.0,)))
+    with pytest.raises(BadInput, match="there is no folder"):
+        run_bench("train", None, BenchOptions(scene=project, plot=tmp_path / "nowhere" / "a.png"))
+    with pytest.raises(BadInput, match="give one or more of each"):
+        TrainBench(scene=project, budgets_s=(float("nan"),))
+    with pytest.raises(BadInput, match="train preset 'best' is unknown"):
+        bench_train(TrainBench(scene=project, presets=("best",), budgets_s=(0.1,)))
+    assert bench_of(BenchOptions(ablations=True)).seeds == (0, 1, 2) and bench_of(BenchOptions()).budgets_s == (60.0, 180.0, 600.0)
