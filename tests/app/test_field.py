@@ -179,9 +179,28 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100
 
 
+def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Path, tmp_path: Path) -> None:
+    system = tmp_path / "system.toml"
+    system.write_text(TWO_EDGES + '[[edge.device]]\nid = "south-2"\n')
+    source = tmp_path / "captured"
+    for index, path in enumerate(sorted((hamlet / "images").iterdir())):
+        folder = source / ("north-1" if index < 6 else "south-1")
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, folder / path.name)
+    (source / "south-2").mkdir()
+    result = run(RunConfig(source=source, frames="gps", system=system, out=tmp_path / "run", overrides=TINY))
+    assert "no photograph" in result.metrics["missing"]["south-2"] and "north-1" not in result.metrics["missing"]
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert any("south-2 takes no part" in warning for warning in manifest["warnings"])
+    told = next(row for row in manifest["ledger"] if row["node"] == "plan")
+    assert told["num_photographs"] == 0 and 0 < told["other_bytes"] < 10_000, "names and positions alone"
+
+
 @pytest.mark.parametrize(
     ("change", "error", "said"),
     [
+        ({"source": "unknown"}, BadInput, "no device of the system"),
+        ({"source": "twice"}, BadInput, "both have a photograph 'drone_0000.jpg'"),
         ({"poses": None}, BadInput, "no poses beside its photographs"),
         ({"frames": "gps", "poses": None, "source": "stripped"}, BadInput, "no photograph has a GPS position"),
         ({"source": "strange"}, BadInput, "and the folder 'other'"),
@@ -196,6 +215,8 @@ def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: 
         "stripped": lambda folder: [
             cv2.imwrite(str(folder / p.name), np.asarray(cv2.imread(str(p)))) for p in (hamlet / "images").iterdir()
         ],
+        "unknown": lambda folder: shutil.copytree(hamlet / "images", folder / "East-9"),
+        "twice": lambda folder: [shutil.copytree(hamlet / "images", folder / name) for name in ("north-1", "south-1")],
         "strange": lambda folder: [(folder / name).mkdir() for name in ("north-1", "other")],
         "lost": lambda folder: [shutil.copyfile(p, folder / p.name) for p in sorted((hamlet / "images").iterdir())[1:]],
         "sky": lambda folder: [
@@ -223,5 +244,7 @@ def test_options_that_contradict_are_refused(hamlet: Path, tmp_path: Path) -> No
 def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, RunResult]) -> None:
     config, _ = finished
     ledger = json.loads((config.out / "manifest.json").read_text())["ledger"]
-    assert {row["num_photographs"] for row in ledger} == {0}, "nobody was sent a photograph"
+    fetched = {row["node"]: row["num_photographs"] for row in ledger}
+    assert {node for node, count in fetched.items() if count} == {"devices/north-1", "devices/south-1"}, "each fetched its own"
+    assert sum(fetched.values()) == 12
     assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score"}
