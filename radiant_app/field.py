@@ -99,7 +99,8 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     executor = executor_of(config, system, progress, may_fail=lambda node: node.tier != "cloud")
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
-    progress.manifest.keep_stages({"positions", *scores, *(node.id for node in tree)})
+    positions = {"positions", *(f"positions/{device}" for device in folders or ())}
+    progress.manifest.keep_stages({*positions, *scores, *(node.id for node in tree)})
     executor.fold(tree, dealer.prepare, progress.listen)
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
@@ -151,9 +152,8 @@ def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progre
     owners: list[str | None] = []
     geodetic: list[tuple[float, float, float] | None] = []
     for owner, place in places.items():
-        folder = config.out / ("positions" if owner is None else f"positions/{owner}")
         try:
-            found = _positions_in(place, folder, progress)
+            found = _positions_in(place, "positions" if owner is None else f"positions/{owner}", progress)
         except (BadInput, StageFailed, OSError) as error:
             if owner is None:
                 raise
@@ -165,21 +165,31 @@ def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progre
     known = np.array([place for place in geodetic if place is not None], np.float64).reshape(-1, 3)
     if not len(known):
         raise BadInput("no photograph has a GPS position, which --frames gps needs: give poses with --frames known, or pool them (shared).")
-    origin = np.median(known, axis=0)
+    origin = _middle(known)
     positions = np.full((len(names), 3), np.nan)
     positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
     _leave_out_other_sites(names, positions, progress)
     return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)
 
 
-def _positions_in(place: Path, folder: Path, progress: Progress) -> dict[str, tuple[float, float, float] | None]:
-    """Degrees, degrees, metres or None by file name of the photographs in `place`, read by a process of its own that works in `folder`."""
+def _positions_in(place: Path, stage: str, progress: Progress) -> dict[str, tuple[float, float, float] | None]:
+    """Degrees, degrees, metres or None by file name of the photographs in `place`, read by a process of its own."""
+    folder = progress.manifest.folder / stage
     folder.mkdir(parents=True, exist_ok=True)
     task = {"folders": {"photographs": str(place.resolve())}}
     write_json(folder / "task.json", task)
-    key = content_key(__version__, task, [(path.name, path.stat().st_size) for path in sorted(place.iterdir())])
-    run_task(NodeTask(kind="positions", stage="positions", folder=folder, key=key), progress.listen, progress.clock)
+    key = content_key(__version__, task, [(path.name, path.stat().st_size) for path in sorted(place.iterdir()) if path.is_file()])
+    run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
     return read_json(folder / "positions.json", ("photographs",))["photographs"]
+
+
+def _middle(lat_lon_alt: FloatArray) -> FloatArray:
+    """The median (3,) of positions (P,3); longitudes are counted from the first, since a site may lie on the 180th meridian."""
+    turned = lat_lon_alt.copy()
+    turned[:, 1] = (lat_lon_alt[:, 1] - lat_lon_alt[0, 1] + 180) % 360 - 180
+    middle = np.median(turned, axis=0)
+    middle[1] = (middle[1] + lat_lon_alt[0, 1] + 180) % 360 - 180
+    return middle
 
 
 def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress: Progress) -> None:
@@ -206,7 +216,9 @@ def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) 
     else:
         owner_of: dict[str, str] = {}
         wanted = set(names)
-        for device, name in [(device, path.name) for device, folder in folders.items() for path in folder.iterdir() if path.name in wanted]:
+        for device, name in [
+            (device, path.name) for device, folder in folders.items() for path in sorted(folder.iterdir()) if path.name in wanted
+        ]:
             if owner_of.setdefault(name, device) != device:
                 raise BadInput(
                     f"devices {owner_of[name]} and {device} both have a photograph {name!r}, and the poses do not say whose they are: "

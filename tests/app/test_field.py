@@ -16,6 +16,7 @@ import pytest
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageSkipped, Warned
+from radiant_app.field import _middle
 from radiant_app.pipeline import RunResult, run
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.ply import load_ply
@@ -188,12 +189,23 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, folder / path.name)
     (source / "south-2").mkdir()
-    result = run(RunConfig(source=source, frames="gps", system=system, out=tmp_path / "run", overrides=TINY))
+    (source / "south-1" / "lost.jpg").symlink_to("nowhere")
+    config = RunConfig(source=source, frames="gps", system=system, out=tmp_path / "run", overrides=TINY)
+    result = run(config)
     assert "no photograph" in result.metrics["missing"]["south-2"] and "north-1" not in result.metrics["missing"]
     manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
     assert any("south-2 takes no part" in warning for warning in manifest["warnings"])
     told = next(row for row in manifest["ledger"] if row["node"] == "plan")
     assert told["num_photographs"] == 0 and 0 < told["other_bytes"] < 10_000, "names and positions alone"
+    events: list[Event] = []
+    again = run(config, events.append, resume=True)
+    assert not [event for event in events if isinstance(event, StageDone)] and again.metrics["psnr_db"] == result.metrics["psnr_db"]
+
+
+def test_the_middle_of_a_site_on_the_180th_meridian_lies_there() -> None:
+    site = np.array([[-17.0, 179.999, 5.0], [-17.0, -179.999, 5.0], [-17.001, 179.998, 9.0], [-17.001, -179.998, 1.0]])
+    lat, lon, alt = _middle(site)
+    assert abs(abs(lon) - 180) < 1e-3 and lat == pytest.approx(-17.0005) and alt == 5.0
 
 
 @pytest.mark.parametrize(
