@@ -74,6 +74,8 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
 
     Raises BadInput where positions or poses are missing, StageFailed when no device delivers a model.
     """
+    # The plan is made anew by a resumed run, from what lies there by then.
+    progress.manifest.forget("plan")
     folders = _device_folders(config.source, system)
     poses = given_poses(config.source, config.poses) if config.frames == "known" else None
     captured = _by_poses(poses, folders, config.source) if poses is not None else _by_gps(config, folders, progress)

@@ -197,9 +197,16 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
     assert any("south-2 takes no part" in warning for warning in manifest["warnings"])
     told = next(row for row in manifest["ledger"] if row["node"] == "plan")
     assert told["num_photographs"] == 0 and 0 < told["other_bytes"] < 10_000, "names and positions alone"
+    # Without a place it is not planned, so that nobody else has anything new to do.
+    import cv2
+
+    cv2.imwrite(str(source / "south-2" / "found.png"), np.full((240, 320, 3), 200, np.uint8))
     events: list[Event] = []
     again = run(config, events.append, resume=True)
-    assert not [event for event in events if isinstance(event, StageDone)] and again.metrics["psnr_db"] == result.metrics["psnr_db"]
+    assert [event.stage for event in events if isinstance(event, StageDone)] == ["positions/south-2"]
+    assert again.metrics["psnr_db"] == result.metrics["psnr_db"] and "whose place is known" in again.metrics["missing"]["south-2"]
+    warnings = json.loads((tmp_path / "run" / "manifest.json").read_text())["warnings"]
+    assert any("found.png" in warning for warning in warnings) and not any("takes no part" in warning for warning in warnings)
 
 
 def test_the_middle_of_a_site_on_the_180th_meridian_lies_there() -> None:
