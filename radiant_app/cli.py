@@ -106,6 +106,8 @@ def run(
         raise BadInput("--out is missing: name the run's folder.")
     if system is not None and emulate is not None:
         raise BadInput("--system and --emulate both name a system: keep one of them.")
+    if plan is not None and plan_method is not None:
+        raise BadInput("--plan keeps to a plan that is made and --plan-method makes another: leave one of them out.")
     from radiant_app.config import RunConfig, run_preset
     from radiant_core.train.needs import Overrides
 

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from radiant_app.config import RunConfig
+from radiant_app.dealing import received
 from radiant_app.evaluation import PICTURE_KINDS
 from radiant_app.events import Warned
 from radiant_app.executors.local import run_task
@@ -35,7 +36,7 @@ from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.assigned import assigned_plan, device_indices
-from radiant_core.plan.captured import plan_of_owners
+from radiant_core.plan.captured import plan_of_owners, taken_for_others
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.sfm.given_poses import GivenPoses, given_poses
@@ -73,6 +74,8 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
 
     Raises BadInput where positions or poses are missing, StageFailed when no device delivers a model.
     """
+    # The plan is made anew by a resumed run, from what lies there by then.
+    progress.manifest.forget("plan")
     folders = _device_folders(config.source, system)
     poses = given_poses(config.source, config.poses) if config.frames == "known" else None
     captured = _by_poses(poses, folders, config.source) if poses is not None else _by_gps(config, folders, progress)
@@ -98,7 +101,8 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     executor = executor_of(config, system, progress, may_fail=lambda node: node.tier != "cloud")
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
-    progress.manifest.keep_stages({"positions", *scores, *(node.id for node in tree)})
+    positions = {"positions", *(f"positions/{device}" for device in folders or ())}
+    progress.manifest.keep_stages({*positions, *scores, *(node.id for node in tree)})
     executor.fold(tree, dealer.prepare, progress.listen)
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
@@ -106,7 +110,9 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     lpips_network = config.lpips_network if config.lpips_weights else None
     scorer = Scorer(dealer=dealer, moves=dealer.moves(), long_side_px=train.long_side_px, lpips_network=lpips_network)
     executor.fold(_scoring_tree(scorer.moves), scorer.prepare, progress.listen)
-    progress.manifest.ledger = [*dealer.ledger, *scorer.ledger]
+    heads = sorted((config.out / "positions").rglob("positions.json"))
+    told = [{"node": "plan", "tier": "owner", **received(heads)}] if config.frames == "gps" else []
+    progress.manifest.ledger = [*told, *dealer.ledger, *scorer.ledger]
     result = collect_scores(config.out, sorted(scorer.moves), missing, lpips_network)
     (config.out / "evaluation").mkdir(exist_ok=True)
     write_json(config.out / "evaluation" / "result.json", {**result, "frames": config.frames, "pooled": folders is None})
@@ -122,10 +128,16 @@ def _device_folders(source: Path, system: System) -> dict[str, Path] | None:
     inner = {path.name: path for path in sorted(source.iterdir()) if path.is_dir() and not path.name.startswith(".")}
     ids = [device.id for device in system.devices]
     named = {name: path for name, path in inner.items() if name in ids}
+    loose = [path.name for path in source.iterdir() if path.suffix.lower() in SUFFIXES]
     if not named:
+        holding = [name for name, path in inner.items() if any(file.suffix.lower() in SUFFIXES for file in path.iterdir())]
+        if holding and not loose and "images" not in inner:
+            raise BadInput(
+                f"{source} has photographs in the folder {holding[0]!r}, which is no device of the system ({', '.join(ids)}): name folders "
+                "by their devices, give the --system that has them, or put all photographs into one folder."
+            )
         return None
     strange = sorted(set(inner) - set(named))
-    loose = [path.name for path in source.iterdir() if path.suffix.lower() in SUFFIXES]
     if strange or loose:
         other = f"the folder {strange[0]!r}" if strange else f"the photograph {loose[0]!r}"
         raise BadInput(
@@ -142,24 +154,44 @@ def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progre
     owners: list[str | None] = []
     geodetic: list[tuple[float, float, float] | None] = []
     for owner, place in places.items():
-        folder = config.out / ("positions" if owner is None else f"positions/{owner}")
-        folder.mkdir(parents=True, exist_ok=True)
-        task = {"folders": {"photographs": str(place.resolve())}}
-        write_json(folder / "task.json", task)
-        key = content_key(__version__, task, [(path.name, path.stat().st_size) for path in sorted(place.iterdir())])
-        run_task(NodeTask(kind="positions", stage="positions", folder=folder, key=key), progress.listen, progress.clock)
-        found = read_json(folder / "positions.json", ("photographs",))["photographs"]
+        try:
+            found = _positions_in(place, "positions" if owner is None else f"positions/{owner}", progress)
+        except (BadInput, StageFailed, OSError) as error:
+            if owner is None:
+                raise
+            progress.listen(Warned(stage="plan", message=f"device {owner} takes no part: {error}"))
+            continue
         names += found
         owners += [owner] * len(found)
         geodetic += found.values()
     known = np.array([place for place in geodetic if place is not None], np.float64).reshape(-1, 3)
     if not len(known):
         raise BadInput("no photograph has a GPS position, which --frames gps needs: give poses with --frames known, or pool them (shared).")
-    origin = np.median(known, axis=0)
+    origin = _middle(known)
     positions = np.full((len(names), 3), np.nan)
     positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
     _leave_out_other_sites(names, positions, progress)
     return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)
+
+
+def _positions_in(place: Path, stage: str, progress: Progress) -> dict[str, tuple[float, float, float] | None]:
+    """Degrees, degrees, metres or None by file name of the photographs in `place`, read by a process of its own."""
+    folder = progress.manifest.folder / stage
+    folder.mkdir(parents=True, exist_ok=True)
+    task = {"folders": {"photographs": str(place.resolve())}}
+    write_json(folder / "task.json", task)
+    key = content_key(__version__, task, [(path.name, path.stat().st_size) for path in sorted(place.iterdir()) if path.is_file()])
+    run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
+    return read_json(folder / "positions.json", ("photographs",))["photographs"]
+
+
+def _middle(lat_lon_alt: FloatArray) -> FloatArray:
+    """The median (3,) of positions (P,3); longitudes are counted from the first, since a site may lie on the 180th meridian."""
+    turned = lat_lon_alt.copy()
+    turned[:, 1] = (lat_lon_alt[:, 1] - lat_lon_alt[0, 1] + 180) % 360 - 180
+    middle = np.median(turned, axis=0)
+    middle[1] = (middle[1] + lat_lon_alt[0, 1] + 180) % 360 - 180
+    return middle
 
 
 def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress: Progress) -> None:
@@ -184,7 +216,16 @@ def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) 
         absent = [name for name in names if not (poses.photos / name).is_file()]
         owners: list[str | None] = [None] * len(names)
     else:
-        owner_of = {path.name: device for device, folder in folders.items() for path in folder.iterdir()}
+        owner_of: dict[str, str] = {}
+        wanted = set(names)
+        for device, name in [
+            (device, path.name) for device, folder in folders.items() for path in sorted(folder.iterdir()) if path.name in wanted
+        ]:
+            if owner_of.setdefault(name, device) != device:
+                raise BadInput(
+                    f"devices {owner_of[name]} and {device} both have a photograph {name!r}, and the poses do not say whose they are: "
+                    "rename one, there and in the poses."
+                )
         absent = [name for name in names if name not in owner_of]
         owners = [owner_of.get(name) for name in names]
     if absent:
@@ -212,8 +253,10 @@ def _planned(
         if config.plan is None:
             cloud_plan, edge_plans = assigned_plan(positions, owners, system)
         else:
-            regions, strips, _ = plan_around(config.plan, captured.origin)
-            cloud_plan, edge_plans = plan_of_owners(regions, strips, device_indices(owners, system), positions, system=system)
+            regions, strips, planned = plan_around(config.plan, captured.origin)
+            devices = device_indices(owners, system)
+            cloud_plan, edge_plans = plan_of_owners(regions, strips, devices, positions, system=system)
+            _tell_taken_for_others(owners, taken_for_others(strips, planned, devices, positions), progress)
         save_plan(config.out / "plan.json", cloud_plan, edge_plans)
         idle = [device.id for device in system.devices if device.id not in folders]
         for device in idle:
@@ -221,6 +264,13 @@ def _planned(
         return system, cloud_plan, edge_plans, _own_shares(captured, folders)
     system, cloud_plan, edge_plans = plan_stage(config, system, positions, captured.origin, progress)
     return system, cloud_plan, edge_plans, _dealt_shares(config, captured, chosen, edge_plans)
+
+
+def _tell_taken_for_others(owners: Sequence[str], strange: Any, progress: Progress) -> None:
+    for device in sorted({owner for owner, is_strange in zip(owners, strange, strict=True) if is_strange}):
+        own = [is_strange for owner, is_strange in zip(owners, strange, strict=True) if owner == device]
+        message = f"{sum(own)} of {len(own)} photographs of device {device} lie where the plan has devices of another edge"
+        progress.listen(Warned(stage="plan", message=f"{message}: were folders exchanged? What it shows there may be cut away."))
 
 
 def _own_shares(captured: Captured, folders: dict[str, Path]) -> dict[str, DeviceShare]:

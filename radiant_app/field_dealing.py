@@ -55,13 +55,20 @@ class FieldDealer(Dealer):
         task = super().prepare(node)
         if task is not None:
             self.keys[node.id] = task.key
+            if node.tier == "device" and self.shares[node.name].copy:
+                fetched = received(self._photographs_of(node.name))
+                self.ledger[-1] |= {key: fetched[key] for key in ("num_photographs", "photograph_bytes")}
         return task
+
+    def _photographs_of(self, device: str) -> list[Path]:
+        share = self.shares[device]
+        return [share.source / name for name in (*share.names, *share.held_out)]
 
     def fill_device(self, node: Tree, folder: Path) -> Filled:
         """The names of its photographs; the given poses where there are some."""
         share = self.shares[node.name]
         names = [*share.names, *share.held_out]
-        files = [(share.source / name).stat() for name in names]
+        files = [path.stat() for path in self._photographs_of(node.name)]
         task = {
             "frames": self.frames,
             "source": str(share.source.resolve()),
@@ -119,7 +126,7 @@ class FieldDealer(Dealer):
         folder = self.run / "devices" / device
         key = self.keys.get(f"devices/{device}")
         if key is None:
-            return "it has no photograph to train on."
+            return "it has no photograph to train on whose place is known."
         if not is_sealed(folder, key):
             return "its process ended before it was done; the warnings say how."
         frame = read_json(folder / "frame.json", ("status", "reason"))

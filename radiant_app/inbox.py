@@ -58,8 +58,8 @@ def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> 
     from radiant_core.sfm.device_frame import FrameUncertainty
 
     placed = [
-        PlacedModel(splats=model, cameras=own, uncertainty=FrameUncertainty(**uncertainty))
-        for model, own, uncertainty in zip(models, cameras, known, strict=True)
+        PlacedModel(splats=model, cameras=own, uncertainty=FrameUncertainty(**uncertainty), name=name)
+        for name, model, own, uncertainty in zip(senders, models, cameras, known, strict=True)
     ]
     refined = refine_frames(placed, lambda done, total, note: emit(StageProgress(stage=stage, done=done, total=total, note=note)))
     for name, frame in zip(senders, refined, strict=True):

@@ -25,7 +25,7 @@ from radiant_app.field import run_in_the_field
 from radiant_app.memory import peak_bytes
 from radiant_app.run_folder import Manifest, opened_run
 from radiant_app.sources import detect_source, source_files
-from radiant_app.stages import Progress, executor_of, plan_stage, training_settings, with_uploads
+from radiant_app.stages import Progress, executor_of, plan_stage, require_plan, training_settings, with_uploads
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
@@ -77,6 +77,8 @@ def run(
     system = even_system(2, 2) if config.system is None else load_system(config.system)
     if config.emulated:
         require_emulable(system)
+    if config.plan is not None:
+        require_plan(config.plan, system)
     lpips = None if config.lpips_weights is None else load_lpips(config.lpips_weights, config.lpips_network)
     with opened_run(config, resume) as manifest:
         if lpips is not None:

@@ -49,7 +49,7 @@ class Manifest:
     def note(self, event: Event, now_s: float) -> None:
         """Take from the stream what the record keeps."""
         if isinstance(event, StageStarted):
-            self._forget(event.stage)
+            self.forget(event.stage)
             self._times(event)[event.stage] = {"started_s": now_s, "ended_s": now_s}
         elif isinstance(event, StageDone):
             self._times(event)[event.stage]["ended_s"] = now_s
@@ -70,7 +70,7 @@ class Manifest:
     def _times(self, event: StageStarted | StageDone | StageSkipped) -> dict[str, dict[str, float]]:
         return self.emulated if event.emulated else self.stages
 
-    def _forget(self, stage: str) -> None:
+    def forget(self, stage: str) -> None:
         """What an earlier try of this stage decided and warned of."""
         self.decisions = [decision for decision in self.decisions if decision["stage"] != stage]
         self.warnings = [warning for warning in self.warnings if not warning.startswith(f"{stage}: ")]
@@ -79,7 +79,7 @@ class Manifest:
         """Forget all other stages: those of devices and edges that an earlier plan had."""
         for times in (self.stages, self.emulated):
             for stage in [stage for stage in times if stage.removesuffix(UPLINK) not in stages]:
-                self._forget(stage)
+                self.forget(stage)
                 del times[stage]
                 self.peak_bytes.pop(stage, None)
 

@@ -21,12 +21,13 @@ from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.upload import BYTES_FACTORS, UploadFormat
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.captured import plan_of_captured
+from radiant_core.plan.captured import plan_of_captured, require_same_system
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, choose_method, plan_regions
 from radiant_core.plan.system import System
+from radiant_core.plan.waypoints import Waypoints
 from radiant_core.render.contract import resolve_backend
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import fit_to_backend
@@ -78,10 +79,7 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
 
     Raises BadInput for a plan without waypoints, and where the photographs are not placed on the globe.
     """
-    cloud_plan, edge_plans = load_plan(path)
-    waypoints = load_plan_waypoints(path)
-    if waypoints is None:
-        raise BadInput(f"{path} has no waypoints: make it by `radiant plan` from waypoints or from a folder of photographs with GPS.")
+    cloud_plan, edge_plans, waypoints = _made_before(path)
     if origin is None:
         raise BadInput(f"{path} is on the globe and the photographs have no GPS frame: leave out --plan, or give photographs with GPS.")
     # Over a site, two local frames differ by a shift: their axes turn by 1e-4 per kilometre.
@@ -89,6 +87,20 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
     moved = replace(cloud_plan, sites=cloud_plan.sites + shift, borders=tuple(border + shift for border in cloud_plan.borders))
     edges = tuple(replace(plan, strips=tuple(strip + shift for strip in plan.strips)) for plan in edge_plans)
     return moved, edges, enu_from_geodetic(waypoints.lat_lon_alt, origin)[:, :2]
+
+
+def require_plan(path: Path, system: System) -> None:
+    """Raise BadInput for a plan without waypoints or for another system; asked before anything runs, since all else waits for the plan."""
+    _, edge_plans, _ = _made_before(path)
+    require_same_system(edge_plans, system)
+
+
+def _made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints]:
+    cloud_plan, edge_plans = load_plan(path)
+    waypoints = load_plan_waypoints(path)
+    if waypoints is None:
+        raise BadInput(f"{path} has no waypoints: make it by `radiant plan` from waypoints or from a folder of photographs with GPS.")
+    return cloud_plan, edge_plans, waypoints
 
 
 def executor_of(config: RunConfig, system: System, progress: Progress, may_fail: Callable[[Tree], bool] = lambda node: False) -> Executor:

@@ -16,6 +16,7 @@ import pytest
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageSkipped, Warned
+from radiant_app.field import _middle
 from radiant_app.pipeline import RunResult, run
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.ply import load_ply
@@ -179,9 +180,46 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100
 
 
+def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Path, tmp_path: Path) -> None:
+    system = tmp_path / "system.toml"
+    system.write_text(TWO_EDGES + '[[edge.device]]\nid = "south-2"\n')
+    source = tmp_path / "captured"
+    for index, path in enumerate(sorted((hamlet / "images").iterdir())):
+        folder = source / ("north-1" if index < 6 else "south-1")
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, folder / path.name)
+    (source / "south-2").mkdir()
+    (source / "south-1" / "lost.jpg").symlink_to("nowhere")
+    config = RunConfig(source=source, frames="gps", system=system, out=tmp_path / "run", overrides=TINY)
+    result = run(config)
+    assert "no photograph" in result.metrics["missing"]["south-2"] and "north-1" not in result.metrics["missing"]
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
+    assert any("south-2 takes no part" in warning for warning in manifest["warnings"])
+    told = next(row for row in manifest["ledger"] if row["node"] == "plan")
+    assert told["num_photographs"] == 0 and 0 < told["other_bytes"] < 10_000, "names and positions alone"
+    # Without a place it is not planned, so that nobody else has anything new to do.
+    import cv2
+
+    cv2.imwrite(str(source / "south-2" / "found.png"), np.full((240, 320, 3), 200, np.uint8))
+    events: list[Event] = []
+    again = run(config, events.append, resume=True)
+    assert [event.stage for event in events if isinstance(event, StageDone)] == ["positions/south-2"]
+    assert again.metrics["psnr_db"] == result.metrics["psnr_db"] and "whose place is known" in again.metrics["missing"]["south-2"]
+    warnings = json.loads((tmp_path / "run" / "manifest.json").read_text())["warnings"]
+    assert any("found.png" in warning for warning in warnings) and not any("takes no part" in warning for warning in warnings)
+
+
+def test_the_middle_of_a_site_on_the_180th_meridian_lies_there() -> None:
+    site = np.array([[-17.0, 179.999, 5.0], [-17.0, -179.999, 5.0], [-17.001, 179.998, 9.0], [-17.001, -179.998, 1.0]])
+    lat, lon, alt = _middle(site)
+    assert abs(abs(lon) - 180) < 1e-3 and lat == pytest.approx(-17.0005) and alt == 5.0
+
+
 @pytest.mark.parametrize(
     ("change", "error", "said"),
     [
+        ({"source": "unknown"}, BadInput, "no device of the system"),
+        ({"source": "twice"}, BadInput, "both have a photograph 'drone_0000.jpg'"),
         ({"poses": None}, BadInput, "no poses beside its photographs"),
         ({"frames": "gps", "poses": None, "source": "stripped"}, BadInput, "no photograph has a GPS position"),
         ({"source": "strange"}, BadInput, "and the folder 'other'"),
@@ -196,6 +234,8 @@ def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: 
         "stripped": lambda folder: [
             cv2.imwrite(str(folder / p.name), np.asarray(cv2.imread(str(p)))) for p in (hamlet / "images").iterdir()
         ],
+        "unknown": lambda folder: shutil.copytree(hamlet / "images", folder / "East-9"),
+        "twice": lambda folder: [shutil.copytree(hamlet / "images", folder / name) for name in ("north-1", "south-1")],
         "strange": lambda folder: [(folder / name).mkdir() for name in ("north-1", "other")],
         "lost": lambda folder: [shutil.copyfile(p, folder / p.name) for p in sorted((hamlet / "images").iterdir())[1:]],
         "sky": lambda folder: [
@@ -223,5 +263,7 @@ def test_options_that_contradict_are_refused(hamlet: Path, tmp_path: Path) -> No
 def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, RunResult]) -> None:
     config, _ = finished
     ledger = json.loads((config.out / "manifest.json").read_text())["ledger"]
-    assert {row["num_photographs"] for row in ledger} == {0}, "nobody was sent a photograph"
+    fetched = {row["node"]: row["num_photographs"] for row in ledger}
+    assert {node for node, count in fetched.items() if count} == {"devices/north-1", "devices/south-1"}, "each fetched its own"
+    assert sum(fetched.values()) == 12
     assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score"}

@@ -58,6 +58,8 @@ class PlacedModel:
     splats: Splats
     cameras: Cameras
     uncertainty: FrameUncertainty
+    name: str = ""
+    """What reasons call it; without one its number."""
 
     def __post_init__(self) -> None:
         if not (len(self.cameras) and len(self.splats)):
@@ -109,7 +111,7 @@ def refine_frames(models: Sequence[PlacedModel], report: Report | None = None, s
     pairs = []
     for done, ((a, b), overlap) in enumerate(overlaps.items()):
         if report is not None:
-            report(done, len(overlaps), f"models {a + 1} and {b + 1}")
+            report(done, len(overlaps), " and ".join(models[index].name or f"model {index + 1}" for index in (a, b)))
         pairs.append(_fitted_pair(models, surfaces, (a, b), overlap, seed))
     if report is not None:
         report(len(overlaps), len(overlaps), "all frames at once")
@@ -118,7 +120,8 @@ def refine_frames(models: Sequence[PlacedModel], report: Report | None = None, s
     solved, used, dropped = _solved_without_open_loops(centers, priors, [pair for pair in pairs if pair.agrees])
     group = _groups(len(models), used)
     sizes = [len(model.cameras) for model in models]
-    refusals = _refusals(pairs, dropped, group, sizes)
+    named = [model.name or f"model {number}" for number, model in enumerate(models, 1)]
+    refusals = _refusals(pairs, dropped, group, sizes, named)
     return tuple(_verdict(index, models[index], solved, used, refusals) for index in range(len(models)))
 
 
@@ -209,7 +212,7 @@ def _groups(num_models: int, used: Sequence[_Pair]) -> list[int]:
     return group
 
 
-def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int], sizes: list[int]) -> dict[int, str]:
+def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int], sizes: list[int], named: list[str]) -> dict[int, str]:
     """The models that must not be merged, with the reason: of two groups that contradict each other the one with fewer photographs.
 
     Contradiction: a pair that disagrees with GPS or with the loops, or, for a model joined to nobody, one that should match and does not.
@@ -230,7 +233,7 @@ def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int]
         if unmatched:
             why = f"both know {pair.share:.0%} common ground, but {pair.told}"
         for index in (i for i, number in enumerate(group) if number == group[small]):
-            refusals.setdefault(index, f"it does not fit model {large + 1}, which has no fewer photographs behind it: {why}.")
+            refusals.setdefault(index, f"it does not fit {named[large]}, which has no fewer photographs behind it: {why}.")
     return refusals
 
 

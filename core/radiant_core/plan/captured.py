@@ -40,7 +40,7 @@ def plan_of_captured(
     planned = checked_array("planned_xy", planned_xy, (None, 2))
     captured = checked_array("captured_xy", captured_xy, (None, 2))
     require_plan_of(len(planned), cloud_plan, edge_plans)
-    _require_same_system(cloud_plan, edge_plans, system)
+    require_same_system(edge_plans, system)
     if not len(captured):
         raise BadInput("no photograph was captured: check the folder, or plan again.")
     device_of_captured = _device_of_planned(edge_plans, len(planned))[_nearest(planned, captured)]
@@ -60,7 +60,7 @@ def plan_of_owners(
     Raises BadInput when plan and system are not of one kind, or when a device captured more than its memory holds.
     """
     captured = checked_array("captured_xy", captured_xy, (len(device_of_captured), 2))
-    _require_same_system(cloud_plan, edge_plans, system)
+    require_same_system(edge_plans, system)
     counts = np.bincount(device_of_captured, minlength=len(system.devices))
     _require_memory(system, counts)
     new_edge_plans: list[EdgePlan] = []
@@ -83,13 +83,27 @@ def plan_of_owners(
     return _with_bound(cloud_plan, captured, edge_of_camera, edge_time_s, system), tuple(new_edge_plans)
 
 
-def _require_same_system(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], system: System) -> None:
+def taken_for_others(
+    edge_plans: Sequence[EdgePlan], planned_xy: ArrayLike, device_of_captured: NDArray[np.int64], captured_xy: ArrayLike
+) -> NDArray[np.bool_]:
+    """Which photographs (C,) of the devices (C,) lie nearest to a waypoint of another edge's devices, whose region is not theirs.
+
+    Raises BadInput when most lie farther from every waypoint than the plan is wide.
+    """
+    planned = checked_array("planned_xy", planned_xy, (None, 2))
+    captured = checked_array("captured_xy", captured_xy, (len(device_of_captured), 2))
+    edge_of_device = np.repeat(np.arange(len(edge_plans)), [len(plan.device_ids) for plan in edge_plans])
+    meant = _device_of_planned(edge_plans, len(planned))[_nearest(planned, captured)]
+    return edge_of_device[meant] != edge_of_device[device_of_captured]
+
+
+def require_same_system(edge_plans: Sequence[EdgePlan], system: System) -> None:
+    """Raise BadInput unless the plan has the system's edges with their devices, in their order."""
     ids = [(edge.id, tuple(device.id for device in edge.devices)) for edge in system.edges]
     planned = [(plan.edge_id, plan.device_ids) for plan in edge_plans]
     if planned != ids:
-        differing = next((a for a, b in zip(planned, ids, strict=False) if a != b), None)
-        what = f"has {len(planned)} edges" if differing is None else f"has edge {differing[0]!r} with {', '.join(differing[1])}"
-        raise BadInput(f"the plan {what}, the system of {len(cloud_plan.edge_ids)} edges another: use the system it was planned for.")
+        has, wanted = ("; ".join(f"{edge} ({', '.join(devices)})" for edge, devices in part) for part in (planned, ids))
+        raise BadInput(f"the plan is for {has}, the system has {wanted}: use the system it was planned for.")
 
 
 def _nearest(planned: FloatArray, captured: FloatArray) -> NDArray[np.int64]:

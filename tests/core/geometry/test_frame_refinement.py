@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,12 +69,12 @@ def test_three_models_with_gps_like_errors_come_together() -> None:
     ids=["15 m away", "turned by 40°"],
 )
 def test_a_model_that_is_not_where_its_gps_says_is_refused_with_the_figures(move: Sim3, figure: str) -> None:
-    right = moved_model(ground_model((-26, 18), sample=1), cameras_over((-26, 18)), NOTHING, SURE)
+    right = replace(moved_model(ground_model((-26, 18), sample=1), cameras_over((-26, 18)), NOTHING, SURE), name="north-1")
     wrong = moved_model(ground_model(MIDDLE, sample=2), cameras_over(MIDDLE), move, SURE)
     frames = refine_frames([right, wrong])
     assert (frames[0].status, frames[1].status) == ("alone", "refused")
     assert re.search(rf"lies .*({figure}).*GPS allows", frames[1].reason), frames[1].reason
-    assert frames[1].correction.scale == 1.0
+    assert frames[1].correction.scale == 1.0 and "does not fit north-1" in frames[1].reason
 
 
 def test_a_model_of_another_place_is_refused_and_the_rest_goes_on() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.captured import plan_of_captured
+from radiant_core.plan.captured import plan_of_captured, taken_for_others
 from radiant_core.plan.deadline import device_time_s
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -116,3 +116,16 @@ def test_what_does_not_belong_together_is_refused() -> None:
             plan_of_captured(cloud, edges, planned_xy, captured_xy, system=used)
     with pytest.raises(BadInput, match="disagree"):
         plan_of_captured(replace(cloud, edge_of_camera=1 - np.minimum(cloud.edge_of_camera, 1)), edges, positions, positions, system=system)
+
+
+def test_photographs_in_the_folder_of_another_edge_are_told() -> None:
+    positions, system = site(120, 7)
+    cloud, edges = planned(positions, system)
+    first = np.cumsum([0, *(len(plan.device_ids) for plan in edges)])
+    own = first[cloud.edge_of_camera]  # the first device of each edge took all of its edge
+    assert not taken_for_others(edges, positions, own, positions).any()
+    exchanged = own.copy()
+    exchanged[cloud.edge_of_camera == 0] = first[1]
+    np.testing.assert_array_equal(taken_for_others(edges, positions, exchanged, positions), cloud.edge_of_camera == 0)
+    with pytest.raises(BadInput, match="use the plan of this site"):
+        taken_for_others(edges, positions, own, positions + 5000.0)
