@@ -69,10 +69,23 @@ def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> 
             emit(Decided(decision=_refinement_decision(stage, name, frame)))
     corrections = [None if frame.status == "refused" else frame.correction for frame in refined]
     refused = {name: frame.reason for name, frame in zip(senders, refined, strict=True) if frame.status == "refused"}
-    # Joined, they are as sure of their place as the surest of them.
+    # Joined, they are as sure of their place as the surest of them; beside each other, the next tier can move them as one body only.
     left = [asdict(frame.uncertainty) for frame in refined if frame.status != "refused"]
-    joined = {key: min(one[key] for one in left) for key in left[0]} if left else None
+    surest = min if _are_one_group([frame.neighbours for frame in refined], [frame.status != "refused" for frame in refined]) else max
+    joined = {key: surest(one[key] for one in left) for key in left[0]} if left else None
     return replace(_together(senders, models, cameras, corrections, joined), refused=refused)
+
+
+def _are_one_group(neighbours: Sequence[Sequence[int]], kept: Sequence[bool]) -> bool:
+    """Whether all models that are kept hang together over their neighbours."""
+    members = {index for index, keep in enumerate(kept) if keep}
+    reached: set[int] = set()
+    waiting = sorted(members)[:1]
+    while waiting:
+        index = waiting.pop()
+        reached.add(index)
+        waiting += [other for other in neighbours[index] if other not in reached]
+    return reached >= members
 
 
 def _cameras_in(place: Path) -> Cameras:

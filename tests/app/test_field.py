@@ -17,6 +17,7 @@ from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageSkipped, Warned
 from radiant_app.field import _middle
+from radiant_app.inbox import _are_one_group
 from radiant_app.pipeline import RunResult, run
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.ply import load_ply
@@ -118,11 +119,21 @@ def preload(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
-def test_no_other_process_opens_a_devices_photographs(hamlet: Path, system: Path, preload: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kept", "expected"),
+    [([True, True, True], False), ([True, True, False], True), ([False, False, True], True), ([False, False, False], True)],
+)
+def test_models_that_do_not_hang_together_are_no_group(kept: list[bool], expected: bool) -> None:
+    assert _are_one_group([(1,), (0,), ()], kept) is expected
+
+
+@pytest.mark.parametrize("frames", ["known", "gps"])
+def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path, system: Path, preload: Path, tmp_path: Path) -> None:
     source = split_by_device(hamlet / "images", tmp_path / "captured")
     log = tmp_path / "opened.txt"
-    command = [sys.executable, "-m", "radiant_app", "run", source, "--out", tmp_path / "run", "--frames", "known"]
-    options = ["--poses", hamlet / "known", "--system", system, "--steps", 20, "--long-side-px", 64, "--max-splats", 800]
+    command = [sys.executable, "-m", "radiant_app", "run", source, "--out", tmp_path / "run", "--frames", frames]
+    poses = ["--poses", hamlet / "known"] if frames == "known" else []
+    options = [*poses, "--system", system, "--steps", 20, "--long-side-px", 64, "--max-splats", 800]
     environment = {**os.environ, "LD_PRELOAD": str(preload), "OPENED_FILES": str(log)}
     done = subprocess.run(
         [str(part) for part in (*command, *options)], env=environment, capture_output=True, text=True, timeout=300, check=False
@@ -137,7 +148,8 @@ def test_no_other_process_opens_a_devices_photographs(hamlet: Path, system: Path
         photographs = [str(path) for path in (source / device).iterdir()]
         readers = {process for path in photographs for process in opened.get(path, set())}
         assert all(path in opened for path in photographs), "the tracing saw nothing"
-        assert readers and all("radiant_app.worker" in process and f"devices/{device}" in process for process in readers), readers
+        own = (f"devices/{device}", f"positions/{device}")
+        assert readers and all("radiant_app.worker" in process and any(place in process for place in own) for process in readers), readers
         # What was made of them stays with the device too.
         others = [process for path, who in opened.items() if f"devices/{device}/" in path for process in who]
         assert all(f"devices/{device}" in process for process in others), others
