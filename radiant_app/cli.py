@@ -50,6 +50,7 @@ _MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
 TrainPresetOption = Annotated[TrainPreset, typer.Option(help=_TRAIN_HELP)]
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
+Settings = Annotated[list[str] | None, typer.Option("--set", help="Any setting of training: NAME=VALUE, as in TrainConfig; repeatable.")]
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
 Seed = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of every random choice.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
@@ -86,6 +87,7 @@ def run(
     long_side_px: LongSide = None,
     steps: NumSteps = None,
     max_splats: MaxSplats = None,
+    settings: Settings = None,
     lpips_weights: LpipsWeights = None,
     lpips_net: LpipsNet = "vgg",
     seed: Seed = 0,
@@ -109,6 +111,7 @@ def run(
     if plan is not None and plan_method is not None:
         raise BadInput("--plan keeps to a plan that is made and --plan-method makes another: leave one of them out.")
     from radiant_app.config import RunConfig, run_preset
+    from radiant_app.settings import settings_of
     from radiant_core.train.needs import Overrides
 
     given = {"train_preset": train_preset, "aggregate_preset": aggregate_preset, "plan_method": plan_method, "matching": matching}
@@ -124,7 +127,7 @@ def run(
         plan=plan,
         single_owner=single_owner,
         teachers=teachers,
-        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
+        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats, settings=settings_of(settings or ())),
         lpips_weights=lpips_weights,
         lpips_network=lpips_net,
         seed=seed,
@@ -191,6 +194,7 @@ def train(
     ] = None,
     validate: Annotated[bool, typer.Option("--validate", help="An eighth of the training photographs only picks the best model.")] = False,
     long_side_px: LongSide = None,
+    settings: Settings = None,
     seed: Seed = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out from its last checkpoint.")] = False,
     checkpoint_every: Annotated[str, typer.Option(help="Time between two checkpoints.")] = "10s",
@@ -198,6 +202,7 @@ def train(
 ) -> None:
     """One model from all photographs of a scene but every 8th, without regions; scored on those that were held out."""
     from radiant_app.quantities import bytes_of, seconds_of
+    from radiant_app.settings import settings_of
     from radiant_app.train_command import TrainRequest
     from radiant_app.train_command import train as run_training
     from radiant_core.train.needs import Overrides
@@ -206,7 +211,7 @@ def train(
         source=scene,
         out=out,
         preset=train_preset,
-        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=gaussians),
+        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=gaussians, settings=settings_of(settings or ())),
         time_s=None if time is None else seconds_of(time),
         memory_bytes=None if memory is None else bytes_of(memory),
         validate=validate,

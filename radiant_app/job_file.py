@@ -141,7 +141,9 @@ def _options() -> dict[str, tuple[Any, Any]]:
 
 def _typed_name(parameter: str) -> str:
     _, info = _options()[parameter]
-    long = [declared for declared in info.param_decls or () if declared.startswith("--")]
+    # Inside of Annotated, typer keeps the first name that is given where the default value would stand.
+    given = (info.default, *(info.param_decls or ()))
+    long = [declared for declared in given if isinstance(declared, str) and declared.startswith("--")]
     return long[0].split("/")[0].removeprefix("--") if long else parameter.replace("_", "-")
 
 

@@ -56,9 +56,11 @@ def test_every_option_of_the_command_is_a_key_but_those_that_the_batch_sets(tmp_
     help_text = CliRunner().invoke(app, ["run", "--help"], env={"COLUMNS": "300"}).output
     options = set(re.findall(r"--([a-z][a-z-]*)", help_text)) - {"help", "json", "resume", "out"}
     assert options >= {"system", "train-preset", "steps", "long-side-px", "max-splats", "seed", "workers"}
-    for option in options:
+    [job] = jobs_of(tmp_path, '[[job]]\nname = "a"\nsource = "photos"\nset = ["sky=false", "exposure=none"]\n')
+    assert job.arguments[2:] == ("--set=sky=false", "--set=exposure=none")
+    for option in options - {"set"}:
         with pytest.raises(BadInput, match=rf"job\[0\]\.{option} is \[\]; expected "):
-            # No option takes a list, so that each known key is named with its own expectation.
+            # No other option takes a list, so that each known key is named with its own expectation.
             jobs_of(tmp_path, f'[[job]]\nname = "a"\nsource = "photos"\n{option} = []\n')
 
 

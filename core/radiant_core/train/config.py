@@ -51,6 +51,8 @@ class TrainConfig:
     densify: Literal["none", "adc", "planned", "mcmc"] = "none"
     """none: as many Gaussians as at the start; adc: the adaptive density control of 3DGS clones, splits and prunes them; planned: the same
     with a number of Gaussians that grows evenly to `max_num_splats`; mcmc: they are relocated and added by sampling, to that limit."""
+    pixels_per_splat: int | None = 80
+    """Training pixels for each Gaussian that planned growth may reach (docs/experiments/training.md); None: any number."""
     densify_from_step: int = 500
     """Density control begins after this step."""
     densify_until_step: int = 15_000
@@ -100,6 +102,8 @@ class TrainConfig:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise BadInput(f"{name} is {value}, expected a positive number, or None for no limit.")
+        if self.pixels_per_splat is not None and self.pixels_per_splat < 1:
+            raise BadInput(f"pixels_per_splat is {self.pixels_per_splat}, expected at least 1, or None for no limit.")
         if not 0 <= self.sh_degree <= 3:
             raise BadInput(f"sh_degree is {self.sh_degree}, expected 0 to 3.")
         if not 0 <= self.ssim_weight <= 1:

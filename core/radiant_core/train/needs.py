@@ -6,7 +6,9 @@ Without a GPU full presets are cut to what ends in minutes. CPU seconds of one s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +19,6 @@ from radiant_core.train.views import TrainingViews
 
 MIN_EXPOSURE_SPREAD = 0.05
 """Standard deviation of the photographs' gains from which on each gets an exposure of its own."""
-PIXELS_PER_GAUSSIAN = 80
-"""Training pixels for each Gaussian that planned growth may reach (docs/experiments/training.md)."""
 MIN_PLANNED = 4_000
 """Planned growth may always reach so many."""
 MIN_SHARED_POINTS = 20
@@ -35,6 +35,8 @@ class Overrides:
     """Optimisation steps of a device."""
     max_num_splats: int | None = None
     """Upper limit of Gaussians of a device."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Any other setting of training by its name in `TrainConfig`."""
 
 
 _LIMITS = {
@@ -47,11 +49,12 @@ _UNITS = {"long_side_px": "px", "num_steps": "steps", "max_num_splats": "Gaussia
 def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """The configuration that this backend can carry, and a decision for each number that differs from the preset."""
     limits = _LIMITS.get(backend, Overrides()) if config.reduce_on_cpu else Overrides()
-    decisions = []
+    decisions = [_forced_setting(config, name, value) for name, value in overrides.settings.items()]
+    config = replace(config, **overrides.settings)
     if backend in _LIMITS and not config.reduce_on_cpu:
         decisions.append(_unreduced_decision(overrides.num_steps or config.num_steps, backend))
-    for field, unit in _UNITS.items():
-        asked, wanted, limit = getattr(overrides, field), getattr(config, field), getattr(limits, field)
+    for name, unit in _UNITS.items():
+        asked, wanted, limit = getattr(overrides, name), getattr(config, name), getattr(limits, name)
         if asked is not None:
             chosen, reason = asked, "asked for on the command line"
         elif limit is not None and wanted > limit:
@@ -59,11 +62,11 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
             reason = f"the preset's {wanted:,} {unit} would take hours on a CPU with the {backend} renderer"
         else:
             continue
-        config = replace(config, **{field: chosen})
+        config = replace(config, **{name: chosen})
         decisions.append(
             Decision(
                 stage="train",
-                topic=field,
+                topic=name,
                 choice=f"{chosen:,} {unit} instead of {wanted:,}",
                 figure=float(chosen),
                 unit=unit,
@@ -72,6 +75,18 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
             )
         )
     return config, tuple(decisions)
+
+
+def _forced_setting(config: TrainConfig, name: str, value: Any) -> Decision:
+    return Decision(
+        stage="train",
+        topic=name,
+        choice=f"{value} instead of {getattr(config, name)}",
+        figure=float(value) if isinstance(value, int | float) else 0.0,
+        unit="as set",
+        reason="asked for on the command line",
+        forced=True,
+    )
 
 
 def _unreduced_decision(num_steps: int, backend: str) -> Decision:
@@ -107,8 +122,10 @@ def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """Where growth is planned, no more Gaussians than the photographs have detail for."""
     num_pixels = sum(image.shape[0] * image.shape[1] for image in views.images)
-    most = max(MIN_PLANNED, num_pixels // PIXELS_PER_GAUSSIAN)
-    if config.densify != "planned" or most >= config.max_num_splats:
+    if config.densify != "planned" or config.pixels_per_splat is None:
+        return config, ()
+    most = max(MIN_PLANNED, num_pixels // config.pixels_per_splat)
+    if most >= config.max_num_splats:
         return config, ()
     decision = Decision(
         stage="train",
@@ -116,7 +133,7 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
         choice=f"growth is planned to {most:,} instead of {config.max_num_splats:,}",
         figure=num_pixels / 1e6,
         unit="million pixels of training photographs",
-        reason=f"more than one Gaussian per {PIXELS_PER_GAUSSIAN} pixels cost time and gained nothing on photographs left out",
+        reason=f"more than one Gaussian per {config.pixels_per_splat} pixels cost time and gained nothing on photographs left out",
     )
     return replace(config, max_num_splats=most), (decision,)
 
