@@ -21,6 +21,8 @@ SKY_OPACITY = 0.9
 """The sky hides nothing, and where no photograph of a device looks it stays as it begins: a thin one would be a dark one there."""
 SKY_RGB = (0.75, 0.75, 0.75)
 """Colour of a sky that no photograph is given for."""
+MIN_CAMERA_SHARE = 1e-3
+"""Points nearer to a camera than this share of the usual distance are no points."""
 MIN_SKY_SHARE = 0.03
 """Less sky than this in every image is a strip that the far ground's Gaussians cover."""
 
@@ -36,11 +38,14 @@ def initial_splats(
 ) -> Splats:
     """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour where cameras look above the horizon.
 
-    At most `max_num_splats`, a quarter of them sky, none where `sky_rgb` is None. Duplicate points are merged; when there are too many,
+    At most `max_num_splats`, a quarter of them sky, none where `sky_rgb` is None. Duplicate points are merged, those at a camera's centre
+    left out; when there are too many,
     they are thinned out evenly along x, their sorted order. Raises BadInput with fewer than 4 different points.
     """
     points, first = np.unique(np.asarray(points, np.float64), axis=0, return_index=True)
     colors = np.asarray(colors)[first]
+    away = _away_from_cameras(points, cameras)
+    points, colors = points[away], colors[away]
     if len(points) < 4:
         raise BadInput(f"only {len(points)} different sparse points, expected at least 4: take more overlapping photographs.")
     sky = _sky_points(points, cameras, 0 if sky_rgb is None else min(NUM_SKY, max_num_splats // 4))
@@ -61,6 +66,14 @@ def initial_splats(
         sh0=((rgb - 0.5) / SH_C0)[:, None].astype(np.float32),
         shN=np.zeros((count, SH_BASES[sh_degree] - 1, 3), np.float32),
     )
+
+
+def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_]:
+    """Which points (P,) lie at no camera's centre: a wrong match is triangulated there and would cover that camera's picture."""
+    if not (len(points) and len(cameras)):
+        return np.ones(len(points), bool)
+    distances = KDTree(cameras.centers).query(points)[0]
+    return distances > MIN_CAMERA_SHARE * float(np.median(distances))
 
 
 def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:

@@ -156,6 +156,14 @@ class TestInitialSplats:
         splats = initial_splats(twice, np.vstack([self.colors, self.colors]), CAMERAS, max_num_splats=2000, sh_degree=0)
         assert len(splats) == 500
 
+    def test_points_at_a_cameras_centre_are_left_out(self) -> None:
+        at_cameras = CAMERAS.centers + 1e-5
+        points = np.vstack([self.points, at_cameras])
+        splats = initial_splats(
+            points, np.vstack([self.colors, np.zeros((len(at_cameras), 3), np.uint8)]), CAMERAS, max_num_splats=2000, sh_degree=0
+        )
+        assert len(splats) == 500
+
     def test_too_few_points_are_refused(self) -> None:
         with pytest.raises(BadInput, match="only 1 different sparse points"):
             initial_splats(np.zeros((9, 3)), np.zeros((9, 3), np.uint8), CAMERAS, max_num_splats=10, sh_degree=0)
