@@ -55,7 +55,6 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "degree 0": {"sh_degree": 0},
     "degree 2": {"sh_degree": 2},
     "degree 3": {"sh_degree": 3},
-    "no exposures": {"exposure": "none"},
     "exposures": {"exposure": "affine"},
 }
 

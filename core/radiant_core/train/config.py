@@ -132,7 +132,6 @@ _SHORT = TrainConfig(
     densify="planned",
     reset_opacity_every=NEVER,
     start_scale=0.5,
-    exposure="auto",
 )
 _PLAIN = TrainConfig(sh_degree=3, sh_degree_every=1_000, max_scale_per_distance=None, adam="dense", densify="adc", sky=False, fill_in=False)
 _PRESETS: dict[str, TrainConfig] = {
