@@ -61,7 +61,7 @@ class SfmConfig:
         return self.num_threads or os.cpu_count() or 1
 
 
-Phase = Literal["checking photographs", "features", "matching", "mapping", "triangulating", "undistorting"]
+Phase = Literal["checking photographs", "features", "matching", "mapping", "triangulating", "refining", "undistorting"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Structure from motion: a folder of photographs in, cameras and sparse points in one world frame out.
 
-Once per scene: list and check the photographs, features, matches, poses (`database.py`, `mapping.py`), undistort to pinhole
+Once per scene: list and check the photographs, features, matches, poses (`database.py`, `mapping.py`, `refine.py`), undistort to pinhole
 (`undistort.py`), then the world frame (`world.py`). EXIF orientation is ignored for pixels throughout.
 """
 
@@ -14,8 +14,9 @@ from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
-from radiant_core.sfm.mapping import Mapped, MappingJob, map_photographs
+from radiant_core.sfm.mapping import MappingJob, map_photographs
 from radiant_core.sfm.pairs import choose_pairs
+from radiant_core.sfm.refine import refine
 from radiant_core.sfm.undistort import undistort
 from radiant_core.sfm.workspace import listed, start_clean
 from radiant_core.sfm.world import scene_in_world
@@ -57,9 +58,11 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
         report=report,
     )
     mapped = map_photographs(job)
-    _save_model(mapped, work_folder)
+    (work_folder / "sparse").mkdir()
     if config.two_view_points:
         triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
+    refine(mapped.model, config, report)
+    mapped.model.write_binary(work_folder / "sparse")
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
     scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
     return SfmResult(
@@ -112,11 +115,6 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
                 f"image {image.name!r} has {sizes[image.name]} px and its camera {camera.size_wh}: "
                 "give the images that the model was made from."
             )
-
-
-def _save_model(mapped: Mapped, work_folder: Path) -> None:
-    (work_folder / "sparse").mkdir()
-    mapped.model.write_binary(work_folder / "sparse")
 
 
 def _skip_warnings(listing: PhotoListing) -> tuple[str, ...]:
