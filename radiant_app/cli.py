@@ -403,6 +403,9 @@ def _run(config: Any, resume: bool, as_json: bool, listener: Any = None) -> None
         typer.echo(json.dumps(result.metrics))
         return
     typer.echo(f"held-out {result.metrics['psnr_db']:.2f} dB, {result.metrics['num_gaussians']:,} Gaussians")
+    if unscored := result.metrics.get("num_unscored", 0):
+        scored = len(result.metrics["images"])
+        typer.echo(f"scored on {scored} of {scored + unscored} held-out photographs: the others lie on missing devices or have no pose")
     if result.metrics.get("emulated_makespan_s") is not None:
         emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
         typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")

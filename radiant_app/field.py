@@ -113,7 +113,8 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     heads = sorted((config.out / "positions").rglob("positions.json"))
     told = [{"node": "plan", "tier": "owner", **received(heads)}] if config.frames == "gps" else []
     progress.manifest.ledger = [*told, *dealer.ledger, *scorer.ledger]
-    result = collect_scores(config.out, sorted(scorer.moves), missing, lpips_network)
+    num_held_out = sum(len(share.held_out) for share in shares.values())
+    result = collect_scores(config.out, sorted(scorer.moves), missing, lpips_network, num_held_out)
     (config.out / "evaluation").mkdir(exist_ok=True)
     write_json(config.out / "evaluation" / "result.json", {**result, "frames": config.frames, "pooled": folders is None})
     save_delivered(config.out, dealer, captured.origin)
@@ -137,7 +138,8 @@ def _device_folders(source: Path, system: System) -> dict[str, Path] | None:
                 "by their devices, give the --system that has them, or put all photographs into one folder."
             )
         return None
-    strange = sorted(set(inner) - set(named))
+    # A COLMAP model beside them gives poses (--frames known) and holds no photograph.
+    strange = sorted(set(inner) - set(named) - {"sparse"})
     if strange or loose:
         other = f"the folder {strange[0]!r}" if strange else f"the photograph {loose[0]!r}"
         raise BadInput(

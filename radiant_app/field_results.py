@@ -26,8 +26,11 @@ from radiant_core.splats import SH_C0
 MAX_SHOWN_POINTS = 20_000
 
 
-def collect_scores(run: Path, devices: Sequence[str], missing: dict[str, str], lpips_network: str | None) -> dict[str, Any]:
-    """The figures of all devices as one record; StageFailed when no device has a held-out photograph."""
+def collect_scores(
+    run: Path, devices: Sequence[str], missing: dict[str, str], lpips_network: str | None, num_held_out: int
+) -> dict[str, Any]:
+    """The figures of all devices as one record, and how many of the `num_held_out` photographs are in none of them, since their device is
+    missing or could not place them; StageFailed when no device has a held-out photograph."""
     results = {
         device: read_json(run / "devices" / device / "score" / "result.json", ("images", "leakage", "seam_sums"))
         for device in devices
@@ -40,6 +43,7 @@ def collect_scores(run: Path, devices: Sequence[str], missing: dict[str, str], l
     plan, _ = load_plan(run / "plan.json")
     return {
         **summary_of(images, lpips_network=lpips_network),
+        "num_unscored": num_held_out - len(images),
         "num_gaussians": len(load_ply(run / "cloud" / "scene.ply")),
         "seam_psnr_db": seams.seam_psnr_db,
         "interior_psnr_db": seams.interior_psnr_db,

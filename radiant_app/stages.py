@@ -105,6 +105,16 @@ def _made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints
 
 def executor_of(config: RunConfig, system: System, progress: Progress, may_fail: Callable[[Tree], bool] = lambda node: False) -> Executor:
     """Who runs the nodes: this machine as it is, or as slow as the system says."""
+    if config.emulated and config.teachers == "early":
+        decision = Decision(
+            stage="plan",
+            topic="teachers",
+            choice="rendered after the last device arrived",
+            figure=float(len(system.edges)),
+            unit="edges",
+            reason="an emulated edge renders them itself, at its own speed",
+        )
+        progress.listen(Decided(decision=decision))
     local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=may_fail)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 

@@ -20,6 +20,7 @@ from radiant_app.field import _middle
 from radiant_app.inbox import _are_one_group
 from radiant_app.pipeline import RunResult, run
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
 from radiant_core.train.needs import Overrides
@@ -185,8 +186,14 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     for path in (source / "south-1").iterdir():
         cv2.imwrite(str(path), sky)
     events: list[Event] = []
-    config = RunConfig(source=source, poses=hamlet / "known", frames="known", system=system, out=tmp_path / "run", overrides=TINY)
+    # The poses lie beside the devices' folders.
+    shutil.copytree(hamlet / "known", source / "sparse" / "0")
+    config = RunConfig(source=source, frames="known", system=system, out=tmp_path / "run", overrides=TINY)
     result = run(config, events.append)
+    names = [f"{path.parent.name}/{path.name}" for path in sorted(source.glob("*/*.jpg"))]
+    lost = sum(name.startswith("south-1/") for name, held in zip(names, held_out_mask(names), strict=True) if held)
+    assert lost == result.metrics["num_unscored"] > 0
+    assert f"Scored on {len(result.metrics['images'])} of {len(result.metrics['images']) + lost} held-out" in result.report.read_text()
     assert list(result.metrics["missing"]) == ["south-1"] and "triangulated" in result.metrics["missing"]["south-1"]
     assert any(isinstance(event, Warned) and event.stage == "devices/south-1" for event in events)
     assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100

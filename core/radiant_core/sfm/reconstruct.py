@@ -61,8 +61,7 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
     (work_folder / "sparse").mkdir()
     if config.two_view_points:
         triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
-    refine(mapped.model, config, report)
-    mapped.model.write_binary(work_folder / "sparse")
+    refine(mapped.model, config, report).write_binary(work_folder / "sparse")
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
     scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
     return SfmResult(
