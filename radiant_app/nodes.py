@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from radiant_core.aggregate.synthetic_views import Rendered
     from radiant_core.train.checkpoint import CheckpointFolder
     from radiant_core.train.config import TrainConfig
+    from radiant_core.train.shapes import ShapeCounts
     from radiant_core.train.trainer import FitOptions, TrainResult
     from radiant_core.train.views import TrainingViews
 
@@ -180,6 +181,8 @@ def fit(initial: Splats, views: TrainingViews, config: TrainConfig, options: Fit
     result = fit_splats(initial, views, config, options)
     if config.densify != "none":
         emit(Decided(decision=_density_decision(stage, result.density, len(initial), len(result.splats))))
+    if any(asdict(result.shapes).values()):
+        emit(Decided(decision=_shapes_decision(stage, config, result.shapes)))
     if result.num_rolled_back:
         message = f"{result.num_rolled_back} of {result.num_steps:,} steps ended in something not finite and were not taken"
         emit(Warned(stage=stage, message=message))
@@ -330,6 +333,7 @@ def training_summary(result: Any) -> dict[str, float | int]:
         "first_loss": result.first_loss,
         "last_loss": result.last_loss,
         **asdict(result.density),
+        **asdict(result.shapes),
     }
 
 
@@ -387,6 +391,19 @@ def _density_decision(stage: str, counts: Any, num_before: int, num_after: int) 
         figure=float(num_after),
         unit=f"Gaussians from {num_before:,}",
         reason="adaptive density control follows the gradients of projected centres",
+    )
+
+
+def _shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Decision:
+    held = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
+    limits = f"{config.max_elongation} times the second axis, {config.max_scale_per_distance} of the distance to the nearest camera"
+    return Decision(
+        stage=stage,
+        topic="shapes",
+        choice=f"{held}; {counts.num_dead:,} that no pixel shows are left out",
+        figure=float(counts.num_needles + counts.num_screen_filling + counts.num_dead),
+        unit="Gaussians",
+        reason=f"beyond {limits}, a shape shows in views it was not fitted to; an opacity below 1/255 is never drawn",
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,7 @@ def with_seam(splats: Splats, sites: np.ndarray, weights: np.ndarray) -> Splats:
     first = assign(splats.means[:, :2].astype(np.float64), sites, weights) == 0
     sh0 = splats.sh0.copy()
     sh0[first] += SEAM_LEVELS / 255 / SH_C0
-    return Splats(**{**splats.arrays(), "sh0": sh0})
+    return replace(splats, sh0=sh0)
 
 
 def _forget_where_it_was_made(manifest: Path) -> None:

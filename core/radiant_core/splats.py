@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from radiant_core.errors import BadInput
 from radiant_core.numerics import checked_array
 
+TENSORS = ("means", "quats", "log_scales", "logit_opacities", "sh0", "shN")
+"""The arrays of a model, in this order."""
 SH_BASES = (1, 4, 9, 16)
 """Number of spherical-harmonics bases K for degree 0 to 3."""
 
@@ -34,6 +36,8 @@ class Splats:
     logit_opacities: NDArray[np.float32]
     sh0: NDArray[np.float32]
     shN: NDArray[np.float32]
+    antialiased: bool = False
+    """Whether it was fitted, and is to be drawn, with opacities that fade where a Gaussian is smaller than a pixel (Mip-Splatting)."""
 
     def __post_init__(self) -> None:
         count = (*np.shape(self.means), 0)[0]  # a single number has no length; its shape is refused below
@@ -58,21 +62,24 @@ class Splats:
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
         """The six arrays by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in TENSORS}
 
     def select(self, chosen: ArrayLike) -> Splats:
         """The Gaussians that a mask (N,) bool or an index list (K,) int chooses."""
         chosen = np.asarray(chosen)
-        return Splats(**{name: array[chosen] for name, array in self.arrays().items()})
+        return replace(self, **{name: array[chosen] for name, array in self.arrays().items()})
 
 
 def concatenate_splats(parts: Sequence[Splats]) -> Splats:
-    """All Gaussians of `parts` in order; lower SH degrees are padded with zeros to the highest. BadInput without parts."""
+    """All Gaussians of `parts` in order; lower SH degrees are padded with zeros to the highest. BadInput without parts,
+    and where only some are antialiased."""
     if not parts:
         raise BadInput("no models to concatenate: pass at least one.")
+    if len({part.antialiased for part in parts}) > 1:
+        raise BadInput("some of the models are antialiased and some are not, which no picture can show: train all the same way.")
     bases = max(part.shN.shape[1] for part in parts)
     padded = [{**part.arrays(), "shN": np.pad(part.shN, ((0, 0), (0, bases - part.shN.shape[1]), (0, 0)))} for part in parts]
-    return Splats(**{name: np.concatenate([arrays[name] for arrays in padded]) for name in padded[0]})
+    return replace(parts[0], **{name: np.concatenate([arrays[name] for arrays in padded]) for name in padded[0]})
 
 
 def morton_order(means: ArrayLike) -> NDArray[np.int64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -97,7 +97,7 @@ def tile_errors(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> 
 def _shifted(tensors: SplatTensors, shift: float) -> SplatTensors:
     """With ln opacities moved by `shift`, those beyond 0.99 by less."""
     logits = tensors.logit_opacities
-    return SplatTensors(**{**tensors.tensors(), "logit_opacities": logits + shift / torch.sigmoid(-logits).clamp_min(1e-2)})
+    return replace(tensors, logit_opacities=logits + shift / torch.sigmoid(-logits).clamp_min(1e-2))
 
 
 def _random_tiles(cameras: Cameras) -> Tensor:

@@ -21,7 +21,7 @@ def main(file: str, size: str, threads: int) -> None:
     torch.set_num_threads(threads)
     before = reset_peak_bytes()
     with np.load(file) as arrays:
-        leaves = SplatTensors(**{name: torch.from_numpy(arrays[name]).requires_grad_() for name in arrays})
+        leaves = SplatTensors(**{name: torch.from_numpy(arrays[name]).requires_grad_() for name in arrays}, antialiased=False)
     for _ in range(3):
         for leaf in leaves.tensors().values():
             leaf.grad = None

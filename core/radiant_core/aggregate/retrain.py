@@ -53,7 +53,14 @@ def retrain_on_synthetic_views(
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
     config = replace(
-        train, num_steps=num_steps, sh_degree=merged.sh_degree, sh_degree_every=0, densify="none", start_scale=1.0, exposure="none"
+        train,
+        num_steps=num_steps,
+        sh_degree=merged.sh_degree,
+        sh_degree_every=0,
+        densify="none",
+        start_scale=1.0,
+        exposure="none",
+        background="black",
     )
     return fit_splats(merged, views, config, replace(options, steps=_STEPS[aggregate.preset]))
 

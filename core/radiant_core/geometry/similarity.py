@@ -7,6 +7,8 @@ float64 from 64 directions spread over the sphere; D_l is orthogonal to 1e-14, s
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -41,12 +43,11 @@ def move_splats(splats: Splats, similarity: Sim3) -> Splats:
     for degree in range(1, splats.sh_degree + 1):
         band = slice(SH_BASES[degree - 1] - 1, SH_BASES[degree] - 1)
         moved.append(np.einsum("jk,nkc->njc", sh_rotation(similarity.rotation, degree), coefficients[:, band]))
-    return Splats(
+    return replace(
+        splats,
         means=means.astype(np.float32),
         quats=_turned_quats(splats.quats, similarity.rotation).astype(np.float32),
         log_scales=log_scales.astype(np.float32),
-        logit_opacities=splats.logit_opacities,
-        sh0=splats.sh0,
         shN=np.concatenate(moved, axis=1).astype(np.float32),
     )
 

@@ -1,8 +1,9 @@
 """Models as PLY files in the layout of the original 3D Gaussian Splatting code, which most viewers open.
 
 One binary little-endian float32 record per Gaussian: x y z, nx ny nz (zero), f_dc_0..2, f_rest_* (all bases of red, then of
-green, then of blue), opacity (logit), scale_0..2 (ln m), rot_0..3 (wxyz). Layout: Kerbl et al., 3D Gaussian Splatting (2023), its
-published models. The reader is strict, because PLY files come from strangers. Runs once per model.
+green, then of blue), opacity (logit), scale_0..2 (ln m), rot_0..3 (wxyz). The comment "antialiased" says that the model is so. Layout:
+Kerbl et al., 3D Gaussian Splatting (2023), its published models. The reader is strict, because PLY files come from strangers. Runs
+once per model.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 import re
 import stat
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
@@ -23,6 +25,7 @@ from radiant_core.splats import Splats
 
 MAX_HEADER_LINES = 2000
 MAX_LINE_BYTES = 1000
+ANTIALIASED = "antialiased"
 CHUNK_ROWS = 65536
 """Gaussians written at a time: 16 MB, so that writing takes no second copy of a large model."""
 
@@ -44,8 +47,9 @@ def save_ply(path: Path, splats: Splats) -> None:
     rest = tuple(f"f_rest_{index}" for index in range(3 * splats.shN.shape[1]))
     names = (*MEANS, "nx", "ny", "nz", *SH0, *rest, "opacity", *LOG_SCALES, *QUATS)
     properties = "".join(f"property float {name}\n" for name in names)
+    comment = f"comment {ANTIALIASED}\n" if splats.antialiased else ""
     with atomic_writer(path) as file:
-        file.write(f"ply\nformat binary_little_endian 1.0\nelement vertex {len(splats)}\n{properties}end_header\n".encode())
+        file.write(f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(splats)}\n{properties}end_header\n".encode())
         for start in range(0, len(splats), CHUNK_ROWS):
             rows = _rows(splats.select(np.arange(start, min(start + CHUNK_ROWS, len(splats)))))
             file.write(rows.astype("<f4", copy=False).tobytes())
@@ -60,14 +64,14 @@ def load_ply(path: Path) -> Splats:
         with open(path, "rb", opener=open_without_waiting) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise BadInput("it is no regular file")
-            count, dtype = _read_header(file)
+            count, dtype, antialiased = _read_header(file)
             num_bytes = os.fstat(file.fileno()).st_size - file.tell()
             if num_bytes != count * dtype.itemsize:
                 raise BadInput(f"it has {num_bytes} bytes after the header, expected {count} Gaussians of {dtype.itemsize} bytes")
             rows = np.fromfile(file, dtype, count)
             if len(rows) != count:
                 raise BadInput(f"it ends after {len(rows)} of {count} Gaussians")
-            return _splats(rows)
+            return replace(_splats(rows), antialiased=antialiased)
     except OSError as error:
         raise BadInput(f"cannot read {path}: {error.strerror or error}: check the path.") from error
     except BadInput as error:
@@ -83,14 +87,17 @@ def _rows(splats: Splats) -> NDArray[np.float32]:
     return np.hstack([splats.means, normals, splats.sh0[:, 0], channel_major, opacities, splats.log_scales, splats.quats])
 
 
-def _read_header(file: IO[bytes]) -> tuple[int, np.dtype]:
-    """Number of Gaussians and the type of one record; the file stands behind the header."""
+def _read_header(file: IO[bytes]) -> tuple[int, np.dtype, bool]:
+    """Number of Gaussians, the type of one record, and whether the model is antialiased; the file stands behind the header."""
     if _header_words(file) != ["ply"] or _header_words(file) != ["format", "binary_little_endian", "1.0"]:
         raise BadInput("it does not begin as a binary little-endian PLY file of version 1.0")
     count: int | None = None
     properties: dict[str, str] = {}
+    antialiased = False
     for _ in range(MAX_HEADER_LINES):
         match _header_words(file):
+            case ["comment", word] if word == ANTIALIASED:
+                antialiased = True
             case ["comment" | "obj_info", *_]:
                 pass
             case ["element", "vertex", digits] if count is None and re.fullmatch("[0-9]{1,15}", digits):
@@ -98,7 +105,7 @@ def _read_header(file: IO[bytes]) -> tuple[int, np.dtype]:
             case ["property", scalar, name] if count is not None and scalar in SCALAR_TYPES and name not in properties:
                 properties[name] = SCALAR_TYPES[scalar]
             case ["end_header"] if count is not None and properties:
-                return count, np.dtype(list(properties.items()))
+                return count, np.dtype(list(properties.items())), antialiased
             case words:
                 raise BadInput(f"its header line {' '.join(words)[:80]!r} is not one of a 3DGS PLY file")
     raise BadInput(f"its header has over {MAX_HEADER_LINES} lines")

@@ -21,25 +21,25 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
-from radiant_core.splats import Splats
+from radiant_core.splats import TENSORS, Splats
 
 MAX_PLAN_BYTES = 512 * 2**20
 """A plan of a million waypoints takes some 150 MB."""
-SPLATS_DTYPES: dict[str, str] = dict.fromkeys(("means", "quats", "log_scales", "logit_opacities", "sh0", "shN"), "F32")
+SPLATS_DTYPES: dict[str, str] = dict.fromkeys(TENSORS, "F32")
 CAMERAS_DTYPES = {"Ks": "F64", "cam_from_world": "F64", "sizes_wh": "I64"}
 SCENE_DTYPES = {**CAMERAS_DTYPES, "points": "F64", "colors": "U8", "observations": "I64", "origin_lat_lon_alt": "F64"}
 
 
 def save_splats(path: Path, splats: Splats) -> None:
     """Write a model (N Gaussians) to `path`, atomically; raises as `write_atomic`."""
-    save_arrays(path, "radiant.splats", splats.arrays(), {})
+    save_arrays(path, "radiant.splats", splats.arrays(), {"antialiased": splats.antialiased})
 
 
 def load_splats(path: Path) -> Splats:
     """The model that `save_splats` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
-    arrays, _ = load_arrays(path, "radiant.splats", SPLATS_DTYPES)
+    arrays, about = load_arrays(path, "radiant.splats", SPLATS_DTYPES)
     with naming(path):
-        return Splats(**arrays)
+        return Splats(**arrays, antialiased=about.get("antialiased") is True)
 
 
 def save_cameras(path: Path, cameras: Cameras) -> None:

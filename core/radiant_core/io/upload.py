@@ -13,6 +13,7 @@ Read by what the file says of itself; every format is refused when its bytes are
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -52,7 +53,7 @@ def save_upload(path: Path, splats: Splats, upload_format: UploadFormat) -> None
     if upload_format == "float32":
         save_splats(path, splats)
     elif upload_format == "float16":
-        save_arrays(path, FLOAT16_SCHEMA, _float16_arrays(splats), {})
+        save_arrays(path, FLOAT16_SCHEMA, _float16_arrays(splats), {"antialiased": splats.antialiased})
     else:
         _save_spz(path, splats)
 
@@ -97,13 +98,14 @@ def _float16_arrays(splats: Splats) -> dict[str, NDArray]:
 
 
 def _load_float16(path: Path) -> Splats:
-    arrays, _ = load_arrays(path, FLOAT16_SCHEMA, FLOAT16_DTYPES)
+    arrays, about = load_arrays(path, FLOAT16_SCHEMA, FLOAT16_DTYPES)
     with naming(path):
         packed, box = arrays.pop("means"), checked_array("box", arrays.pop("box"), (2, 3))
         if packed.ndim != 1 or (packed >> np.uint64(3 * _MEAN_BITS)).any() or (box[1] < box[0]).any():
             raise BadInput("its centres are not packed as they should be: write it anew with this version.")
         places = (packed[:, None] >> _SHIFTS) & np.uint64(_MEAN_MAX)
-        return Splats(means=box[0] + places * ((box[1] - box[0]) / _MEAN_MAX), **arrays)
+        antialiased = about.get("antialiased") is True
+        return Splats(means=box[0] + places * ((box[1] - box[0]) / _MEAN_MAX), **arrays, antialiased=antialiased)
 
 
 def _save_spz(path: Path, splats: Splats) -> None:
@@ -114,6 +116,7 @@ def _save_spz(path: Path, splats: Splats) -> None:
         "sh_degree": splats.sh_degree,
         "middle": middle.tolist(),
         "exponent": exponent,
+        "antialiased": splats.antialiased,
         "sha256": hashlib.sha256(data).hexdigest(),
     }
     save_arrays(path, SPZ_SCHEMA, {"spz": np.frombuffer(data, np.uint8)}, about)
@@ -133,7 +136,8 @@ def _load_spz(path: Path) -> Splats:
             return _no_splats(degree)
         stored = splats_from_spz(data, count, degree)
         means = stored.means.astype(np.float64) / 2.0**exponent + middle
-        return Splats(**{**stored.arrays(), "means": means, "log_scales": stored.log_scales - exponent * np.log(2)})
+        log_scales = stored.log_scales - exponent * np.log(2)
+        return replace(stored, means=means, log_scales=log_scales, antialiased=about.get("antialiased") is True)
 
 
 def _spz_frame(splats: Splats) -> tuple[FloatArray, int]:
@@ -150,9 +154,9 @@ def _spz_frame(splats: Splats) -> tuple[FloatArray, int]:
 
 def _in_frame(splats: Splats, middle: FloatArray, exponent: int) -> Splats:
     means = (splats.means.astype(np.float64) - middle) * 2.0**exponent
-    return Splats(**{**splats.arrays(), "means": means, "log_scales": splats.log_scales + exponent * np.log(2)})
+    return replace(splats, means=means, log_scales=splats.log_scales + exponent * np.log(2))
 
 
 def _no_splats(degree: int) -> Splats:
     shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh0": (1, 3), "shN": (SH_BASES[degree] - 1, 3)}
-    return Splats(**{name: np.zeros((0, *shape), np.float32) for name, shape in shapes.items()})
+    return Splats(**{name: np.zeros((0, *shape), np.float32) for name, shape in shapes.items()}, antialiased=False)

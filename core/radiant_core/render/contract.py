@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from radiant_core.errors import BadInput
 from radiant_core.render.finite import not_finite
-from radiant_core.splats import SH_BASES, Splats
+from radiant_core.splats import SH_BASES, TENSORS, Splats
 
 ALPHA_MIN = 1 / 255
 """A Gaussian adds to a pixel only where its α reaches this: one step of an 8-bit image."""
@@ -66,22 +66,25 @@ class SplatTensors:
     logit_opacities: Tensor
     sh0: Tensor
     shN: Tensor
+    antialiased: bool = False
 
     def __len__(self) -> int:
         return self.means.shape[0]
 
     def tensors(self) -> dict[str, Tensor]:
         """The six tensors by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: getattr(self, name) for name in TENSORS}
 
     @staticmethod
     def from_splats(splats: Splats, dtype: torch.dtype = torch.float32, device: str = "cpu") -> SplatTensors:
         """Copies of the arrays as tensors of `dtype` on `device`."""
-        return SplatTensors(**{name: torch.from_numpy(np.array(array)).to(device, dtype) for name, array in splats.arrays().items()})
+        tensors = {name: torch.from_numpy(np.array(array)).to(device, dtype) for name, array in splats.arrays().items()}
+        return SplatTensors(**tensors, antialiased=splats.antialiased)
 
     def to_splats(self) -> Splats:
         """A validated numpy copy; BadInput where training left a value that is not finite."""
-        return Splats(**{name: tensor.detach().cpu().numpy() for name, tensor in self.tensors().items()})
+        arrays = {name: tensor.detach().cpu().numpy() for name, tensor in self.tensors().items()}
+        return Splats(**arrays, antialiased=self.antialiased)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,13 +121,14 @@ def rasterize(
     background: Tensor | None = None,
     near_m: float = 0.01,
     far_m: float = 1e10,
-    antialiased: bool = False,
+    antialiased: bool | None = None,
     backend: Backend = "auto",
 ) -> RenderOutput:
     """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background (3) or None for black.
 
-    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased scales opacities by
-    √(det Σ / det Σ'), Σ before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). Tensors and
+    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased, by default as the
+    model says, scales opacities by √(det Σ / det Σ'), Σ before and Σ' after dilation, so that what is smaller than a pixel fades
+    (Mip-Splatting, Yu 2024). Tensors and
     pictures are of one floating type, viewmats and Ks may be of a finer one; cameras and background may lie on another device than the
     splats.
 
@@ -144,7 +148,7 @@ def rasterize(
         sh_degree=sh_degree,
         near_m=near_m,
         far_m=min(far_m, MAX_FAR_M),
-        antialiased=antialiased,
+        antialiased=splats.antialiased if antialiased is None else antialiased,
         background=(torch.zeros(3) if background is None else background).to(splats.means.device),
     )
     _check(splats, viewmats, Ks, view)

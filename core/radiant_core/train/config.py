@@ -32,6 +32,8 @@ class TrainConfig:
     max_scale_per_distance: float | None = 1 / 3
     """A Gaussian's axes stay below this share of its distance to the nearest camera: a larger one hangs as haze before views whose
     cameras it never troubled, because its centre lay behind them. Infinity leaves every size alone."""
+    max_elongation: float | None = 10.0
+    """A Gaussian's longest axis stays below this many times its second longest: a longer one is a needle; None for no limit."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the cameras' extent."""
     means_lr_end: float = 0.01
@@ -82,6 +84,10 @@ class TrainConfig:
     """How often validation views are looked at in the second half of a run."""
     sky: bool = True
     """Whether Gaussians on a far half sphere are added where photographs look above the horizon."""
+    antialiased: bool = False
+    """Whether opacities fade where a Gaussian is smaller than a pixel (Mip-Splatting): for views from distances that differ."""
+    background: Literal["black", "random"] = "black"
+    """What training sees behind the Gaussians; random: another colour at each step, which no half-transparent Gaussian can imitate."""
     fill_in: bool = True
     """Whether places that structure from motion left empty get starting points."""
     reduce_on_cpu: bool = True
@@ -98,7 +104,7 @@ class TrainConfig:
                 raise BadInput(f"{name} is {getattr(self, name)}, expected at least 0.")
         if not 0 < self.means_lr_end <= 1:
             raise BadInput(f"means_lr_end is {self.means_lr_end}, expected above 0 and at most 1.")
-        for name in ("max_scale_per_distance", "prune_radius_px"):
+        for name in ("max_scale_per_distance", "max_elongation", "prune_radius_px"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise BadInput(f"{name} is {value}, expected a positive number, or None for no limit.")
@@ -116,7 +122,11 @@ class TrainConfig:
             raise BadInput(f"budget_s is {self.budget_s}, expected a positive number of seconds, or None for no limit.")
         if not 0 < self.exposure_lr < math.inf:
             raise BadInput(f"exposure_lr is {self.exposure_lr}, expected a positive number.")
-        for name, choices in (("densify", ("none", "adc", "planned", "mcmc")), ("exposure", ("none", "affine", "auto"))):
+        for name, choices in (
+            ("densify", ("none", "adc", "planned", "mcmc")),
+            ("exposure", ("none", "affine", "auto")),
+            ("background", ("black", "random")),
+        ):
             if getattr(self, name) not in choices:
                 raise BadInput(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(choices)}.")
 
@@ -133,7 +143,16 @@ _SHORT = TrainConfig(
     reset_opacity_every=NEVER,
     start_scale=0.5,
 )
-_PLAIN = TrainConfig(sh_degree=3, sh_degree_every=1_000, max_scale_per_distance=None, adam="dense", densify="adc", sky=False, fill_in=False)
+_PLAIN = TrainConfig(
+    sh_degree=3,
+    sh_degree_every=1_000,
+    max_scale_per_distance=None,
+    max_elongation=None,
+    adam="dense",
+    densify="adc",
+    sky=False,
+    fill_in=False,
+)
 _PRESETS: dict[str, TrainConfig] = {
     "draft": replace(_SHORT, num_steps=2_000, long_side_px=576),
     "default": _SHORT,

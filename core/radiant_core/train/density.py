@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -257,8 +257,9 @@ class AdaptiveDensity:
         device = splats.means.device
         rows, fresh = (torch.from_numpy(array).to(device) for array in (edit.rows, edit.fresh))
         moved = {"means": edit.means, "log_scales": edit.log_scales}
-        edited = SplatTensors(
-            **{name: torch.from_numpy(moved[name]).to(device) if name in moved else tensor[rows] for name, tensor in tensors.items()}
+        edited = replace(
+            splats,
+            **{name: torch.from_numpy(moved[name]).to(device) if name in moved else tensor[rows] for name, tensor in tensors.items()},
         )
         optimizer.select_rows(edited.tensors(), rows, fresh)
         self._forget(edited)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
@@ -93,7 +95,7 @@ def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> 
         sh_degree=config.sh_degree,
         sky_rgb=_sky_rgb(views) if config.sky else None,
     )
-    return initial, len(fill.points)
+    return replace(initial, antialiased=config.antialiased), len(fill.points)
 
 
 def sky_share(cameras: Cameras) -> float:

@@ -10,6 +10,7 @@ their own covariance. Edits once every `densify_every` steps, the wandering ever
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,8 +114,9 @@ class RelocatedDensity:
         device = splats.means.device
         index = torch.from_numpy(rows).to(device)
         changed = {"logit_opacities": new_logits[rows], "log_scales": new_scales[rows]}
-        edited = SplatTensors(
-            **{name: torch.from_numpy(changed[name]).to(device) if name in changed else tensor[index] for name, tensor in tensors.items()}
+        edited = replace(
+            splats,
+            **{name: torch.from_numpy(changed[name]).to(device) if name in changed else tensor[index] for name, tensor in tensors.items()},
         )
         # Those that now share a place begin anew as well: their moments belong to another opacity and size.
         optimizer.select_rows(edited.tensors(), index, torch.from_numpy(fresh | (copies[rows] > 1)).to(device))

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from radiant_core.errors import BadInput, StageFailed
@@ -29,6 +28,7 @@ from radiant_core.train.initialize import camera_extent
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.policy import density_policy
+from radiant_core.train.shapes import ShapeCounts, limit_shapes, without_dead
 from radiant_core.train.validation import BestModel
 from radiant_core.train.views import TrainingViews
 
@@ -94,6 +94,8 @@ class TrainResult:
     seconds: float
     density: DensityCounts = field(default_factory=DensityCounts)
     """What density control did; zeros without it."""
+    shapes: ShapeCounts = field(default_factory=ShapeCounts)
+    """What was held at a limit of shape in the end, and what was left out since no pixel shows it."""
     num_rolled_back: int = 0
     """Steps that ended in something not finite and were not taken."""
     validation: tuple[tuple[int, float], ...] = ()
@@ -179,7 +181,7 @@ class Training:
             self._use_size(1.0)
         view = view_of_step(self.step, len(self._full), config.seed)
         if self.step % STEPS_BETWEEN_LIMITS == 0:
-            _limit_scales(self._splats, self._full, config)
+            limit_shapes(self._splats, self._full.cameras.centers, config)
         self._optimizer.set_rate("means", self._means_rate * config.means_lr_end**progress)
         try:
             loss = self._fit_view(view, progress)
@@ -199,16 +201,21 @@ class Training:
         """The model, the best by validation where there is one, and what the run took. StageFailed when no step could be taken."""
         if not self._losses:
             raise StageFailed(f"training: none of {self.step} steps could be taken: check the photographs and the learning rates.")
-        _limit_scales(self._splats, self._full, self._config)
-        last, best = self._splats.to_splats(), self._best
+        shapes = limit_shapes(self._splats, self._full.cameras.centers, self._config)
+        best = self._best
+        splats = self._splats.to_splats() if best is None or best.splats is None else best.splats
+        if self._config.densify != "none":
+            splats, num_dead = without_dead(splats)
+            shapes = replace(shapes, num_dead=num_dead)
         tenth = max(1, len(self._losses) // 10)
         return TrainResult(
-            splats=last if best is None or best.splats is None else best.splats,
+            splats=splats,
             num_steps=self.step,
             first_loss=float(np.mean(self._losses[:tenth])),
             last_loss=float(np.mean(self._losses[-tenth:])),
             seconds=self.seconds,
             density=DensityCounts() if self._density is None else self._density.counts,
+            shapes=shapes,
             num_rolled_back=self._num_rolled_back,
             validation=() if best is None else tuple(best.looks),
             best_step=None if best is None else best.step,
@@ -242,7 +249,7 @@ class Training:
         arrays, numbers = state.arrays, state.numbers
         try:
             own = {name: torch.from_numpy(arrays[f"splats.{name}"].copy()).to(self._device) for name in self._splats.tensors()}
-            self._splats = SplatTensors(**own)
+            self._splats = replace(self._splats, **own)
             self._optimizer, self._means_rate = self._new_optimizer()
             self._optimizer.restore(_part(arrays, "adam."), int(numbers["adam_step"]))
             if self._density is not None:
@@ -251,7 +258,7 @@ class Training:
                 self._exposures.restore(_part(arrays, "exposure."))
             if self._best is not None:
                 looks = [(int(step), float(psnr_db)) for step, psnr_db in numbers["best"]["looks"]]
-                self._best.restore(_part(arrays, "best."), numbers["best"]["step"], looks)
+                self._best.restore(_part(arrays, "best."), numbers["best"]["step"], looks, antialiased=self._splats.antialiased)
             self._losses = arrays["losses"].tolist()
             self.step, self._spent_s = int(numbers["step"]), float(numbers["seconds"])
             self._num_rolled_back, self._failures_in_a_row = int(numbers["num_rolled_back"]), int(numbers["failures_in_a_row"])
@@ -284,7 +291,15 @@ class Training:
         target = self._statistics.get(view, lambda: _target(self._views, view))
         height, width = target.target.shape[:2]
         camera = self._viewmats[view : view + 1], self._Ks[view : view + 1]
-        output = rasterize(self._splats, *camera, width, height, sh_degree=self._sh_degree(), backend=self._options.backend)
+        output = rasterize(
+            self._splats,
+            *camera,
+            width,
+            height,
+            sh_degree=self._sh_degree(),
+            background=_background(self.step, config),
+            backend=self._options.backend,
+        )
         image = output.images.view(height, width, 3)
         if self._exposures is not None:
             image = self._exposures.applied(view, image)
@@ -339,6 +354,13 @@ def view_of_step(step: int, num_views: int, seed: int) -> int:
     return int(np.random.default_rng((seed, epoch)).permutation(num_views)[place])
 
 
+def _background(step: int, config: TrainConfig) -> Tensor | None:
+    """Linear colour (3,) behind the Gaussians at a step (from 0); None for black."""
+    if config.background == "black":
+        return None
+    return torch.from_numpy(np.random.default_rng((config.seed, step, 1)).random(3, np.float32))
+
+
 def _part(arrays: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
@@ -356,15 +378,6 @@ def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: 
     moving = {name: rate for name, rate in moving.items() if rate > 0}
     tensors = {name: tensor for name, tensor in splats.tensors().items() if name in moving}
     return SelectiveAdam(tensors, moving), rates["means"] * steps.means
-
-
-def _limit_scales(splats: SplatTensors, views: TrainingViews, config: TrainConfig) -> None:
-    if config.max_scale_per_distance is None:
-        return
-    distances, _ = KDTree(views.cameras.centers).query(splats.means.detach().cpu().numpy().astype(np.float64))
-    limits = np.log(np.maximum(config.max_scale_per_distance * distances, np.finfo(np.float32).tiny))
-    with torch.no_grad():
-        splats.log_scales.clamp_(max=torch.from_numpy(limits).to(splats.log_scales)[:, None])
 
 
 def _target(views: TrainingViews, view: int) -> Tensor:

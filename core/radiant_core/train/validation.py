@@ -52,7 +52,7 @@ class BestModel:
         """The best model so far; empty without one."""
         return {} if self.splats is None else {name: array.copy() for name, array in self.splats.arrays().items()}
 
-    def restore(self, arrays: dict[str, NDArray[Any]], step: int | None, looks: list[tuple[int, float]]) -> None:
+    def restore(self, arrays: dict[str, NDArray[Any]], step: int | None, looks: list[tuple[int, float]], *, antialiased: bool) -> None:
         """Take over what `state_arrays` gave, with the step of the best and all looks."""
-        self.splats = Splats(**arrays) if arrays else None
+        self.splats = Splats(**arrays, antialiased=antialiased) if arrays else None
         self.step, self.looks = step, looks
