@@ -192,7 +192,14 @@ def train(
     memory: Annotated[
         str | None, typer.Option(help="What the process may hold: 600MB, 2GB; sets the upper limit of Gaussians.", show_default=False)
     ] = None,
-    validate: Annotated[bool, typer.Option("--validate", help="An eighth of the training photographs only picks the best model.")] = False,
+    validate: Annotated[
+        bool | None,
+        typer.Option(
+            "--validate/--no-validate",
+            help="Whether an eighth of the training photographs only picks the best model.",
+            show_default="from 100 on",
+        ),
+    ] = None,
     long_side_px: LongSide = None,
     settings: Settings = None,
     seed: Seed = 0,

@@ -77,6 +77,10 @@ class Dealer:
         """Settings and files of a device."""
         raise NotImplementedError
 
+    def memory_bytes_of(self, device: str) -> float | None:
+        """What the training of a device may hold, as the system says."""
+        return next(own.memory_bytes for own in self.system.devices if own.id == device)
+
     def deal_device(self, device: str, place: Path) -> None:
         """What an edge gets of a device: its model as it was uploaded, and its cameras."""
         raise NotImplementedError
@@ -156,7 +160,8 @@ class SharedDealer(Dealer):
         own = self.scene.restricted_to(self._camera_indices(node.name))
         deal_files(self.images, own.cameras.names, folder / "photos")
         save_scene(folder / "scene.safetensors", own)
-        task = {"train": asdict(self.train), "backend": self.backend, "upload": self.upload}
+        memory = {"memory_bytes": self.memory_bytes_of(node.name)}
+        task = {"train": asdict(self.train), "backend": self.backend, "upload": self.upload, **memory}
         return task, [folder / "photos", folder / "scene.safetensors"]
 
     def deal_device(self, device: str, place: Path) -> None:

@@ -81,6 +81,7 @@ class FieldDealer(Dealer):
             "train": asdict(self.train),
             "backend": self.backend,
             "upload": self.upload,
+            "memory_bytes": self.memory_bytes_of(node.name),
             "model": None,
         }
         if self.poses is None:

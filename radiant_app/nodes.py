@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from radiant_app.cloud_task import retrained_at_cloud, virtual_cameras_of
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
+from radiant_app.memory import resident_bytes
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -122,15 +123,20 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     """
     from radiant_core.train.checkpoint import training_key
     from radiant_core.train.config import TrainConfig
+    from radiant_core.train.memory import memory_plan, within_memory
     from radiant_core.train.views import TrainingViews
 
     stage, emit = running
-    config = TrainConfig(**task["train"])
+    config, options = TrainConfig(**task["train"]), fit_options(stage, task["backend"], emit)
     cameras = scene.cameras.scaled(config.long_side_px)
+    if task["memory_bytes"] is not None:
+        plan = memory_plan(config, cameras, int(task["memory_bytes"]), resident_bytes())
+        config, decision = within_memory(config, plan, int(task["memory_bytes"]), stage, config.max_num_splats)
+        emit(Decided(decision=decision))
+        options = replace(options, statistics_bytes=plan.statistics_bytes)
     views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
     config = needed(scene, views, config, running)
     initial = first_model(scene, views, config, running)
-    options = fit_options(stage, task["backend"], emit)
     checkpoints = checkpoints_in(folder, training_key(initial, views, config, options), running)
     result = fit(initial, views, config, replace(options, checkpoints=checkpoints), running)
     save_splats(folder / "model.safetensors", result.splats)

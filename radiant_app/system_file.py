@@ -13,6 +13,7 @@
     model_mb = { linear = 0.5 }
     uplink_mbit_per_s = 50.0
     max_cameras = 400                    # left out: no limit
+    memory_gb = 8.0                      # what its training may hold: limits its Gaussians; left out: no limit
     relative_speed = 2.0                 # divides init_s and train_s
     speed = 0.5                          # of an edge too: share of one core under `radiant run --emulate`
 
@@ -72,6 +73,7 @@ class _Device(Strict):
     model_mb: _Curve = _Curve(linear=0.5)
     uplink_mbit_per_s: _Positive = 50.0
     max_cameras: Annotated[int, Field(ge=0)] | None = None
+    memory_gb: _Positive | None = None
     relative_speed: _Speed = 1.0
     speed: _Share | None = None
 
@@ -83,6 +85,7 @@ class _Device(Strict):
             model_bytes=self.model_mb.scaled(_BYTES_PER_MB),
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
             max_cameras=self.max_cameras,
+            memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
             speed=self.speed,
         )
 
@@ -174,6 +177,7 @@ def _device_lines(device: Device) -> list[str]:
         f"model_mb = {_inline(device.model_bytes, _BYTES_PER_MB)}",
         _bandwidth_line(device.uplink_bytes_per_s),
         *([] if device.max_cameras is None else [f"max_cameras = {device.max_cameras}"]),
+        *([] if device.memory_bytes is None else [f"memory_gb = {device.memory_bytes / _BYTES_PER_GB}"]),
         *_speed_lines(device),
     ]
 

@@ -48,6 +48,8 @@ from radiant_core.train.views import TrainingViews
 
 STAGE = "train"
 MIN_PHOTOGRAPHS = 3
+MIN_VALIDATED = 100
+"""Of fewer training photographs an eighth is worth more in training than for choosing a model (docs/experiments/training.md)."""
 STEPS_OF_A_TIME = 10_000_000
 """Limit of steps where a time ends the training."""
 KEPT = ("sfm/done.json", f"{CHECKPOINTS}/*.json", "done.json")
@@ -68,8 +70,8 @@ class TrainRequest:
     """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
     memory_bytes: int | None = None
     """What the process may hold; None: as much as the preset's Gaussians take."""
-    validate: bool = False
-    """Whether an eighth of the training photographs only chooses the best model."""
+    validate: bool | None = None
+    """Whether an eighth of the training photographs only chooses the best model; None: from `MIN_VALIDATED` photographs on."""
     seed: int = 0
     checkpoint_every_s: float = 10.0
 
@@ -165,26 +167,40 @@ def _prepared(request: TrainRequest, scene: SfmScene, images: Path, stage: _Stag
     config, decisions = _settings(request, backend)
     require_size(scene, config.long_side_px)
     names = scene.cameras.names
-    validated = validation_mask(names) & request.validate
-    if request.validate and validated.sum() + held_out_mask(names).sum() >= len(names):
+    num_training = len(names) - int(held_out_mask(names).sum())
+    validate = num_training >= MIN_VALIDATED if request.validate is None else request.validate
+    validated = validation_mask(names) & validate
+    if validate and validated.sum() + held_out_mask(names).sum() >= len(names):
         raise BadInput(f"of {len(names)} photographs none is left to train on: leave out --validate.")
     training = scene.restricted_to(np.flatnonzero(~held_out_mask(names) & ~validated))
     cameras = training.cameras.scaled(config.long_side_px)
     options = fit_options(STAGE, backend, stage.tell)
     if request.memory_bytes is not None:
         kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
-        plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=request.validate)
+        plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate)
         config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
         options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)
-    for decision in decisions:
+    for decision in (*decisions, _validation_decision(request, num_training, int(validated.sum()))):
         stage.tell(Decided(decision=decision))
     views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
-    if request.validate:
+    if validate:
         looked_at = scene.cameras.select(np.flatnonzero(validated)).scaled(config.long_side_px)
         options = replace(options, validation=TrainingViews(cameras=looked_at, images=load_images(images, looked_at)))
     config = needed(training, views, config, stage.running)
     initial = first_model(training, views, config, stage.running)
     return _Training(config=config, views=views, initial=initial, options=options)
+
+
+def _validation_decision(request: TrainRequest, num_training: int, num_validated: int) -> Decision:
+    return Decision(
+        stage=STAGE,
+        topic="validation",
+        choice=f"{num_validated} photographs only choose the best model" if num_validated else "the last model is returned",
+        figure=float(num_training),
+        unit="training photographs",
+        reason=f"from {MIN_VALIDATED} on an eighth of them is spared for it; of fewer it is worth more in training",
+        forced=request.validate is not None,
+    )
 
 
 def _settings(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[Decision, ...]]:

@@ -18,12 +18,14 @@ import pytest
 
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
-from radiant_app.events import Event, StageDone, StageSkipped
+from radiant_app.events import Decided, Event, StageDone, StageSkipped
+from radiant_app.nodes import run_device
 from radiant_app.pipeline import RunResult, run
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.train.needs import Overrides
 from tests.app.alex_weights import write_alex_weights
 
@@ -133,6 +135,21 @@ def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: tuple[RunConfig,
     run(RunConfig(source=config.source, out=copy, overrides=TINY), events.append, resume=True)
     assert [event.stage for event in events if isinstance(event, StageDone)] == ["cloud"]
     assert model.read_bytes() == (config.out / "cloud" / "scene.ply").read_bytes()
+
+
+def test_a_devices_memory_limits_its_gaussians(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
+    config, _, _ = finished
+    shutil.copytree(next((config.out / "devices").iterdir()), tmp_path / "device")
+    task = read_json(tmp_path / "device" / "task.json")
+    assert task["memory_bytes"] is None, "the system names no limit"
+    events: list[Event] = []
+    write_json(tmp_path / "device" / "task.json", {**task, "memory_bytes": 64e9})
+    run_device(tmp_path / "device", "devices/one", events.append)
+    (decision,) = (event.decision for event in events if isinstance(event, Decided) and event.decision.topic == "memory")
+    assert decision.choice.startswith(f"at most {TINY.max_num_splats:,} Gaussians") and decision.figure == 64e3
+    write_json(tmp_path / "device" / "task.json", {**task, "memory_bytes": 1e6})
+    with pytest.raises(BadInput, match="1 MB of memory leave room for 0 Gaussians, expected 1,000 or more: give"):
+        run_device(tmp_path / "device", "devices/one", events.append)
 
 
 def test_commands_on_a_finished_run(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ train_s = { constant = 20.0, linear = 1.0, power_coefficient = 0.01, exponent = 
 model_mb = { linear = 0.5 }
 uplink_mbit_per_s = 50.0
 max_cameras = 400
+memory_gb = 8
 speed = 0.3
 [[edge]]
 id = "south"
@@ -55,7 +56,7 @@ def test_every_key_arrives_in_base_units(tmp_path: Path) -> None:
     assert float(device.init_s(10)) == pytest.approx(1.0, rel=1e-15)
     assert float(device.train_s(100)) == pytest.approx(130.0, rel=1e-15)
     assert float(device.model_bytes(3)) == 1.5e6
-    assert device.max_cameras == 400
+    assert (device.max_cameras, device.memory_bytes) == (400, 8e9)
     assert (north.speed, device.speed, south.speed, south.devices[0].speed) == (1.0, 0.3, None, None)
     assert (south.position, south.lat_lon_deg, south.devices[0].max_cameras) == (None, (47.37, 8.54), None)
 
@@ -130,6 +131,7 @@ def test_an_even_system_without_edges_or_devices_is_refused(counts: tuple[int, i
         ("uplink_mbit_per_s = 50.0", 'uplink_mbit_per_s = "50"', "device[0].uplink_mbit_per_s is '50'; expected a valid number"),
         ("uplink_mbit_per_s = 50.0", "uplink_mbit_per_s = true", "device[0].uplink_mbit_per_s is True; expected a valid number"),
         ("max_cameras = 400", "max_cameras = 400.5", "edge[0].device[0].max_cameras is 400.5; expected"),
+        ("memory_gb = 8", "memory_gb = 0", "edge[0].device[0].memory_gb is 0; expected greater than 0"),
         ("max_cameras = 400", "max_cameras = -1", "edge[0].device[0].max_cameras is -1; expected greater than or equal to 0"),
         ("max_cameras = 400", "max_camera = 400", "edge[0].device[0].max_camera is not a key of a system file"),
         ("init_s = { linear = 0.1 }", "init_s = { linear = -0.1 }", "edge[0].device[0].init_s.linear is -0.1; expected"),

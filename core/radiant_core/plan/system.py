@@ -30,6 +30,8 @@ class Device:
     """B^n: bandwidth to the edge."""
     max_cameras: int | None = None
     """|C^n_max|: how many cameras its memory can hold, None without a limit."""
+    memory_bytes: float | None = None
+    """What its training may hold, which limits its Gaussians; None without a limit."""
     speed: float | None = None
     """Share of one core, at most 1, when the system is emulated; what that means for the curves above is theirs to say."""
 
@@ -38,6 +40,8 @@ class Device:
         _require_bandwidth(f"device {self.id!r}", self.uplink_bytes_per_s)
         if self.max_cameras is not None and self.max_cameras < 0:
             raise BadInput(f"device {self.id!r}: max_cameras is {self.max_cameras}, expected at least 0.")
+        if self.memory_bytes is not None and not 0 < self.memory_bytes < np.inf:
+            raise BadInput(f"device {self.id!r}: memory_bytes is {self.memory_bytes}, expected a positive number.")
         _require_speed(f"device {self.id!r}", self.speed)
 
 
