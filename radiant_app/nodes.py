@@ -128,6 +128,7 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     stage, emit = running
     config = TrainConfig(**task["train"])
     views = load_training_views(images, scene.cameras.scaled(config.long_side_px), folder / MASKS)
+    scene, views = without_useless(scene, views, config, running)
     config = needed(scene, views, config, running)
     initial = first_model(scene, views, config, running)
     options = fit_options(stage, task["backend"], emit)
@@ -149,6 +150,19 @@ def checkpoints_in(folder: Path, key: str, running: tuple[str, Emit]) -> Checkpo
     checkpoints = CheckpointFolder(folder / CHECKPOINTS, key, warn=lambda message: emit(Warned(stage=stage, message=message)))
     checkpoints.remove_foreign()
     return checkpoints
+
+
+def without_useless(
+    scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]
+) -> tuple[SfmScene, TrainingViews]:
+    """Scene and views without the photographs that add nothing; tells which were left out."""
+    from radiant_core.train.worth import worth_training
+
+    stage, emit = running
+    scene, views, decisions = worth_training(scene, views, config)
+    for decision in decisions:
+        emit(Decided(decision=replace(decision, stage=stage)))
+    return scene, views
 
 
 def needed(scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]) -> TrainConfig:

@@ -23,7 +23,7 @@ from radiant_app.config import RunConfig
 from radiant_app.evaluation import image_row, save_comparison, scored_part, summary_of
 from radiant_app.events import Decided, Event, Listener, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 from radiant_app.memory import peak_bytes, resident_bytes
-from radiant_app.nodes import CHECKPOINTS, first_model, fit, fit_options, load_training_views, needed, training_summary
+from radiant_app.nodes import CHECKPOINTS, first_model, fit, fit_options, load_training_views, needed, training_summary, without_useless
 from radiant_app.pipeline import require_size, sfm_stage
 from radiant_app.run_folder import Manifest, opened_folder
 from radiant_app.sources import detect_source, has_scene, images_of_scene, load_scene_of, masks_of_scene
@@ -202,6 +202,7 @@ def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _S
     if request.validate:
         looked_at = scene.cameras.select(np.flatnonzero(validated)).scaled(config.long_side_px)
         options = replace(options, validation=load_training_views(images, looked_at, masks))
+    training, views = without_useless(training, views, config, stage.running)
     config = needed(training, views, config, stage.running)
     initial = first_model(training, views, config, stage.running)
     return _Training(config=config, views=views, initial=initial, options=options)

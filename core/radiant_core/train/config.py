@@ -84,6 +84,8 @@ class TrainConfig:
     """Whether Gaussians on a far half sphere are added where photographs look above the horizon."""
     fill_in: bool = True
     """Whether places that structure from motion left empty get starting points."""
+    skip_images: Literal["none", "auto"] = "none"
+    """auto: photographs that repeat another one, and blurred ones of which others show the same, are left out."""
     reduce_on_cpu: bool = True
     """Whether size, steps and Gaussians are cut to what a CPU ends in minutes."""
     seed: int = 0
@@ -116,7 +118,12 @@ class TrainConfig:
             raise BadInput(f"budget_s is {self.budget_s}, expected a positive number of seconds, or None for no limit.")
         if not 0 < self.exposure_lr < math.inf:
             raise BadInput(f"exposure_lr is {self.exposure_lr}, expected a positive number.")
-        for name, choices in (("densify", ("none", "adc", "planned", "mcmc")), ("exposure", ("none", "affine", "auto"))):
+        choices_of = {
+            "densify": ("none", "adc", "planned", "mcmc"),
+            "exposure": ("none", "affine", "auto"),
+            "skip_images": ("none", "auto"),
+        }
+        for name, choices in choices_of.items():
             if getattr(self, name) not in choices:
                 raise BadInput(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(choices)}.")
 
@@ -132,6 +139,7 @@ _SHORT = TrainConfig(
     densify="planned",
     reset_opacity_every=NEVER,
     start_scale=0.5,
+    skip_images="auto",
 )
 _PLAIN = TrainConfig(sh_degree=3, sh_degree_every=1_000, max_scale_per_distance=None, adam="dense", densify="adc", sky=False, fill_in=False)
 _PRESETS: dict[str, TrainConfig] = {

@@ -290,7 +290,7 @@ class Training:
             image = self._exposures.applied(view, image)
         weights = _weights(self._views, view)
         try:
-            loss = target_loss(_unseen_agrees(image, target.target, weights), target, weights, config.ssim_weight)
+            loss = target_loss(unseen_agrees(image, target.target, weights), target, weights, config.ssim_weight)
         except BadInput as error:
             raise StageFailed(str(error)) from error
         value = float(loss.detach())
@@ -372,7 +372,7 @@ def _target(views: TrainingViews, view: int) -> Tensor:
     return torch.from_numpy(views.images[view].astype(np.float32) / 255)
 
 
-def _unseen_agrees(image: Tensor, target: Tensor, weights: Tensor | None) -> Tensor:
+def unseen_agrees(image: Tensor, target: Tensor, weights: Tensor | None) -> Tensor:
     """The image, and the target where a weight is 0: else SSIM's window would carry what is masked into the pixels beside it."""
     if weights is None or weights.all():
         return image
