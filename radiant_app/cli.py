@@ -52,6 +52,7 @@ LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Lo
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
 Settings = Annotated[list[str] | None, typer.Option("--set", help="Any setting of training: NAME=VALUE, as in TrainConfig; repeatable.")]
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
+PlanFile = Annotated[Path | None, typer.Option(help="Plan made by `radiant plan` before capture; else what was captured is planned.")]
 MaskFolder = Annotated[
     Path | None, typer.Option("--masks", help="Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored.")
 ]
@@ -82,9 +83,7 @@ def run(
     frames: Annotated[Frames, typer.Option(help="shared: photographs are pooled; gps, known: each device places its own.")] = "shared",
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
     masks: MaskFolder = None,
-    plan: Annotated[
-        Path | None, typer.Option(help="Plan made by `radiant plan` before capture; else what was captured is planned.")
-    ] = None,
+    plan: PlanFile = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
     upload: Annotated[UploadFormat | None, typer.Option(help=_UPLOAD_HELP)] = None,
     teachers: Annotated[Teachers, typer.Option(help="Render an edge's teachers as each device arrives, or after the last.")] = "early",
