@@ -52,6 +52,10 @@ LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Lo
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
 Settings = Annotated[list[str] | None, typer.Option("--set", help="Any setting of training: NAME=VALUE, as in TrainConfig; repeatable.")]
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
+PlanFile = Annotated[Path | None, typer.Option(help="Plan made by `radiant plan` before capture; else what was captured is planned.")]
+MaskFolder = Annotated[
+    Path | None, typer.Option("--masks", help="Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored.")
+]
 Seed = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of every random choice.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
 LpipsWeights = Annotated[
@@ -78,9 +82,8 @@ def run(
     matching: Annotated[Matching | None, typer.Option(help=f"{_MATCHING_HELP} Without it auto, or exhaustive by --preset paper.")] = None,
     frames: Annotated[Frames, typer.Option(help="shared: photographs are pooled; gps, known: each device places its own.")] = "shared",
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
-    plan: Annotated[
-        Path | None, typer.Option(help="Plan made by `radiant plan` before capture; else what was captured is planned.")
-    ] = None,
+    masks: MaskFolder = None,
+    plan: PlanFile = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
     upload: Annotated[UploadFormat | None, typer.Option(help=_UPLOAD_HELP)] = None,
     teachers: Annotated[Teachers, typer.Option(help="Render an edge's teachers as each device arrives, or after the last.")] = "early",
@@ -124,6 +127,7 @@ def run(
         **chosen,
         frames=frames,
         poses=poses,
+        masks=masks,
         plan=plan,
         single_owner=single_owner,
         teachers=teachers,
@@ -152,12 +156,13 @@ def sfm(
     source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
     out: Out,
     matching: Annotated[Matching, typer.Option(help=_MATCHING_HELP)] = "auto",
+    masks: MaskFolder = None,
     as_json: AsJson = False,
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
 
-    _finish(commands.sfm(source, out, matching, _listener()), as_json)
+    _finish(commands.sfm(source, out, matching, _listener(), masks), as_json)
 
 
 @app.command()
@@ -201,6 +206,7 @@ def train(
         ),
     ] = None,
     long_side_px: LongSide = None,
+    masks: MaskFolder = None,
     settings: Settings = None,
     seed: Seed = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out from its last checkpoint.")] = False,
@@ -220,6 +226,7 @@ def train(
         preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=gaussians, settings=settings_of(settings or ())),
         time_s=None if time is None else seconds_of(time),
+        masks=masks,
         memory_bytes=None if memory is None else bytes_of(memory),
         validate=validate,
         seed=seed,

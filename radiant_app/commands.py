@@ -13,7 +13,7 @@ import numpy as np
 from radiant_app.cloud_task import virtual_cameras_of
 from radiant_app.evaluation import png_bytes
 from radiant_app.events import StageProgress, StageStarted
-from radiant_app.nodes import place_of
+from radiant_app.nodes import sfm_record
 from radiant_app.progress import ProgressDisplay
 from radiant_app.run_folder import new_folder
 from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
@@ -26,15 +26,15 @@ from radiant_core.io.upload import load_upload
 from radiant_core.scene import SfmScene
 
 
-def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay) -> dict[str, Any]:
+def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay, masks: Path | None = None) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`."""
     from radiant_app.sources import reconstruct_source
 
-    task = {"source": str(source), "sfm": {"matching": matching}}
+    task = {"source": str(source), "sfm": {"matching": matching}, "masks": None if masks is None else str(masks)}
     with new_folder(out), stage_bar(display, "sfm") as report:
         result = reconstruct_source(task, out, lambda progress: report(progress.done, progress.total, progress.phase))
     save_scene(out / "scene.safetensors", result.scene)
-    write_json(out / "result.json", {"images": place_of(result.undistorted_folder, out), "unregistered": list(result.unregistered)})
+    write_json(out / "result.json", sfm_record(result, out))
     return {
         "cameras": len(result.scene.cameras),
         "points": len(result.scene.points),

@@ -64,6 +64,8 @@ class RunConfig:
     """Who holds photographs, see `Frames`."""
     poses: Path | None = None
     """For frames "known": a COLMAP model with the poses of the photographs; None where the source brings its own."""
+    masks: Path | None = None
+    """Folder of masks, see `radiant_core.io.masks`; None: photographs are used whole."""
     plan: Path | None = None
     """A plan made before capture: every photograph goes to the device that was to take it; None: plan from what was captured."""
     single_owner: bool = False
@@ -104,7 +106,9 @@ class RunConfig:
             raise BadInput(f"poses are given and frames is {self.frames!r}: give them with --frames known.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
-        for path in (self.source, self.out, self.poses, self.plan, self.lpips_weights):
+        if self.frames != "shared" and self.masks is not None:
+            raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
+        for path in (self.source, self.out, self.poses, self.masks, self.plan, self.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")
 

@@ -15,10 +15,13 @@ from radiant_app.cloud_task import retrain_settings
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
+from radiant_app.nodes import MASKS
+from radiant_app.sources import masks_of_scene
 from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
 from radiant_core.cameras import Cameras
+from radiant_core.io.masks import mask_name
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import content_key, is_sealed, write_json
 from radiant_core.io.upload import UploadFormat
@@ -162,7 +165,8 @@ class SharedDealer(Dealer):
         save_scene(folder / "scene.safetensors", own)
         memory = {"memory_bytes": self.memory_bytes_of(node.name)}
         task = {"train": asdict(self.train), "backend": self.backend, "upload": self.upload, **memory}
-        return task, [folder / "photos", folder / "scene.safetensors"]
+        masks = deal_masks(self.run, own.cameras.names, folder)
+        return task, [folder / "photos", folder / "scene.safetensors", *masks]
 
     def deal_device(self, device: str, place: Path) -> None:
         """Its upload, and its cameras in the owner's scene."""
@@ -179,13 +183,14 @@ def evaluation_task(run: Path, images: Path, cameras: Cameras, backend: str, lpi
     a network is named, are already there."""
     folder = run / "evaluation"
     deal_files(images, cameras.names, folder / "photos")
+    masks = deal_masks(run, cameras.names, folder)
     deal_files(run / "cloud", ["scene.ply"], folder)
     deal_files(run, ["plan.json"], folder)
     save_cameras(folder / "cameras.safetensors", cameras)
     task = {"backend": backend, "seams": True, "lpips": lpips_network}
     write_json(folder / "task.json", task)
     names = ["photos", "scene.ply", "plan.json", "cameras.safetensors", "initial.safetensors", *([LPIPS_NAME] if lpips_network else [])]
-    inputs = [folder / name for name in names]
+    inputs = [*(folder / name for name in names), *masks]
     return NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=content_key(__version__, task, *inputs))
 
 
@@ -204,10 +209,26 @@ def deal_files(source: Path, names: Sequence[str], target: Path) -> None:
         shutil.copyfile(source / name, target / name)
 
 
+def deal_masks(run: Path, names: Sequence[str], folder: Path) -> list[Path]:
+    """Copy the masks of the named photographs from the run's scene to masks/ in `folder`; that place where there are any."""
+    masks, place = masks_of_scene(run), folder / MASKS
+    shutil.rmtree(place, ignore_errors=True)
+    masked = [] if masks is None else [mask_name(name) for name in names if (masks / mask_name(name)).is_file()]
+    if masks is None or not masked:
+        return []
+    deal_files(masks, masked, place)
+    return [place]
+
+
 def received(inputs: Sequence[Path]) -> dict[str, int]:
     """How many photographs, bytes of photographs and other bytes lie at these paths."""
+    masks = [path for path in inputs if path.name == MASKS]
     files = [file for path in inputs for file in (path.rglob("*") if path.is_dir() else [path]) if file.is_file()]
-    photographs = [file for file in files if file.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff")]
+    photographs = [
+        file
+        for file in files
+        if file.suffix.lower() in (".jpg", ".jpeg", ".png", ".tif", ".tiff") and not any(file.is_relative_to(path) for path in masks)
+    ]
     return {
         "num_photographs": len(photographs),
         "photograph_bytes": sum(file.stat().st_size for file in photographs),

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from radiant_app.commands import require_file_to_be, stage_bar
-from radiant_app.evaluation import image_row, summary_of
+from radiant_app.evaluation import image_row, scored_part, summary_of
+from radiant_app.nodes import MASKS
 from radiant_app.progress import ProgressDisplay
-from radiant_app.sources import detect_source, images_of_scene, load_scene_of
+from radiant_app.sources import detect_source, images_of_scene, load_scene_of, masks_of_scene
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
@@ -54,6 +55,7 @@ class _HeldOut:
 
     cameras: Cameras
     photographs: Path
+    masks: Path | None = None
     untrained: Splats | None = None
 
 
@@ -66,8 +68,8 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     lpips = None if request.lpips_weights is None else load_lpips(request.lpips_weights, request.lpips_network)
     splats = _load_model(request.model)
     held_out = _held_out_of(request)
-    cameras = held_out.cameras
-    _require_sizes(cameras, lpips)
+    _require_sizes(held_out.cameras, lpips)
+    cameras, used = scored_part(held_out.cameras, held_out.masks, warn=lambda message: None)
     started_s = time.monotonic()
     rows = []
     with stage_bar(display, "evaluate") as report:
@@ -75,7 +77,7 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
         for done, view in enumerate(render_views(splats, cameras)):
             width, height = cameras.sizes_wh[done]
             photograph = load_photograph(held_out.photographs / view.name, (int(width), int(height)))
-            rows.append(image_row(view, photograph, before=next(untrained, None), lpips=lpips))
+            rows.append(image_row(view, photograph, before=next(untrained, None), lpips=lpips, used=used[done]))
             report(done + 1, len(cameras), view.name)
     result = {
         **summary_of(rows, lpips_network=lpips.network if lpips else None),
@@ -111,7 +113,9 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     if (scored / "cameras.safetensors").is_file():
         cameras = load_cameras(scored / "cameras.safetensors")
         cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
-        return _HeldOut(cameras=cameras, photographs=scored / "photos", untrained=load_splats(scored / "initial.safetensors"))
+        return _HeldOut(
+            cameras=cameras, photographs=scored / "photos", masks=scored / MASKS, untrained=load_splats(scored / "initial.safetensors")
+        )
     if (folder / "delivered").is_dir():
         raise BadInput(f"the photographs of {folder} stayed on its devices, which scored it: its metrics.json has the figures.")
     kind, images, model = detect_source(folder)
@@ -119,10 +123,11 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
         everything = _colmap_cameras(model, folder)
     else:
         everything, images = load_scene_of(folder).cameras, images_of_scene(folder)
+    masks = None if kind == "colmap" else masks_of_scene(folder)
     cameras = everything.select(held_out_mask(everything.names))
     if kind == "colmap":
         _require_shapes(cameras, everything, images)
-    return _HeldOut(cameras=cameras.scaled(request.long_side_px or DEFAULT_LONG_SIDE_PX), photographs=images)
+    return _HeldOut(cameras=cameras.scaled(request.long_side_px or DEFAULT_LONG_SIDE_PX), photographs=images, masks=masks)
 
 
 def _colmap_cameras(model_folder: Path, project: Path) -> Cameras:

@@ -7,26 +7,32 @@ Seam masks come from the scene's own depth here; a comparison of methods has to 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.events import Event, StageProgress
+from radiant_app.events import Event, StageProgress, Warned
+from radiant_app.nodes import MASKS
 from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import (
     FIGURES,
     NO_FLIP_REASON,
     NO_LPIPS_REASON,
     ImageErrors,
     image_errors,
+    inner_pixels,
     mean_errors,
     median_errors,
     psnr_db,
 )
+from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.seam_error import band_and_interior_psnr_db, seam_masks
+from radiant_core.io.masks import pixel_weights, used_pixels
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_splats
@@ -45,18 +51,19 @@ def run_evaluate(folder: Path, stage: str, emit: Callable[[Event], None]) -> Seq
     cameras = load_cameras(folder / "cameras.safetensors")
     scene, initial = load_ply(folder / "scene.ply"), load_splats(folder / "initial.safetensors")
     lpips = given_lpips(folder, task)
+    cameras, used = scored_part(cameras, folder / MASKS, lambda message: emit(Warned(stage=stage, message=message)))
     photographs = [load_photograph(folder / "photos" / name, size) for name, size in _names_and_sizes(cameras)]
     report = _reporter(stage, 3 * len(cameras), emit)
     rendered = [report(view) for view in render_views(scene, cameras, task["backend"])]
     untrained = [report(view) for view in render_views(initial, cameras, task["backend"])]
     rows, pictures = [], []
-    for view, before, photo in zip(rendered, untrained, photographs, strict=True):
-        rows.append(image_row(view, photo, before=before, lpips=lpips))
-        pictures += save_comparison(folder, view, photo)
+    for view, before, photo, pixels in zip(rendered, untrained, photographs, used, strict=True):
+        rows.append(image_row(view, photo, before=before, lpips=lpips, used=pixels))
+        pictures += save_comparison(folder, view, photo, pixels)
         report(view)
     result = {**summary_of(rows, lpips_network=lpips.network if lpips else None), "num_gaussians": len(scene)}
     if task["seams"]:
-        result |= _seam_figures(folder / "plan.json", cameras, rendered, photographs)
+        result |= _seam_figures(folder / "plan.json", cameras, rendered, photographs, used)
     write_json(folder / "result.json", result)
     return ["result.json", *pictures]
 
@@ -67,14 +74,37 @@ def given_lpips(folder: Path, task: Mapping[str, Any]) -> Lpips | None:
 
 
 def image_row(
-    view: RenderedView, photograph: NDArray[np.float32], *, before: RenderedView | None = None, lpips: Lpips | None = None
+    view: RenderedView,
+    photograph: NDArray[np.float32],
+    *,
+    before: RenderedView | None = None,
+    lpips: Lpips | None = None,
+    used: Used = None,
 ) -> dict[str, Any]:
     """All figures of one render against its photograph (H,W,3) in 0..1, with the PSNR of both baselines: the photograph's own mean colour
-    and, where it is given, the render `before` training."""
-    errors = image_errors(view.name, view.image, photograph, lpips)
-    untrained = {} if before is None else {"initial_psnr_db": psnr_db(before.image, photograph)}
-    mean_color = np.broadcast_to(photograph.mean(axis=(0, 1)), photograph.shape)
-    return {"name": view.name, **errors.figures(), **untrained, "mean_color_psnr_db": psnr_db(mean_color, photograph)}
+    and, where it is given, the render `before` training. With a mask it is scored where `used` (H,W), which is the share `used_share`."""
+    errors = image_errors(view.name, view.image, photograph, lpips, used)
+    untrained = {} if before is None else {"initial_psnr_db": psnr_db(before.image, photograph, used)}
+    mean_color = np.broadcast_to(photograph.mean(axis=(0, 1), where=True if used is None else used[..., None]), photograph.shape)
+    share = {} if used is None else {"used_share": float(used.mean())}
+    return {"name": view.name, **errors.figures(), **untrained, "mean_color_psnr_db": psnr_db(mean_color, photograph, used), **share}
+
+
+def scored_part(cameras: Cameras, masks: Path | None, warn: Callable[[str], None]) -> tuple[Cameras, list[Used]]:
+    """The cameras whose photographs can be scored, and which pixels (H,W) of each: all (None), or what masks leave.
+
+    Raises BadInput where masks leave nothing of any of them.
+    """
+    weights = pixel_weights(masks, cameras)
+    if weights is None:
+        return cameras, [None] * len(cameras)
+    used = [used_pixels(each) for each in weights]
+    left = np.array([inner_pixels(each).any() for each in used])
+    if not left.any():
+        raise BadInput("the masks leave nothing of any held-out photograph to score: 0 is ignored, 255 is used.")
+    for name in np.array(cameras.names)[~left]:
+        warn(f"the mask of the held-out photograph {name} leaves nothing to score: it is left out")
+    return cameras.select(np.flatnonzero(left)), [each for each, scored in zip(used, left, strict=True) if scored]
 
 
 def summary_of(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:
@@ -91,9 +121,9 @@ def summary_of(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) 
     }
 
 
-def save_comparison(folder: Path, view: RenderedView, photograph: NDArray[np.float32]) -> list[str]:
-    """Write render, photograph and their absolute difference (×3) as PNG; returns the names relative to `folder`."""
-    difference = np.clip(3 * np.abs(view.image - photograph), 0, 1)
+def save_comparison(folder: Path, view: RenderedView, photograph: NDArray[np.float32], used: Used = None) -> list[str]:
+    """Write render, photograph and their absolute difference (×3, where `used`) as PNG; returns the names relative to `folder`."""
+    difference = np.clip(3 * np.abs(view.image - photograph), 0, 1) * (1.0 if used is None else used[..., None])
     names = []
     for kind, image in (("renders", view.image), ("photographs", photograph), ("differences", difference)):
         name = f"{kind}/{view.name}.png"
@@ -119,11 +149,17 @@ def region_width(plan_sites: NDArray[np.float64]) -> float:
 
 
 def _seam_figures(
-    plan_path: Path, cameras: Cameras, rendered: Sequence[RenderedView], photographs: Sequence[NDArray[np.float32]]
+    plan_path: Path,
+    cameras: Cameras,
+    rendered: Sequence[RenderedView],
+    photographs: Sequence[NDArray[np.float32]],
+    used: Sequence[Used],
 ) -> dict[str, Any]:
     plan, _ = load_plan(plan_path)
     half_band = region_width(plan.sites)
     masks = seam_masks(cameras, [view.depth for view in rendered], plan, half_band)
+    counted = zip(masks, used, strict=True)
+    masks = [m if pixels is None else replace(m, band=m.band & pixels, interior=m.interior & pixels) for m, pixels in counted]
     error = band_and_interior_psnr_db([view.image for view in rendered], photographs, masks)
     return {
         "seam_psnr_db": error.seam_psnr_db,

@@ -3,7 +3,7 @@
 | kind     | reads                                               | writes                                   |
 |----------|-----------------------------------------------------|------------------------------------------|
 | sfm      | task.json, the source it names                      | scene.safetensors, result.json, undistorted/ |
-| device   | task.json, scene.safetensors, photos/               | model.safetensors, upload.safetensors (unless float32), summary.json |
+| device   | task.json, scene.safetensors, photos/, masks/       | model.safetensors, upload.safetensors (unless float32), summary.json |
 | teacher  | task.json, inbox/{model,cameras}.safetensors        | views/<number>.safetensors               |
 | edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_cameras.safetensors |
 | cloud    | task.json, inbox/<edge>/{model,virtual_cameras}.safetensors | scene.ply, summary.json          |
@@ -29,6 +29,7 @@ from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
+from radiant_core.io.masks import pixel_weights
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
 Emit = Callable[[Event], None]
 CHECKPOINTS = "checkpoints"
 """Folder of a training's checkpoints inside its node's; gone when the node is done."""
+MASKS = "masks"
+"""Folder of masks beside a node's photographs, where there are any."""
 _BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
@@ -103,9 +106,9 @@ def run_sfm(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     for message in result.warnings:
         emit(Warned(stage=stage, message=message))
     save_scene(folder / "scene.safetensors", result.scene)
-    write_json(folder / "result.json", {"images": place_of(result.undistorted_folder, folder), "unregistered": list(result.unregistered)})
+    write_json(folder / "result.json", sfm_record(result, folder))
     # Images that were pinhole already stay where they are, outside of this folder: they are the owner's and not sealed.
-    own = [path for path in sorted((folder / "undistorted").rglob("*")) if path.is_file()]
+    own = [path for name in ("undistorted", "masks") for path in sorted((folder / name).rglob("*")) if path.is_file()]
     return ["scene.safetensors", "result.json", *(str(path.relative_to(folder)) for path in own)]
 
 
@@ -124,7 +127,6 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     from radiant_core.train.checkpoint import training_key
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.memory import memory_plan, within_memory
-    from radiant_core.train.views import TrainingViews
 
     stage, emit = running
     config, options = TrainConfig(**task["train"]), fit_options(stage, task["backend"], emit)
@@ -134,13 +136,14 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
         config, decision = within_memory(config, plan, int(task["memory_bytes"]), stage, config.max_num_splats)
         emit(Decided(decision=decision))
         options = replace(options, statistics_bytes=plan.statistics_bytes)
-    views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
+    views = load_training_views(images, cameras, folder / MASKS)
+    scene, views = without_useless(scene, views, config, running)
     config = needed(scene, views, config, running)
     initial = first_model(scene, views, config, running)
     checkpoints = checkpoints_in(folder, training_key(initial, views, config, options), running)
     result = fit(initial, views, config, replace(options, checkpoints=checkpoints), running)
     save_splats(folder / "model.safetensors", result.splats)
-    summary = {**training_summary(result), "num_photographs": len(cameras), "num_points": len(scene.points)}
+    summary = {**training_summary(result), "num_photographs": len(views), "num_points": len(scene.points)}
     write_json(folder / "summary.json", summary)
     uploaded = _save_upload(folder, result.splats, task["upload"], stage, emit)
     checkpoints.remove()
@@ -155,6 +158,19 @@ def checkpoints_in(folder: Path, key: str, running: tuple[str, Emit]) -> Checkpo
     checkpoints = CheckpointFolder(folder / CHECKPOINTS, key, warn=lambda message: emit(Warned(stage=stage, message=message)))
     checkpoints.remove_foreign()
     return checkpoints
+
+
+def without_useless(
+    scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]
+) -> tuple[SfmScene, TrainingViews]:
+    """Scene and views without the photographs that add nothing; tells which were left out."""
+    from radiant_core.train.worth import worth_training
+
+    stage, emit = running
+    scene, views, decisions = worth_training(scene, views, config)
+    for decision in decisions:
+        emit(Decided(decision=replace(decision, stage=stage)))
+    return scene, views
 
 
 def needed(scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]) -> TrainConfig:
@@ -289,6 +305,12 @@ def load_views(teacher: Path, cameras: Cameras) -> Rendered:
     return {index: load_view(teacher / _view_name(index), *size) for index, size in written.items()}
 
 
+def sfm_record(result: Any, folder: Path) -> dict[str, Any]:
+    """What result.json in `folder` says of an `SfmResult`: where photographs and masks are, which photographs have no pose."""
+    masks = {} if result.masks_folder is None else {"masks": place_of(result.masks_folder, folder)}
+    return {"images": place_of(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks}
+
+
 def place_of(images: Path, folder: Path) -> str:
     """The images' folder relative to `folder` where it lies inside, so that a run can be moved; absolute otherwise."""
     images, folder = images.resolve(), folder.resolve()
@@ -301,6 +323,13 @@ def load_images(folder: Path, cameras: Cameras) -> tuple[NDArray[np.uint8], ...]
         (load_photograph(folder / name, (int(width), int(height))) * 255).round().astype(np.uint8)
         for name, (width, height) in zip(cameras.names, cameras.sizes_wh, strict=True)
     )
+
+
+def load_training_views(images: Path, cameras: Cameras, masks: Path | None) -> TrainingViews:
+    """The photographs of `cameras` by name with what masks leave of them, reduced to the cameras' sizes."""
+    from radiant_core.train.views import TrainingViews
+
+    return TrainingViews(cameras=cameras, images=load_images(images, cameras), weights=pixel_weights(masks, cameras))
 
 
 def fit_options(stage: str, backend: Any, emit: Emit) -> FitOptions:

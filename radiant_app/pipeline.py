@@ -134,8 +134,10 @@ def sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
     sfm = {"matching": config.matching, "seed": config.seed}
-    write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm})
-    key = content_key(__version__, sfm, source_files(config.source, config.out))
+    masks = None if config.masks is None else config.masks.resolve()
+    write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks)})
+    masked = [] if masks is None else [source_files(masks, config.out)]
+    key = content_key(__version__, sfm, source_files(config.source, config.out), *masked)
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
     scene = load_scene(folder / "scene.safetensors")
     if len(scene.cameras) < 3:

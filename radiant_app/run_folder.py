@@ -194,7 +194,7 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
     what its scene is scored with in the end."""
     fields = asdict(config)
     fields["source"] = str(config.source.resolve())
-    for name in ("system", "poses", "plan"):
+    for name in ("system", "poses", "plan", "masks"):
         path = getattr(config, name)
         fields[name] = None if path is None else str(path.resolve())
     for name in ("out", "max_workers", "teachers", "lpips_weights", "lpips_network"):

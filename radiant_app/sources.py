@@ -44,12 +44,13 @@ def reconstruct_source(task: dict[str, Any], folder: Path, report: Callable[[Any
     from radiant_core.sfm.reconstruct import SfmConfig, reconstruct, scene_from_colmap, scene_from_mill19
 
     kind, images, model = detect_source(Path(task["source"]))
+    masks = None if task.get("masks") is None else Path(task["masks"])
     if kind == "colmap":
         assert model is not None
-        return scene_from_colmap(model, images, folder, report)
+        return scene_from_colmap(model, images, folder, report, masks)
     if kind == "mill19":
-        return scene_from_mill19(images, folder, report)
-    return reconstruct(images, folder, SfmConfig(**task["sfm"]), report)
+        return scene_from_mill19(images, folder, report, masks=masks)
+    return reconstruct(images, folder, SfmConfig(**task["sfm"]), report, masks)
 
 
 def has_scene(folder: Path) -> bool:
@@ -68,7 +69,18 @@ def load_scene_of(folder: Path) -> SfmScene:
 
 def images_of_scene(folder: Path) -> Path:
     """The folder of a scene's undistorted photographs; raises as `load_scene_of`."""
-    owner = folder / "sfm" if (folder / "sfm" / "result.json").is_file() else folder
+    owner = _owner_of_scene(folder)
     if not (owner / "result.json").is_file():
         raise BadInput(f"{owner} holds no result.json that names its photographs: give the folder of 'radiant sfm' or of a run.")
     return owner / read_json(owner / "result.json", ("images",))["images"]
+
+
+def masks_of_scene(folder: Path) -> Path | None:
+    """The folder of a scene's masks, as large as the photographs of `images_of_scene`; None where it has none."""
+    owner = _owner_of_scene(folder)
+    masks = read_json(owner / "result.json").get("masks") if (owner / "result.json").is_file() else None
+    return None if masks is None else owner / masks
+
+
+def _owner_of_scene(folder: Path) -> Path:
+    return folder / "sfm" if (folder / "sfm" / "result.json").is_file() else folder

@@ -20,13 +20,13 @@ import numpy as np
 
 from radiant_app.commands import require_file_to_be
 from radiant_app.config import RunConfig
-from radiant_app.evaluation import image_row, save_comparison, summary_of
+from radiant_app.evaluation import image_row, save_comparison, scored_part, summary_of
 from radiant_app.events import Decided, Event, Listener, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 from radiant_app.memory import peak_bytes, resident_bytes
-from radiant_app.nodes import CHECKPOINTS, first_model, fit, fit_options, load_images, needed, training_summary
+from radiant_app.nodes import CHECKPOINTS, first_model, fit, fit_options, load_training_views, needed, training_summary, without_useless
 from radiant_app.pipeline import require_size, sfm_stage
 from radiant_app.run_folder import Manifest, opened_folder
-from radiant_app.sources import detect_source, has_scene, images_of_scene, load_scene_of
+from radiant_app.sources import detect_source, has_scene, images_of_scene, load_scene_of, masks_of_scene
 from radiant_app.stages import Progress
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -68,6 +68,8 @@ class TrainRequest:
     overrides: Overrides = Overrides()
     time_s: float | None = None
     """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
+    masks: Path | None = None
+    """Folder of masks of the photographs, see `radiant_core.io.masks`; not with a scene, which has its own."""
     memory_bytes: int | None = None
     """What the process may hold; None: as much as the preset's Gaussians take."""
     validate: bool | None = None
@@ -83,7 +85,8 @@ class TrainRequest:
     @property
     def settings(self) -> dict[str, Any]:
         """All that decides the result, as the manifest keeps it."""
-        fields = {**asdict(self), "source": str(self.source.resolve())}
+        masks = None if self.masks is None else str(self.masks.resolve())
+        fields = {**asdict(self), "source": str(self.source.resolve()), "masks": masks}
         return {name: value for name, value in fields.items() if name not in ("out", "checkpoint_every_s")}
 
 
@@ -112,18 +115,18 @@ def train(
         return _single_ply(request, listen, resume, clock)
     with opened_folder(request.out, request.settings, resume, KEPT) as manifest:
         progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
-        scene, images = _scene_and_images(request, progress)
+        scene, photos = _scene_and_photos(request, progress)
 
         def tell(event: Event) -> None:
             manifest.note(event, clock() - progress.started_s)
             listen(event)
 
         with _Stage(STAGE, tell, clock) as stage:
-            training = _prepared(request, scene, images, stage)
+            training = _prepared(request, scene, photos, stage)
             model, summary = _trained(training, request, stage)
         with _Stage("evaluation", tell, clock) as stage:
             held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
-            figures = _scored(request.out, (model, training.initial), held_out, images, stage)
+            figures = _scored(request.out, (model, training.initial), held_out, photos, stage)
         metrics = {**figures, "training": summary, **_totals(manifest, len(model))}
         write_json(request.out / "metrics.json", metrics)
         return metrics
@@ -150,15 +153,31 @@ class _Stage:
         return self.name, self.tell
 
 
-def _scene_and_images(request: TrainRequest, progress: Progress) -> tuple[SfmScene, Path]:
-    """The scene of the source and the folder of its photographs; structure from motion in sfm/ where there is none yet."""
+_Photos = tuple[Path, Path | None]
+"""The folders of a scene's photographs and of their masks."""
+
+
+def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmScene, _Photos]:
+    """The scene of the source and its photographs; structure from motion in sfm/ where there is none yet."""
     if has_scene(request.source):
-        return load_scene_of(request.source), images_of_scene(request.source)
+        return _loaded_scene(request)
     detect_source(request.source)
-    return sfm_stage(RunConfig(source=request.source, out=request.out, seed=request.seed), progress)
+    config = RunConfig(source=request.source, out=request.out, seed=request.seed, masks=request.masks)
+    scene, images = sfm_stage(config, progress)
+    return scene, (images, masks_of_scene(request.out))
 
 
-def _prepared(request: TrainRequest, scene: SfmScene, images: Path, stage: _Stage) -> _Training:
+def _loaded_scene(request: TrainRequest) -> tuple[SfmScene, _Photos]:
+    scene = load_scene_of(request.source)
+    if request.masks is not None:
+        raise BadInput(
+            f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
+            "`radiant run` when it is made, or train from the photographs."
+        )
+    return scene, (images_of_scene(request.source), masks_of_scene(request.source))
+
+
+def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> _Training:
     """Settings, photographs and first model; tells what was decided."""
     base_bytes = resident_bytes()
     if len(scene.cameras) < MIN_PHOTOGRAPHS:
@@ -182,10 +201,12 @@ def _prepared(request: TrainRequest, scene: SfmScene, images: Path, stage: _Stag
         options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)
     for decision in (*decisions, _validation_decision(request, num_training, int(validated.sum()))):
         stage.tell(Decided(decision=decision))
-    views = TrainingViews(cameras=cameras, images=load_images(images, cameras))
+    images, masks = photos
+    views = load_training_views(images, cameras, masks)
     if validate:
         looked_at = scene.cameras.select(np.flatnonzero(validated)).scaled(config.long_side_px)
-        options = replace(options, validation=TrainingViews(cameras=looked_at, images=load_images(images, looked_at)))
+        options = replace(options, validation=load_training_views(images, looked_at, masks))
+    training, views = without_useless(training, views, config, stage.running)
     config = needed(training, views, config, stage.running)
     initial = first_model(training, views, config, stage.running)
     return _Training(config=config, views=views, initial=initial, options=options)
@@ -267,14 +288,16 @@ def _validation_figures(result: TrainResult) -> dict[str, Any]:
     return {"best_step": result.best_step, "validation": [{"step": step, "psnr_db": figure} for step, figure in result.validation]}
 
 
-def _scored(out: Path, models: tuple[Splats, Splats], cameras: Cameras, images: Path, stage: _Stage) -> dict[str, Any]:
+def _scored(out: Path, models: tuple[Splats, Splats], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
     """Figures of the trained and the first model on the held-out photographs; writes the pictures."""
+    images, masks = photos
+    cameras, used = scored_part(cameras, masks, lambda message: stage.tell(Warned(stage=stage.name, message=message)))
     trained, first = (render_views(model, cameras) for model in models)
     rows = []
-    for view, before, (width, height) in zip(trained, first, cameras.sizes_wh, strict=True):
+    for view, before, (width, height), pixels in zip(trained, first, cameras.sizes_wh, used, strict=True):
         photograph = load_photograph(images / view.name, (int(width), int(height)))
-        save_comparison(out / "pictures", view, photograph)
-        rows.append(image_row(view, photograph, before=before))
+        save_comparison(out / "pictures", view, photograph, pixels)
+        rows.append(image_row(view, photograph, before=before, used=pixels))
         stage.tell(StageProgress(stage=stage.name, done=len(rows), total=len(cameras), note=view.name))
     return summary_of(rows, lpips_network=None)
 
@@ -289,7 +312,7 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
     if resume:
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)
-    scene, images = load_scene_of(request.source), images_of_scene(request.source)
+    scene, photos = _loaded_scene(request)
     decisions: list[Decision] = []
 
     def tell(event: Event) -> None:
@@ -298,7 +321,7 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
         listen(event)
 
     with _Stage(STAGE, tell, clock) as stage:
-        training = _prepared(request, scene, images, stage)
+        training = _prepared(request, scene, photos, stage)
         result = fit(training.initial, training.views, training.config, training.options, stage.running)
     save_ply(request.out, result.splats)
     return {**training_summary(result), "decisions": [asdict(decision) for decision in decisions], "model": str(request.out)}

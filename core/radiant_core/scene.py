@@ -40,6 +40,16 @@ class SfmScene:
         seen = np.isin(self.observations[:, 1], camera_indices)
         return np.unique(self.observations[seen, 0])
 
+    def observed_pixels(self, cameras: Cameras) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows (K,) of `observations` whose point projects into its image, and that pixel (K,2) as column and row; `cameras` are the
+        scene's in the same order, at any resolution."""
+        point, view = self.observations[:, 0], self.observations[:, 1]
+        in_camera = np.einsum("tij,tj->ti", cameras.cam_from_world[view, :3, :3], self.points[point]) + cameras.cam_from_world[view, :3, 3]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            pixels = np.einsum("tij,tj->ti", cameras.Ks[view], in_camera)[:, :2] / in_camera[:, 2:]
+        inside = (in_camera[:, 2] > 0) & (pixels >= 0).all(axis=1) & (pixels < cameras.sizes_wh[view]).all(axis=1)
+        return np.flatnonzero(inside), pixels[inside].astype(np.int64)
+
     def restricted_to(self, camera_indices: NDArray[np.int64]) -> SfmScene:
         """The scene as these cameras (K,) know it: they, the points they observe, and their observations."""
         points = self.seen_by(camera_indices)

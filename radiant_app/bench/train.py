@@ -205,12 +205,14 @@ def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float
     from radiant_core.train.needs import fit_to_scene
     from radiant_core.train.trainer import FitOptions, fit_splats
     from radiant_core.train.views import TrainingViews
+    from radiant_core.train.worth import worth_training
 
     cameras = loaded.training.cameras.scaled(config.long_side_px)
     views = TrainingViews(cameras=cameras, images=load_images(loaded.images, cameras))
     begun_s = time.process_time()
-    config, _ = fit_to_scene(replace(config, seed=seed, budget_s=budget_s), loaded.training, views)
-    initial, _ = first_splats(loaded.training, views, config)
+    training, views, _ = worth_training(loaded.training, views, config)
+    config, _ = fit_to_scene(replace(config, seed=seed, budget_s=budget_s), training, views)
+    initial, _ = first_splats(training, views, config)
     # What was decided and placed before the first step belongs to the budget as well.
     spent_s = time.process_time() - begun_s
     config = replace(config, budget_s=max(1e-3, budget_s - spent_s))

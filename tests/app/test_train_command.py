@@ -245,7 +245,7 @@ def test_a_device_goes_on_inside_its_training_and_drops_checkpoints_of_another_t
         deal_files(Path(read_json(scene / "result.json")["images"]), names, folder / "photos")
         shutil.copyfile(scene / "scene.safetensors", folder / "scene.safetensors")
         task = asdict(replace(train_preset("draft"), num_steps=40, long_side_px=96, seed=seed))
-        write_json(folder / "task.json", {"train": task, "backend": "native", "upload": "float32"})
+        write_json(folder / "task.json", {"train": task, "backend": "native", "upload": "float32", "memory_bytes": None})
         return folder
 
     def run(folder: Path) -> list[Event]:

@@ -12,21 +12,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from radiant_core.evaluate.image_pair import checked_image_pair
+from radiant_core.evaluate.image_pair import Used, checked_image_pair, checked_used
 from radiant_core.numerics import FloatArray
 
 MIN_SPREAD = 1e-4
 """√(λ per pixel): a render whose colours vary by less than this, a fortieth of an 8-bit step, says nothing about M."""
 
 
-def color_corrected(render: ArrayLike, photograph: ArrayLike) -> FloatArray:
-    """The render (H,W,3) corrected towards the photograph (H,W,3), all in 0..1; BadInput on other shapes or values."""
+def color_corrected(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> FloatArray:
+    """The render (H,W,3) corrected towards the photograph (H,W,3) by its `used` pixels, all in 0..1; BadInput on other shapes or values."""
     render, photograph = checked_image_pair(render, photograph)
-    x, y = render.reshape(-1, 3), photograph.reshape(-1, 3)
+    chosen = slice(None) if used is None else checked_used(used, render).ravel()
+    x, y = render.reshape(-1, 3)[chosen], photograph.reshape(-1, 3)[chosen]
     x_mean = x.mean(axis=0)
     centred = x - x_mean
     missing = y - x
     missing_mean = missing.mean(axis=0)
     gram = centred.T @ centred / len(x) + MIN_SPREAD**2 * np.eye(3)
     change = np.linalg.solve(gram, centred.T @ (missing - missing_mean) / len(x))
-    return np.clip(render + missing_mean + (centred @ change).reshape(render.shape), 0, 1)
+    return np.clip(render + missing_mean + ((render.reshape(-1, 3) - x_mean) @ change).reshape(render.shape), 0, 1)

@@ -19,7 +19,7 @@ from scipy.ndimage import correlate1d
 
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.color_correction import color_corrected
-from radiant_core.evaluate.image_pair import checked_image_pair
+from radiant_core.evaluate.image_pair import Used, agreeing, checked_image_pair, checked_used
 from radiant_core.numerics import FloatArray
 
 SSIM_WINDOW_PX = 11
@@ -65,10 +65,11 @@ class ImageErrors:
         return {figure: getattr(self, figure) for figure in FIGURES}
 
 
-def psnr_db(render: ArrayLike, photograph: ArrayLike) -> float:
-    """PSNR in dB of two images (H,W,3) in 0..1; BadInput on other shapes or values."""
+def psnr_db(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
+    """PSNR in dB of two images (H,W,3) in 0..1, of the pixels that are `used`; BadInput on other shapes or values."""
     render, photograph = checked_image_pair(render, photograph)
-    return psnr_db_of_mse(float(np.mean((render - photograph) ** 2)))
+    squared = (render - photograph) ** 2
+    return psnr_db_of_mse(float(np.mean(squared if used is None else squared[checked_used(used, render)])))
 
 
 def psnr_db_of_mse(mean_squared_error: float) -> float:
@@ -76,9 +77,13 @@ def psnr_db_of_mse(mean_squared_error: float) -> float:
     return float(-10 * np.log10(max(mean_squared_error, MIN_SQUARED_ERROR)))
 
 
-def ssim(render: ArrayLike, photograph: ArrayLike) -> float:
-    """SSIM of two images (H,W,3) in 0..1, float64; BadInput on other shapes or values, or a side under 11 px."""
+def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
+    """SSIM of two images (H,W,3) in 0..1, float64; of the windows about `used` pixels, the others being taken for equal.
+
+    BadInput on other shapes or values, a side under 11 px, or where no such window is left.
+    """
     render, photograph = checked_image_pair(render, photograph)
+    render = agreeing(render, photograph, used)
     if min(render.shape[:2]) < SSIM_WINDOW_PX:
         raise BadInput(f"images of {render.shape[1]}×{render.shape[0]} px are too small for SSIM: give at least 11 px a side.")
     mean_a, mean_b = _window_mean(render), _window_mean(photograph)
@@ -86,34 +91,40 @@ def ssim(render: ArrayLike, photograph: ArrayLike) -> float:
     variance_b = _window_mean(photograph * photograph) - mean_b * mean_b
     covariance = _window_mean(render * photograph) - mean_a * mean_b
     likeness = (2 * mean_a * mean_b + SSIM_C1) * (2 * covariance + SSIM_C2)
-    return float(np.mean(likeness / ((mean_a**2 + mean_b**2 + SSIM_C1) * (variance_a + variance_b + SSIM_C2))))
+    windows = likeness / ((mean_a**2 + mean_b**2 + SSIM_C1) * (variance_a + variance_b + SSIM_C2))
+    return float(np.mean(windows if used is None else windows[checked_used(inner_pixels(used), windows)]))
 
 
-def flip(render: ArrayLike, photograph: ArrayLike) -> float | None:
-    """Mean FLIP of two sRGB images (H,W,3) in 0..1, or None without the package; BadInput on other shapes or values."""
+def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float | None:
+    """Mean FLIP of two sRGB images (H,W,3) in 0..1 at their `used` pixels, the others being taken for equal, or None without the package.
+
+    BadInput on other shapes or values.
+    """
     render, photograph = checked_image_pair(render, photograph)
+    render = agreeing(render, photograph, used)
     if importlib.util.find_spec("flip_evaluator") is None:
         return None
     import flip_evaluator
 
-    _, mean, _ = flip_evaluator.evaluate(photograph.astype(np.float32), render.astype(np.float32), "LDR", applyMagma=False)
-    return float(mean)
+    errors, mean, _ = flip_evaluator.evaluate(photograph.astype(np.float32), render.astype(np.float32), "LDR", applyMagma=False)
+    return float(mean if used is None else np.asarray(errors)[checked_used(used, render)].mean())
 
 
-def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Distance | None = None) -> ImageErrors:
+def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Distance | None = None, used: Used = None) -> ImageErrors:
     """All figures of one image (H,W,3) in 0..1 against its photograph; BadInput on other shapes or values.
 
-    `lpips` is a `radiant_core.evaluate.lpips.Lpips`, where weights are at hand.
+    `lpips` is a `radiant_core.evaluate.lpips.Lpips`, where weights are at hand. Where `used` (H,W) is False nothing is scored; LPIPS alone
+    is a mean of the whole image, in which those pixels are equal.
     """
-    corrected = color_corrected(render, photograph)
+    corrected = color_corrected(render, photograph, used)
     return ImageErrors(
         name=name,
-        psnr_db=psnr_db(render, photograph),
-        ssim=ssim(render, photograph),
-        flip=flip(render, photograph),
-        lpips=None if lpips is None else lpips(render, photograph),
-        psnr_cc_db=psnr_db(corrected, photograph),
-        ssim_cc=ssim(corrected, photograph),
+        psnr_db=psnr_db(render, photograph, used),
+        ssim=ssim(render, photograph, used),
+        flip=flip(render, photograph, used),
+        lpips=None if lpips is None else lpips(agreeing(render, photograph, used), photograph),
+        psnr_cc_db=psnr_db(corrected, photograph, used),
+        ssim_cc=ssim(corrected, photograph, used),
     )
 
 
@@ -133,6 +144,12 @@ def _over_images(errors: Sequence[ImageErrors], name: str, over: Callable[[Any],
     columns = {figure: [getattr(error, figure) for error in errors] for figure in FIGURES}
     values: dict[str, Any] = {figure: None if None in column else float(over(column)) for figure, column in columns.items()}
     return ImageErrors(name=name, **values)
+
+
+def inner_pixels(used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The pixels (H-10,W-10) about which a window of SSIM lies wholly inside the image."""
+    radius = SSIM_WINDOW_PX // 2
+    return used[radius:-radius, radius:-radius]
 
 
 def _window_mean(image: FloatArray) -> NDArray[np.float64]:

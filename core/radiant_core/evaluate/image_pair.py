@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
+
+Used = NDArray[np.bool_] | None
+"""Which pixels (H,W) of a photograph are compared; None: all of them."""
 
 
 def checked_image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -19,3 +23,17 @@ def checked_image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatA
         if image.min() < 0 or image.max() > 1:
             raise BadInput(f"the {name} has values {image.min():.3g} to {image.max():.3g}, expected 0 to 1: clamp it first.")
     return pair[0], pair[1]
+
+
+def checked_used(used: NDArray[np.bool_], image: FloatArray) -> NDArray[np.bool_]:
+    """`used` (H,W) for an image (H,W,3); BadInput where it is of another size or leaves nothing."""
+    used = checked_array("used", used, image.shape[:2], np.bool_)
+    if not used.any():
+        raise BadInput("a mask leaves nothing of a photograph to compare: leave that photograph out.")
+    return used
+
+
+def agreeing(render: ArrayLike, photograph: ArrayLike, used: Used) -> FloatArray:
+    """The render (H,W,3), and the photograph where it is not `used`."""
+    render = np.asarray(render)
+    return render if used is None else np.where(checked_used(used, render)[..., None], render, photograph)

@@ -86,3 +86,5 @@ class SfmResult:
     """Usable photographs without a pose in the scene."""
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...]
+    masks_folder: Path | None = None
+    """Masks of the undistorted photographs, see `radiant_core.io.masks`; None without any."""

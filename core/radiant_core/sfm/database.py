@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from radiant_core.io.masks import mask_name
 from radiant_core.io.photos import CameraKey, Photograph
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
@@ -19,8 +20,15 @@ PAIRS_PER_CALL = 400
 """Each call builds the search index of its photographs anew: calls of 32 pairs took 40 % longer than one call for all."""
 
 
-def extract_features(database: Path, photo_folder: Path, photographs: tuple[Photograph, ...], config: SfmConfig, report: Report) -> None:
-    """Write features into `database`, one camera per make, model, focal length and size."""
+def extract_features(
+    database: Path,
+    photo_folder: Path,
+    photographs: tuple[Photograph, ...],
+    config: SfmConfig,
+    report: Report,
+    masks: Path | None = None,
+) -> None:
+    """Write features into `database`, one camera per make, model, focal length and size; none where a mask in `masks` is 0."""
     groups: dict[CameraKey, list[str]] = defaultdict(list)
     for photo in photographs:
         groups[photo.camera].append(photo.name)
@@ -29,15 +37,28 @@ def extract_features(database: Path, photo_folder: Path, photographs: tuple[Phot
     for names in groups.values():
         camera_id = -1
         for chunk in _chunks(names, PHOTOS_PER_CALL_AND_THREAD * config.threads):
-            _extract(database, photo_folder, chunk, camera_id, config)
-            camera_id = camera_id if camera_id >= 0 else _camera_of(database, chunk[0])
+            for part, folder in _by_mask(chunk, masks):
+                _extract((database, photo_folder, folder), part, camera_id, config)
+                camera_id = camera_id if camera_id >= 0 else _camera_of(database, part[0])
             done += len(chunk)
             report(SfmProgress(phase="features", done=done, total=len(photographs)))
 
 
-def _extract(database: Path, photo_folder: Path, names: list[str], camera_id: int, config: SfmConfig) -> None:
+def _by_mask(names: list[str], masks: Path | None) -> list[tuple[list[str], Path | None]]:
+    """The photographs with a mask, and those without: COLMAP passes over a photograph whose mask it does not find."""
+    if masks is None:
+        return [(names, None)]
+    masked = [name for name in names if (masks / mask_name(name)).is_file()]
+    parts = [(masked, masks), ([name for name in names if name not in masked], None)]
+    return [(part, folder) for part, folder in parts if part]
+
+
+def _extract(places: tuple[Path, Path, Path | None], names: list[str], camera_id: int, config: SfmConfig) -> None:
     """Features of `names`, which share the camera `camera_id`, or a new one where that is -1."""
+    database, photo_folder, masks = places
     reading = pycolmap.ImageReaderOptions()
+    if masks is not None:
+        reading.mask_path = masks
     reading.existing_camera_id = camera_id
     options = pycolmap.FeatureExtractionOptions()
     options.use_gpu = False

@@ -24,6 +24,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
+from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
 from radiant_core.sfm.pairs import neighbor_pairs
 from radiant_core.sfm.undistort import undistort
 from radiant_core.sfm.workspace import listed, start_clean
@@ -39,13 +40,16 @@ NO_POINTS = ColmapPoints(
 )
 
 
-def scene_from_mill19(folder: Path, work_folder: Path, report: Report, config: SfmConfig = DEFAULT_CONFIG) -> SfmResult:
+def scene_from_mill19(
+    folder: Path, work_folder: Path, report: Report, config: SfmConfig = DEFAULT_CONFIG, masks: Path | None = None
+) -> SfmResult:
     """The scene of a Mill 19 / Mega-NeRF folder: its poses, and points triangulated from its photographs.
 
-    Raises BadInput when the folder is not in that layout or an image cannot be used.
+    Raises BadInput when the folder is not in that layout, or an image or a mask in `masks` cannot be used.
     """
     cameras = read_mill19(folder)
-    scene = scene_from_poses(cameras, folder, work_folder, config, report)
+    scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
+    masks = None if masks is None else work_folder / FINAL
     decision = Decision(
         stage="sfm",
         topic="frame",
@@ -55,7 +59,14 @@ def scene_from_mill19(folder: Path, work_folder: Path, report: Report, config: S
         reason="coordinates.pt gives a scale and no place on the globe",
     )
     told = "the folder's poses are used as they are; its unit is the metre only if whoever made it said so."
-    return SfmResult(scene=scene, undistorted_folder=folder, unregistered=(), decisions=(decision,), warnings=(told,))
+    return SfmResult(
+        scene=scene,
+        undistorted_folder=folder,
+        unregistered=(),
+        decisions=(decision, *masks_decision(scene, masks)),
+        warnings=(told,),
+        masks_folder=masks,
+    )
 
 
 def pinhole_photographs(
@@ -69,15 +80,20 @@ def pinhole_photographs(
     return cameras_of(model), photo_folder
 
 
-def scene_from_poses(cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report) -> SfmScene:
+def scene_from_poses(
+    cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None
+) -> SfmScene:
     """Points for C pinhole cameras with known poses and the photographs of the same names in `photo_folder`.
 
+    `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are 0.
     Raises BadInput when a photograph is missing, has another size than its camera, or when no point can be triangulated.
     """
     photographs = _photographs_of(cameras, listed(photo_folder, report, cameras.names).photographs)
     start_clean(work_folder)
     database = work_folder / "database.db"
-    extract_features(database, photo_folder, photographs, config, report)
+    given = take_masks(masks, photographs, work_folder)
+    extract_features(database, photo_folder, photographs, config, report, given)
+    keep_masks(given, work_folder)
     model_folder = work_folder / "sparse"
     posed = _posed_model(cameras, database, model_folder)
     match_pairs(database, neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors), config, report)

@@ -15,6 +15,7 @@ from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, 
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
 from radiant_core.sfm.mapping import MappingJob, map_photographs
+from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.refine import refine
 from radiant_core.sfm.undistort import undistort
@@ -35,18 +36,19 @@ __all__ = [
 ]
 
 
-def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report) -> SfmResult:
+def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None) -> SfmResult:
     """Cameras, points and undistorted photographs of the usable photographs in `photo_folder`.
 
-    `work_folder` gets undistorted/ and sparse/; what an interrupted attempt left there is removed first.
-    Raises BadInput when fewer than two photographs can be used or they do not overlap.
+    `work_folder` gets undistorted/, sparse/ and, where a folder of `masks` is given, masks/; what an interrupted attempt left there is
+    removed first. Raises BadInput when fewer than two photographs can be used or they do not overlap, or for masks that do not fit.
     """
     listing = listed(photo_folder, report)
     photographs = listing.photographs
     start_clean(work_folder)
+    given = take_masks(masks, photographs, work_folder)
     pairs, matching = choose_pairs(photographs, config)
     database = work_folder / "database.db"
-    extract_features(database, photo_folder, photographs, config, report)
+    extract_features(database, photo_folder, photographs, config, report, given)
     match_pairs(database, pairs, config, report)
     job = MappingJob(
         photo_folder=photo_folder,
@@ -63,38 +65,51 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
         triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
     refine(mapped.model, config, report).write_binary(work_folder / "sparse")
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
+    masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
     scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
     return SfmResult(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
-        decisions=(matching, *mapped.decisions, *decisions),
+        decisions=(matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
         warnings=(*_skip_warnings(listing), *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
+        masks_folder=masks,
     )
 
 
-def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path, report: Report) -> SfmResult:
+def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path, report: Report, masks: Path | None = None) -> SfmResult:
     """The scene of an existing COLMAP model, binary or text, and its images.
 
     Pinhole images are used where they are; others are undistorted into `work_folder`. The frame comes from the images' GPS
-    where they have it; images that cannot be decoded are skipped and named. Raises BadInput when the model cannot be read or an image
-    is missing or has another shape than its camera.
+    where they have it; images that cannot be decoded are skipped and named. Points that are seen only where `masks` are 0 are left out.
+    Raises BadInput when the model cannot be read, an image is missing or has another shape than its camera, or a mask does not fit.
     """
     model = read_model(model_folder)
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
     model = model.without({skipped.name for skipped in listing.skipped})
     _require_images(model, listing, image_folder)
     images_to_use = image_folder
-    if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):
+    pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
+    if masks is not None or not pinhole:
         start_clean(work_folder)
+    given = take_masks(masks, listing.photographs, work_folder)
+    if pinhole:
+        masks = keep_masks(given, work_folder)
+    else:
         if listing.skipped:
             model_folder = work_folder / "sparse"
             write_model(model_folder, model)
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
+        masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     scene, decisions, warnings = scene_in_world(model, listing.photographs, seed=0)
     return SfmResult(
-        scene=scene, undistorted_folder=images_to_use, unregistered=(), decisions=decisions, warnings=(*_skip_warnings(listing), *warnings)
+        scene=without_masked_points(scene, masks),
+        undistorted_folder=images_to_use,
+        unregistered=(),
+        decisions=(*decisions, *masks_decision(scene, masks)),
+        warnings=(*_skip_warnings(listing), *warnings),
+        masks_folder=masks,
     )
 
 

@@ -9,7 +9,7 @@ from radiant_core.io.photos import PhotoListing, list_photographs
 from radiant_core.sfm.config import Report, SfmProgress
 
 WORK_FILES = ("database.db", "database.db-shm", "database.db-wal", "pairs.txt")
-WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part")
+WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", "masks.part", "masks.given")
 """All that structure from motion puts into its work folder, and all that it removes there when it starts."""
 
 

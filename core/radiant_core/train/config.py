@@ -90,6 +90,8 @@ class TrainConfig:
     """What training sees behind the Gaussians; random: another colour at each step, which no half-transparent Gaussian can imitate."""
     fill_in: bool = True
     """Whether places that structure from motion left empty get starting points."""
+    skip_images: Literal["none", "auto"] = "none"
+    """auto: photographs that repeat another one, and blurred ones of which others show the same, are left out."""
     reduce_on_cpu: bool = True
     """Whether size, steps and Gaussians are cut to what a CPU ends in minutes."""
     seed: int = 0
@@ -122,11 +124,13 @@ class TrainConfig:
             raise BadInput(f"budget_s is {self.budget_s}, expected a positive number of seconds, or None for no limit.")
         if not 0 < self.exposure_lr < math.inf:
             raise BadInput(f"exposure_lr is {self.exposure_lr}, expected a positive number.")
-        for name, choices in (
-            ("densify", ("none", "adc", "planned", "mcmc")),
-            ("exposure", ("none", "affine", "auto")),
-            ("background", ("black", "random")),
-        ):
+        choices_of = {
+            "densify": ("none", "adc", "planned", "mcmc"),
+            "exposure": ("none", "affine", "auto"),
+            "background": ("black", "random"),
+            "skip_images": ("none", "auto"),
+        }
+        for name, choices in choices_of.items():
             if getattr(self, name) not in choices:
                 raise BadInput(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(choices)}.")
 
@@ -142,6 +146,7 @@ _SHORT = TrainConfig(
     densify="planned",
     reset_opacity_every=NEVER,
     start_scale=0.5,
+    skip_images="auto",
 )
 _PLAIN = TrainConfig(
     sh_degree=3,

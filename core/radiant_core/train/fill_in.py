@@ -49,12 +49,13 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
     known, first_new = scene.points, len(scene.points)
     colors = [np.zeros((0, 3), np.uint8)]
     for index in range(len(views)):
-        cells = _cells(views.images[index])
+        cells = _cells(views.images[index], None if views.weights is None else views.weights[index])
         seen = scene.points[scene.observations[scene.observations[:, 1] == index, 0]]
         placed = _place(views.cameras, index, seen, cells)
         if placed is None:
             continue
         points, spacing, empty = placed
+        empty &= cells.counts
         points, spacing, new_colors = points[empty], spacing[empty], cells.colors[empty]
         if len(points):
             apart = KDTree(known).query(points)[0] > MIN_SPACING_CELLS * spacing
@@ -65,29 +66,38 @@ def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Cells:
-    """Middles (F,2) px and mean colours (F,3) of the cells of one image."""
+    """Middles (F,2) px and mean colours (F,3) of the cells of one image, and which count (F,): half or more of their pixels do."""
 
     middles: NDArray[np.floating]
     colors: NDArray[np.uint8]
+    counts: NDArray[np.bool_]
 
 
-def _cells(image: NDArray[np.uint8]) -> _Cells:
+def _cells(image: NDArray[np.uint8], weights: NDArray[np.uint8] | None = None) -> _Cells:
     height, width = image.shape[:2]
     cell_px = max(width, height) / CELLS_ACROSS
     columns, rows = (min(side, max(1, round(side / cell_px))) for side in (width, height))
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     middles = (np.stack([column.ravel(), row.ravel()], axis=1) + 0.5) * np.array([width / columns, height / rows])
-    return _Cells(middles=middles, colors=_block_means(image, columns, rows).reshape(-1, 3))
+    if weights is None:
+        colors = _block_means(image.astype(np.float64), columns, rows)
+        counts = np.ones(len(middles), bool)
+    else:
+        shares = weights[..., None] / 255
+        used = _block_means(shares, columns, rows)
+        colors = _block_means(image * shares, columns, rows) / np.maximum(used, 1e-3)
+        counts = used.ravel() >= 0.5
+    return _Cells(middles=middles, colors=colors.round().clip(0, 255).astype(np.uint8).reshape(-1, 3), counts=counts)
 
 
-def _block_means(image: NDArray[np.uint8], columns: int, rows: int) -> NDArray[np.uint8]:
-    """Mean colours (rows, columns, 3) of a grid of blocks."""
+def _block_means(image: FloatArray, columns: int, rows: int) -> FloatArray:
+    """Means (rows, columns, channels) of a grid of blocks of an image (H,W,channels)."""
     height, width = image.shape[:2]
     row_starts = (np.arange(rows) * height // rows).astype(np.int64)
     column_starts = (np.arange(columns) * width // columns).astype(np.int64)
-    sums = np.add.reduceat(np.add.reduceat(image.astype(np.int64), row_starts, axis=0), column_starts, axis=1)
+    sums = np.add.reduceat(np.add.reduceat(image, row_starts, axis=0), column_starts, axis=1)
     counts = np.outer(np.diff([*row_starts, height]), np.diff([*column_starts, width]))
-    return (sums / counts[..., None]).round().astype(np.uint8)
+    return sums / counts[..., None]
 
 
 def _place(cameras: Cameras, index: int, seen: FloatArray, cells: _Cells) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:

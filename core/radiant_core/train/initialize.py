@@ -117,9 +117,10 @@ def _sky_rgb(views: TrainingViews) -> FloatArray:
     """Median colour (3,) in 0..1 of the pixels above the horizon, of a 9×9 grid per photograph; `SKY_RGB` without any."""
     pixels, above = _above_horizon(views.cameras)
     found = np.zeros((0, 3), np.uint8)
-    for image, grid, up in zip(views.images, pixels.astype(np.int64), above, strict=True):
+    for index, (image, grid, up) in enumerate(zip(views.images, pixels.astype(np.int64), above, strict=True)):
         columns, rows = grid[up].T
-        found = np.concatenate([found, image[rows, columns]])
+        counts = np.ones(len(rows), bool) if views.weights is None else views.weights[index][rows, columns] > 0
+        found = np.concatenate([found, image[rows[counts], columns[counts]]])
     return np.median(found, axis=0) / 255 if len(found) else np.array(SKY_RGB)
 
 

@@ -141,14 +141,8 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
 def exposure_spread(scene: SfmScene, views: TrainingViews) -> float:
     """Standard deviation of the V photographs' gains, as a share: of each the median ratio of its brightness at sparse points to what the
     other photographs show there on average. 0 where fewer than two photographs can be compared."""
-    point, view = scene.observations[:, 0], scene.observations[:, 1]
-    in_camera = np.einsum("tij,tj->ti", views.cameras.cam_from_world[view, :3, :3], scene.points[point])
-    in_camera += views.cameras.cam_from_world[view, :3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pixels = np.einsum("tij,tj->ti", views.cameras.Ks[view], in_camera)[:, :2] / in_camera[:, 2:]
-    sizes = views.cameras.sizes_wh[view]
-    inside = (in_camera[:, 2] > 0) & (pixels >= 0).all(axis=1) & (pixels < sizes).all(axis=1)
-    point, view, pixels = point[inside], view[inside], pixels[inside].astype(np.int64)
+    rows, pixels = views.observed_pixels(scene)
+    point, view = scene.observations[rows].T
     # One step above black, where a ratio of brightness would be noise.
     brightness = np.array([1.0 + views.images[v][y, x].mean() for v, (x, y) in zip(view, pixels, strict=True)], np.float64)
     logs = np.log(brightness)

@@ -303,8 +303,9 @@ class Training:
         image = output.images.view(height, width, 3)
         if self._exposures is not None:
             image = self._exposures.applied(view, image)
+        weights = _weights(self._views, view)
         try:
-            loss = target_loss(image, target, _weights(self._views, view), config.ssim_weight)
+            loss = target_loss(unseen_agrees(image, target.target, weights), target, weights, config.ssim_weight)
         except BadInput as error:
             raise StageFailed(str(error)) from error
         value = float(loss.detach())
@@ -382,6 +383,13 @@ def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: 
 
 def _target(views: TrainingViews, view: int) -> Tensor:
     return torch.from_numpy(views.images[view].astype(np.float32) / 255)
+
+
+def unseen_agrees(image: Tensor, target: Tensor, weights: Tensor | None) -> Tensor:
+    """The image, and the target where a weight is 0: else SSIM's window would carry what is masked into the pixels beside it."""
+    if weights is None or weights.all():
+        return image
+    return torch.where((weights > 0).to(image.device)[..., None], image, target.to(image))
 
 
 def _weights(views: TrainingViews, view: int) -> Tensor | None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.io.masks import used_pixels
 from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
@@ -21,9 +22,10 @@ FIRST_LOOK = 0.5
 
 
 def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -> float:
-    """Mean PSNR in dB of a model over views."""
-    pairs = zip(render_views(splats, views.cameras, backend), views.images, strict=True)
-    return float(np.mean([psnr_db(view.image, image / 255) for view, image in pairs]))
+    """Mean PSNR in dB of a model over views, of the pixels that count."""
+    used = [None] * len(views) if views.weights is None else [used_pixels(weights) for weights in views.weights]
+    triples = zip(render_views(splats, views.cameras, backend), views.images, used, strict=True)
+    return float(np.mean([psnr_db(view.image, image / 255, used) for view, image, used in triples if used is None or used.any()]))
 
 
 class BestModel:

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.scene import SfmScene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingViews:
-    """V cameras with their images (H,W,3) uint8 and, for synthetic views, weights (H,W) uint8 (255 is 1); sizes may differ.
+    """V cameras with their images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none; sizes may differ.
 
+    Weights are what a synthetic view knows of each pixel, or what a mask leaves of it; where one is 0 nothing is compared.
     Eight bits are what a photograph has: a float copy would take four times the memory. Raises BadInput when sizes disagree.
     """
 
@@ -34,6 +36,14 @@ class TrainingViews:
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+    def observed_pixels(self, scene: SfmScene) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """`SfmScene.observed_pixels` of the scene that these are the views of, without pixels that count for less than half."""
+        rows, pixels = scene.observed_pixels(self.cameras)
+        if self.weights is None:
+            return rows, pixels
+        counts = [2 * int(self.weights[view][y, x]) > 255 for view, (x, y) in zip(scene.observations[rows, 1], pixels, strict=True)]
+        return rows[counts], pixels[counts]
 
     def select(self, indices: NDArray[np.integer] | list[int]) -> TrainingViews:
         """Some of the views, in the given order; the images are shared."""

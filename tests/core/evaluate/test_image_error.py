@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.color_correction import color_corrected
 from radiant_core.evaluate.image_error import FIGURES, ImageErrors, flip, image_errors, mean_errors, median_errors, psnr_db, ssim
 
 RNG = np.random.default_rng(11)
@@ -127,3 +128,38 @@ def test_poison_is_bad_input(figure, poison: np.ndarray) -> None:
 def test_images_smaller_than_a_window_have_no_ssim() -> None:
     with pytest.raises(BadInput, match="too small for SSIM"):
         ssim(PHOTO[:10], PHOTO[:10])
+
+
+USED = np.ones(PHOTO.shape[:2], bool)
+USED[10:25, 5:20] = False
+
+
+def test_a_mask_of_everything_changes_no_figure() -> None:
+    whole, masked = image_errors("a", RENDER, PHOTO), image_errors("a", RENDER, PHOTO, used=np.ones_like(USED))
+    for figure in set(FIGURES) - {"lpips"}:
+        assert getattr(masked, figure) == pytest.approx(getattr(whole, figure), rel=1e-6)
+
+
+def test_what_a_mask_ignores_changes_no_figure_and_the_rest_is_scored_alone() -> None:
+    wild = np.where(USED[..., None], RENDER, RNG.uniform(size=PHOTO.shape))
+    calm, odd = (image_errors("a", render, PHOTO, used=USED) for render in (RENDER, wild))
+    assert odd == calm
+    assert calm.psnr_db == pytest.approx(-10 * np.log10(((RENDER - PHOTO)[USED] ** 2).mean()), abs=1e-9)
+    assert calm.psnr_cc_db >= calm.psnr_db - 1e-9
+    equal = np.where(USED[..., None], PHOTO, 1 - PHOTO)
+    assert psnr_db(equal, PHOTO, USED) == 100 and ssim(equal, PHOTO, USED) == pytest.approx(1, abs=1e-12)
+
+
+def test_the_windows_of_ssim_stand_about_used_pixels() -> None:
+    right = np.zeros_like(USED)
+    right[:, 22:] = True
+    agreeing = np.where(right[..., None], RENDER, PHOTO)
+    # From column 17 on the whole windows of a crop are those about columns 22 and more.
+    assert ssim(RENDER, PHOTO, right) == pytest.approx(plain_ssim(agreeing[:, 17:], PHOTO[:, 17:]), abs=1e-11)
+
+
+@pytest.mark.parametrize("figure", [psnr_db, ssim, flip, color_corrected])
+@pytest.mark.parametrize("used", [np.zeros_like(USED), USED[1:], USED.T])
+def test_a_mask_that_leaves_nothing_or_has_another_size_is_refused(figure: Any, used: np.ndarray) -> None:
+    with pytest.raises(BadInput):
+        figure(RENDER, PHOTO, used)

@@ -1,0 +1,109 @@
+"""Masks on their way through structure from motion: checked, kept from features, undistorted as their photographs are. Once per scene.
+
+work/masks.given/a/b.jpg.png      masks of the photographs as they were taken; gone at the end
+work/masks/a/b.jpg.png            masks of the scene's photographs, the result
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.decisions import Decision
+from radiant_core.io.masks import find_masks, load_mask, mask_name, pixel_weights, save_mask, used_pixels
+from radiant_core.io.photos import Photograph
+from radiant_core.scene import SfmScene
+from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
+
+GIVEN, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
+
+
+def take_masks(folder: Path | None, photographs: Sequence[Photograph], work_folder: Path) -> Path | None:
+    """Copy the masks of `photographs`, checked, to where COLMAP looks for them; None without a folder. BadInput as `load_mask`."""
+    if folder is None:
+        return None
+    given = work_folder / GIVEN
+    shutil.rmtree(given, ignore_errors=True)
+    sizes = {photo.name: photo.size_wh for photo in photographs}
+    for name, path in find_masks(folder, list(sizes)).items():
+        save_mask(given / mask_name(name), load_mask(path, sizes[name]))
+    return given
+
+
+def keep_masks(given: Path | None, work_folder: Path) -> Path | None:
+    """The taken masks as the scene's, whose photographs stay as they were taken."""
+    if given is None:
+        return None
+    shutil.rmtree(work_folder / FINAL, ignore_errors=True)
+    return given.rename(work_folder / FINAL)
+
+
+def undistort_masks(given: Path | None, model_folder: Path, work_folder: Path, num_threads: int) -> Path | None:
+    """The taken masks without the distortion of the model's lenses; a pixel that half or more of is used stays used."""
+    if given is None:
+        return None
+    part, renamed = work_folder / UNDISTORTING, work_folder / UNDISTORTING / "model"
+    shutil.rmtree(part, ignore_errors=True)
+    renamed.mkdir(parents=True)
+    model = pycolmap.Reconstruction(model_folder)
+    names = [image.name for image in model.images.values()]
+    for image in model.images.values():
+        image.name = mask_name(image.name)
+    model.write_binary(renamed)
+    masked = [mask_name(name) for name in names if (given / mask_name(name)).is_file()]
+    if masked:
+        call_colmap("undistorting masks", pycolmap.undistort_images, part, renamed, given, image_names=masked, num_threads=num_threads)
+    shutil.rmtree(work_folder / FINAL, ignore_errors=True)
+    for name in masked:
+        image = cv2.imread(str(part / "images" / name), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        save_mask(work_folder / FINAL / name, used_pixels(np.asarray(image, np.uint8)))
+    for folder in (part, given):
+        shutil.rmtree(folder)
+    return work_folder / FINAL
+
+
+def without_masked_points(scene: SfmScene, masks: Path | None) -> SfmScene:
+    """The scene without observations in ignored pixels and without the points that have no other."""
+    weights = pixel_weights(masks, scene.cameras)
+    if weights is None:
+        return scene
+    rows, pixels = scene.observed_pixels(scene.cameras)
+    views = scene.observations[rows, 1]
+    ignored = np.zeros(len(scene.observations), bool)
+    for view in np.unique(views):
+        own = views == view
+        columns, lines = pixels[own].T
+        ignored[rows[own]] = ~used_pixels(weights[view])[lines, columns]
+    observed = SfmScene(
+        cameras=scene.cameras, points=scene.points, colors=scene.colors, observations=scene.observations[~ignored], frame=scene.frame
+    )
+    return observed.restricted_to(np.arange(len(scene.cameras)))
+
+
+def masks_decision(scene: SfmScene, masks: Path | None) -> tuple[Decision, ...]:
+    """What the masks leave out, in the photographs of the scene; nothing without masks."""
+    weights = pixel_weights(masks, scene.cameras)
+    if masks is None or weights is None:
+        return ()
+    masked = sum((masks / mask_name(name)).is_file() for name in scene.cameras.names)
+    return (
+        Decision(
+            stage="sfm",
+            topic="masks",
+            choice=f"{masked} of {len(scene.cameras)} photographs are used in part",
+            figure=100 * (1 - _used_share(weights)),
+            unit="% of all pixels ignored",
+            reason="masks were given",
+            forced=True,
+        ),
+    )
+
+
+def _used_share(weights: Sequence[NDArray[np.uint8]]) -> float:
+    return float(np.average([used_pixels(each).mean() for each in weights], weights=[each.size for each in weights]))

@@ -1,0 +1,171 @@
+"""Which photographs add nothing to a training: repeats of another one, and blurred ones. Once per run, before the first model.
+
+    sharpness of photograph v = exp(½ median over its sparse points p of [log e(v,p) − median over the other u that see p of log e(u,p)])
+
+e(v,p) is the mean squared brightness gradient in a window around p: sharpness compares photographs where they show the same, so that a
+photograph of a lawn is not taken for a blurred one. 1 is as sharp as the others. A photograph repeats another where both were taken from
+one place in one direction and their pictures hardly differ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from radiant_core.decisions import Decision
+from radiant_core.numerics import FloatArray
+from radiant_core.scene import SfmScene
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.views import TrainingViews
+
+WINDOW_PX = 15
+MIN_GRADIENT = 1.0
+"""Brightness steps per pixel that are noise: added to e, so that flat places compare as equal."""
+MIN_COMMON_POINTS = 20
+"""A photograph with fewer points that two others see too is not judged."""
+MIN_SHARPNESS = 0.7
+"""Below this a photograph is blurred."""
+MIN_SEEN_ELSEWHERE = 0.9
+"""A blurred photograph stays unless this share of its points is seen by two photographs that are kept."""
+SAME_PLACE = 2e-3
+"""Distance of two centres, in distances to what they see, under which they are one place."""
+SAME_DIRECTION_RAD = 2e-3
+SAME_PICTURE = 4.0
+"""Mean difference, in steps of 8 bits, of two pictures at `THUMBNAIL_PX` under which they are one."""
+THUMBNAIL_PX = 128
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Worth:
+    """Which of V views are kept (V,), and what was decided about the others."""
+
+    kept: NDArray[np.bool_]
+    decisions: tuple[Decision, ...]
+
+
+def images_worth(scene: SfmScene, views: TrainingViews) -> Worth:
+    """The views without repeats and blurred ones; `views.cameras` are the scene's in the same order. At least one view is kept."""
+    repeated = repeats(scene, views)
+    sharpness = relative_sharpness(scene, views)
+    blurred = _dispensable(scene, sharpness, ~repeated)
+    worst = float(np.nanmin(sharpness)) if np.isfinite(sharpness).any() else 1.0
+    return Worth(kept=~(repeated | blurred), decisions=(_repeats_decision(repeated), _blur_decision(blurred, worst)))
+
+
+def worth_training(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[SfmScene, TrainingViews, tuple[Decision, ...]]:
+    """Scene and views without what `config.skip_images` leaves out, and what was decided; as they are where that is "none"."""
+    if config.skip_images == "none":
+        return scene, views, ()
+    worth = images_worth(scene, views)
+    if worth.kept.all():
+        return scene, views, worth.decisions
+    kept = np.flatnonzero(worth.kept)
+    return scene.restricted_to(kept), views.select(kept), worth.decisions
+
+
+def relative_sharpness(scene: SfmScene, views: TrainingViews) -> FloatArray:
+    """Sharpness (V,) of each view against those that see the same points; NaN where too few can be compared."""
+    rows, pixels = views.observed_pixels(scene)
+    point, view = scene.observations[rows].T
+    logs = np.empty(len(rows))
+    for index in np.unique(view):
+        own = view == index
+        energies = _gradient_energy(views.images[index])
+        logs[own] = np.log(energies[pixels[own, 1], pixels[own, 0]] + MIN_GRADIENT**2)
+    typical, num_seeing = _medians_of_others(point, logs)
+    ratios, judged = logs - typical, num_seeing >= 3
+    sharpness = np.full(len(views), np.nan)
+    for index in range(len(views)):
+        own = ratios[judged & (view == index)]
+        if len(own) >= MIN_COMMON_POINTS:
+            sharpness[index] = np.exp(0.5 * np.median(own))
+    return sharpness
+
+
+def _gradient_energy(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Mean squared gradient (H,W) of the brightness in a window around each pixel."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    squared = np.zeros_like(grey)
+    squared[:, :-1] += np.diff(grey, axis=1) ** 2
+    squared[:-1] += np.diff(grey, axis=0) ** 2
+    return np.asarray(cv2.blur(squared, (WINDOW_PX, WINDOW_PX)), np.float32)
+
+
+def _medians_of_others(group: NDArray[np.int64], values: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """For each of T values the median of the others in its group, itself where there are none, and the size of its group."""
+    order = np.lexsort((values, group))
+    ordered, counts = np.append(values[order], 0.0), np.bincount(group)[group[order]] if len(group) else np.zeros(0, np.int64)
+    start = np.searchsorted(group[order], group[order])
+    rank = np.arange(len(values)) - start
+    # The middle of n − 1 values in order of rank; from its own rank on they stand one place later in all n.
+    low, high = np.maximum(counts - 2, 0) // 2, (counts - 1) // 2
+    middle = [ordered[start + place + ((place >= rank) & (counts > 1))] for place in (low, high)]
+    medians, sizes = np.empty(len(values)), np.empty(len(values), np.int64)
+    medians[order], sizes[order] = (middle[0] + middle[1]) / 2, counts
+    return medians, sizes
+
+
+def _dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which views (V,) are blurred and show only what others show too, the most blurred first."""
+    point, view = np.unique(scene.observations, axis=0).T
+    num_seeing = np.bincount(point[kept[view]], minlength=len(scene.points))
+    blurred = np.zeros(len(sharpness), bool)
+    for index in np.argsort(sharpness):
+        if not (kept[index] and sharpness[index] < MIN_SHARPNESS):
+            continue
+        own = point[view == index]
+        if (num_seeing[own] >= 3).mean() >= MIN_SEEN_ELSEWHERE:
+            blurred[index] = True
+            num_seeing[own] -= 1
+    return blurred
+
+
+def repeats(scene: SfmScene, views: TrainingViews) -> NDArray[np.bool_]:
+    """Which views (V,) show the picture of an earlier one from its place."""
+    cameras = views.cameras
+    centers, axes = cameras.centers, cameras.cam_from_world[:, :3, :3]
+    distance = float(np.median(KDTree(centers).query(scene.points)[0])) if len(scene.points) else 0.0
+    thumbnails: dict[int, NDArray[np.float32]] = {}
+    repeated = np.zeros(len(views), bool)
+    for first, second in sorted(KDTree(centers).query_pairs(SAME_PLACE * distance)):
+        turn = np.linalg.norm(axes[first] - axes[second]) / np.sqrt(2)
+        same_lens = np.array_equal(cameras.sizes_wh[first], cameras.sizes_wh[second])
+        same_lens &= np.allclose(cameras.Ks[first], cameras.Ks[second], rtol=1e-2)
+        if repeated[first] or turn > SAME_DIRECTION_RAD or not same_lens:
+            continue
+        for index in {first, second} - thumbnails.keys():
+            thumbnails[index] = _thumbnail(views.images[index])
+        repeated[second] |= bool(np.abs(thumbnails[first] - thumbnails[second]).mean() < SAME_PICTURE)
+    return repeated
+
+
+def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    scale = min(1.0, THUMBNAIL_PX / max(image.shape[:2]))
+    size_wh = max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0]))
+    return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _repeats_decision(repeated: NDArray[np.bool_]) -> Decision:
+    return Decision(
+        stage="train",
+        topic="repeated photographs",
+        choice=f"{repeated.sum()} of {len(repeated)} photographs are left out",
+        figure=float(repeated.sum()),
+        unit="photographs that show another's picture from its place",
+        reason="a second copy takes steps and shows nothing new",
+    )
+
+
+def _blur_decision(blurred: NDArray[np.bool_], worst: float) -> Decision:
+    return Decision(
+        stage="train",
+        topic="blurred photographs",
+        choice=f"{blurred.sum()} of {len(blurred)} photographs are left out",
+        figure=100 * worst,
+        unit="% of the others' sharpness at common points, in the least sharp one",
+        reason=f"below {100 * MIN_SHARPNESS:.0f} % a photograph teaches its blur; one that alone shows a place is kept",
+    )
