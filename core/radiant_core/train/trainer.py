@@ -284,7 +284,9 @@ class Training:
         target = self._statistics.get(view, lambda: _target(self._views, view))
         height, width = target.target.shape[:2]
         camera = self._viewmats[view : view + 1], self._Ks[view : view + 1]
-        output = rasterize(self._splats, *camera, width, height, sh_degree=self._sh_degree(), backend=self._options.backend)
+        absgrad = self._density is not None and self._density.wants_absgrad(self._schedule_step())
+        options = {"sh_degree": self._sh_degree(), "absgrad": absgrad, "backend": self._options.backend}
+        output = rasterize(self._splats, *camera, width, height, **options)
         image = output.images.view(height, width, 3)
         if self._exposures is not None:
             image = self._exposures.applied(view, image)
