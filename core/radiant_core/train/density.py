@@ -238,7 +238,8 @@ class AdaptiveDensity:
         with np.errstate(over="ignore", invalid="ignore"):
             length = (across * across + down * down) ** 0.5
             # The step of a gradient that is not finite is not taken, and must not be remembered here either.
-            self._sums += length * (length < math.inf)
+            length[~(length < math.inf)] = 0
+            self._sums += length
         self._seen += visible
 
     def _limit(self, schedule_step: float) -> int:
