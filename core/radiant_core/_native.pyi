@@ -45,6 +45,7 @@ class RenderedView:
         out_depths: NDArray[np.float32],
         means2d: NDArray[np.float32],
         sums: NDArray[np.float32],
+        absgrad: NDArray[np.float32] | None,
         threads: int,
     ) -> None: ...
     def project_backward(

@@ -289,12 +289,23 @@ def probe(feature: Feature, name: Backend, dtype: torch.dtype) -> list[torch.Ten
         viewmats.requires_grad_()
     if feature == "2D-mean gradients":
         splats.means.requires_grad_()
-    options = {"background": background, "antialiased": feature == "antialiased", "backend": name}
+    if feature == "absolute gradients":
+        splats.means.requires_grad_()
+    options = {
+        "background": background,
+        "antialiased": feature == "antialiased",
+        "absgrad": feature == "absolute gradients",
+        "backend": name,
+    }
     degrees = range(4) if feature == "SH 0-3" else (3,)
     outputs = [rasterize(splats, viewmats, Ks, 24, 20, sh_degree=degree, **options) for degree in degrees]
     loss = outputs[0].images.square().sum()
     if feature == "2D-mean gradients":
         return [*torch.autograd.grad(loss, outputs[0].means2d)]
+    if feature == "absolute gradients":
+        loss.backward()
+        assert outputs[0].absgrad is not None
+        return [outputs[0].absgrad]
     if feature == "camera gradients":
         return [*torch.autograd.grad(loss, viewmats)]
     if feature == "background":

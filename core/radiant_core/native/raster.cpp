@@ -176,15 +176,20 @@ void RenderedView::blend_tile(std::int64_t tile, Worker& worker) {
   kernels_->blend(view_, static_cast<int>(tile), entries, start, count, blend_, scratch);
 }
 
-void RenderedView::blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, int threads) const {
-  const PooledBlock memory(static_cast<std::size_t>(num_instances_) * sizeof(Moments));
+void RenderedView::blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, float* absgrad, int threads) const {
+  const auto instances = static_cast<std::size_t>(num_instances_);
+  const PooledBlock memory(instances * (sizeof(Moments) + (absgrad ? sizeof(AbsoluteMoments) : 0)));
   auto* const moments = static_cast<Moments*>(memory.data());
+  auto* const absolute = absgrad ? reinterpret_cast<AbsoluteMoments*>(moments + instances) : nullptr;
   parallel_for(threads, static_cast<std::int64_t>(view_.tiles_x) * view_.tiles_y, [&](std::int64_t tile, int) {
     const std::int64_t start = tile_starts_.data()[tile], count = tile_starts_.data()[tile + 1] - start;
-    if (count > 0) kernels_->blend_backward(view_, static_cast<int>(tile), entries_.data() + start, start, count, blend_, gradients, moments);
+    if (count > 0)
+      kernels_->blend_backward(view_, static_cast<int>(tile), entries_.data() + start, start, count, blend_, gradients, moments, absolute);
   });
-  parallel_for(threads, static_cast<std::int64_t>(num_chunks_),
-               [&](std::int64_t chunk, int) { sum_chunk(static_cast<std::size_t>(chunk), moments, means2d, sums); });
+  parallel_for(threads, static_cast<std::int64_t>(num_chunks_), [&](std::int64_t chunk, int) {
+    sum_chunk(static_cast<std::size_t>(chunk), moments, means2d, sums);
+    if (absolute) sum_absolute(static_cast<std::size_t>(chunk), absolute, absgrad);
+  });
 }
 
 // Sums the instances of each Gaussian, whose moments stand one after another, and moves to its centre: ∂ln α/∂m = 1/k Lᵀ (u, v).
@@ -209,6 +214,17 @@ void RenderedView::sum_chunk(std::size_t chunk, const Moments* moments, float* m
     sums[g] = sum;
     means2d[2 * g] = x;
     means2d[2 * g + 1] = y;
+  }
+}
+
+void RenderedView::sum_absolute(std::size_t chunk, const AbsoluteMoments* moments, float* absgrad) const {
+  const AbsoluteMoments* instance = moments + chunks_[chunk].first_instance;
+  for (std::int64_t g = chunk_begin(chunk); g < chunk_end(chunk); ++g) {
+    AbsoluteMoments sum{};
+    for (std::uint32_t i = 0; i < num_tiles_.data()[g]; ++i, ++instance) sum.x += instance->x, sum.y += instance->y;
+    // A Gaussian that is not drawn has no footprint to read.
+    absgrad[2 * g] = num_tiles_.data()[g] ? footprints_.data()[g].l11 * sum.x / kHalfLog2e : 0;
+    absgrad[2 * g + 1] = sum.y / kHalfLog2e;
   }
 }
 

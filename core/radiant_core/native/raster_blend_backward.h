@@ -5,6 +5,7 @@
 // Walked from back to front both recurrences only ever add small things to sums of small things: a Gaussian behind an almost opaque
 // one keeps all digits of its gradient, which a difference "all minus what is in front" would lose.
 // The loop is over Gaussians, their blocks inside: the sums of one instance stay in registers and are reduced once per instance.
+// Where it is asked for, two more sums are kept: Σ|h u| and Σ|h (l₁₂ u + l₂₂ v)|, of which Σ|∂loss/∂m| is made.
 #pragma once
 
 #include "raster_blend.h"
@@ -77,10 +78,12 @@ static __attribute__((noinline)) void start_pixels(BlockState& b, int32_t entry)
 
 // Moments of one Gaussian over its blocks. kCapped: its opacity is over the cap, so that α may be cut off.
 // A block's registers are taken one at a time, so that the sums fit beside them on CPUs with 16 registers too.
-template <bool kDepth, bool kCapped>
-RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t entry, BlockState* blocks, float* out) {
-  Part sums[kMoments];
-  for (int i = 0; i < kMoments; ++i) sums[i] = broadcast<1>(0.0f);
+template <bool kDepth, bool kCapped, bool kAbsolute>
+RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t entry, BlockState* blocks, Moments* out,
+                                     AbsoluteMoments* absolute) {
+  constexpr int kSums = kAbsolute ? kMoments + 2 : kMoments;
+  Part sums[kSums];
+  for (int i = 0; i < kSums; ++i) sums[i] = broadcast<1>(0.0f);
   for (; reached; reached &= reached - 1) {
     BlockState& b = blocks[__builtin_ctz(reached)];
     if (__builtin_expect(entry < b.next, 0)) start_pixels(b, entry);
@@ -109,17 +112,28 @@ RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t e
       sums[7] += weight * green;
       sums[8] += weight * blue;
       if (kDepth) sums[9] += weight * part(b.depth, i);
+      if constexpr (kAbsolute) {
+        sums[kMoments] += abs(hu);
+        sums[kMoments + 1] += abs(row.l12 * hu + row.l22 * hv);
+      }
     }
   }
-  sums_of_rows<kMoments>(sums, out);
+  if constexpr (kAbsolute) {
+    float all[kSums];
+    sums_of_rows<kSums>(sums, all);
+    __builtin_memcpy(out, all, sizeof(Moments));
+    __builtin_memcpy(absolute, all + kMoments, sizeof(AbsoluteMoments));
+  } else {
+    sums_of_rows<kMoments>(sums, reinterpret_cast<float*>(out));
+  }
 }
 
 // Blocks that have a pixel which still goes on at entry `first`.
 RADIANT_INLINE uint32_t blocks_alive(const int32_t* ends, int64_t first) { return bits_of(broadcast(static_cast<int32_t>(first)) < load(ends)); }
 
-template <bool kDepth>
+template <bool kDepth, bool kAbsolute>
 static void walk_back(const View& view, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState& state,
-                      BlockState* blocks, Row* rows, Moments* moments) {
+                      BlockState* blocks, Row* rows, Moments* moments, AbsoluteMoments* absolute) {
   const int left = tile % view.tiles_x * kTilePx, top = tile / view.tiles_x * kTilePx;
   alignas(64) int32_t ends[kBlocksPerTile];
   for (int block = 0; block < kBlocksPerTile; ++block) ends[block] = blocks[block].end;
@@ -130,17 +144,24 @@ static void walk_back(const View& view, int tile, const Entry* entries, int64_t 
     if (alive) load_group(state.footprints, entries + first, lanes, left + kTilePx / 2, top + kTilePx / 2, rows);
     for (int lane = lanes - 1; lane >= 0; --lane) {
       const int64_t entry = first + lane;
-      float* out = reinterpret_cast<float*>(moments + entries[entry].instance);
+      Moments* const out = moments + entries[entry].instance;
+      AbsoluteMoments* const out_absolute = kAbsolute ? absolute + entries[entry].instance : nullptr;
       const uint32_t reached = state.reached[offset + entry] & alive;
-      if (!reached) __builtin_memset(out, 0, sizeof(Moments));
-      else if (rows[lane].log2_opacity <= kLog2AlphaMax) instance_moments<kDepth, false>(rows[lane], reached, static_cast<int32_t>(entry), blocks, out);
-      else instance_moments<kDepth, true>(rows[lane], reached, static_cast<int32_t>(entry), blocks, out);
+      const auto at = static_cast<int32_t>(entry);
+      if (!reached) {
+        *out = {};
+        if constexpr (kAbsolute) *out_absolute = {};
+      } else if (rows[lane].log2_opacity <= kLog2AlphaMax) {
+        instance_moments<kDepth, false, kAbsolute>(rows[lane], reached, at, blocks, out, out_absolute);
+      } else {
+        instance_moments<kDepth, true, kAbsolute>(rows[lane], reached, at, blocks, out, out_absolute);
+      }
     }
   }
 }
 
 static void blend_backward(const View& view, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState& state,
-                           const ImageGradients& gradients, Moments* moments) {
+                           const ImageGradients& gradients, Moments* moments, AbsoluteMoments* absolute) {
   BlockState blocks[kBlocksPerTile];
   Row rows[kLanes];
   for (int block = 0; block < kBlocksPerTile; ++block) {
@@ -148,8 +169,9 @@ static void blend_backward(const View& view, int tile, const Entry* entries, int
     blocks[block].end = 0;
     if (left < view.width && top < view.height) start_block(view, tile, block, count, state, gradients, blocks[block]);
   }
-  if (gradients.depths) walk_back<true>(view, tile, entries, offset, count, state, blocks, rows, moments);
-  else walk_back<false>(view, tile, entries, offset, count, state, blocks, rows, moments);
+  const auto walk = gradients.depths ? (absolute ? walk_back<true, true> : walk_back<true, false>)
+                                     : (absolute ? walk_back<false, true> : walk_back<false, false>);
+  walk(view, tile, entries, offset, count, state, blocks, rows, moments, absolute);
 }
 
 }  // namespace radiant::RADIANT_ISA

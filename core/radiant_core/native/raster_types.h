@@ -96,6 +96,11 @@ struct Moments {
   float h, hu, hv, huu, huv, hvv, red, green, blue, depth;
 };
 
+// Sums over the same pixels of |∂loss/∂m| by x and y, times k/l₁₁ and k, k = ½ log₂e: nothing cancels in them (AbsGS, Ye 2024).
+struct AbsoluteMoments {
+  float x, y;
+};
+
 // What blending leaves behind for the way back, and the pictures it writes.
 struct BlendState {
   const Footprint* footprints;
@@ -121,8 +126,9 @@ struct Kernels {
   int64_t (*blend_scratch)(int64_t count);
   // Blends one tile of `count` sorted entries, which are entries `offset` and following of all tiles.
   void (*blend)(const View&, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState&, char* scratch);
+  // `absolute` may be null: then nothing is summed for it.
   void (*blend_backward)(const View&, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState&, const ImageGradients&,
-                         Moments* moments);
+                         Moments* moments, AbsoluteMoments* absolute);
   // Fused multiply-adds of 16 lanes done by `rounds` rounds of independent chains: the peak to compare with.
   int64_t (*fma_rounds)(int64_t rounds, float* sink);
 };

@@ -41,6 +41,7 @@ Feature = Literal[
     "colour, alpha, depth",
     "radii",
     "2D-mean gradients",
+    "absolute gradients",
     "background",
     "SH 0-3",
     "antialiased",
@@ -101,6 +102,9 @@ class RenderOutput:
     """(C,N) half the long side of the box in which a Gaussian reaches α_min; 0 where it is culled."""
     means2d: Tensor
     """(C,N,2) projected centres. Densification takes their gradient in pixels: `register_hook`, or `retain_grad`, which copies it."""
+    absgrad: Tensor | None = None
+    """(C,N,2) Σ over pixels p of |∂loss_p/∂means2d|, where it was asked for: the loss by way of pixel p, so that nothing cancels (AbsGS, Ye
+    2024). Zeros until a backward pass through the pictures, which overwrites it before the gradient of `means2d` comes to its hooks."""
 
     @property
     def visible(self) -> Tensor:
@@ -122,15 +126,15 @@ def rasterize(
     near_m: float = 0.01,
     far_m: float = 1e10,
     antialiased: bool | None = None,
+    absgrad: bool = False,
     backend: Backend = "auto",
 ) -> RenderOutput:
     """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background (3) or None for black.
 
-    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased, by default as the
-    model says, scales opacities by √(det Σ / det Σ'), Σ before and Σ' after dilation, so that what is smaller than a pixel fades
-    (Mip-Splatting, Yu 2024). Tensors and
-    pictures are of one floating type, viewmats and Ks may be of a finer one; cameras and background may lie on another device than the
-    splats.
+    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased, by default as the model
+    says, scales opacities by √(det Σ / det Σ'), Σ before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting,
+    Yu 2024). absgrad asks for `RenderOutput.absgrad`. Tensors and pictures are of one floating type, viewmats and Ks may be of a finer one;
+    cameras and background may lie on another device than the splats.
 
     Raises BadInput that names the tensor, how many values and the first index where one is not finite, and for a wrong shape or type, for
     no camera, for one that is not rigid or no pinhole, for pictures without pixels or wider or higher than 1,000,000 px, for a degree
@@ -149,6 +153,7 @@ def rasterize(
         near_m=near_m,
         far_m=min(far_m, MAX_FAR_M),
         antialiased=splats.antialiased if antialiased is None else antialiased,
+        absgrad=absgrad,
         background=(torch.zeros(3) if background is None else background).to(splats.means.device),
     )
     _check(splats, viewmats, Ks, view)
@@ -172,6 +177,7 @@ class ViewOptions:
     far_m: float
     antialiased: bool
     background: Tensor
+    absgrad: bool = False
 
 
 def resolve_backend(backend: Backend) -> str:

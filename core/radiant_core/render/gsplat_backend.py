@@ -7,6 +7,7 @@ reference inside the frustum, up to pairs at a discrete decision. Once per image
 from __future__ import annotations
 
 import functools
+import weakref
 from importlib.util import find_spec
 
 import torch
@@ -61,6 +62,7 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
         render_mode="RGB+ED",
         rasterize_mode="antialiased" if view.antialiased else "classic",
         packed=False,
+        absgrad=view.absgrad,
     )
     return RenderOutput(
         images=pictures[..., :3],
@@ -68,7 +70,24 @@ def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: V
         depths=pictures[..., 3],
         radii_px=meta["radii"].to(means.dtype).amax(-1),
         means2d=meta["means2d"],
+        absgrad=_absgrad(meta["means2d"]) if view.absgrad else None,
     )
+
+
+def _absgrad(means2d: Tensor) -> Tensor:
+    """Zeros that take what gsplat sets as `means2d.absgrad` in its backward pass, just before the gradient of means2d arrives."""
+    absolute = torch.zeros_like(means2d, requires_grad=False)
+    if means2d.requires_grad:
+        # A weak reference: a tensor that its own hook held would keep its graph until the next collection of garbage.
+        reference = weakref.ref(means2d)
+
+        def take(_: Tensor) -> None:
+            tensor = reference()
+            if tensor is not None:
+                absolute.copy_(tensor.absgrad)  # pyright: ignore[reportAttributeAccessIssue]
+
+        means2d.register_hook(take)
+    return absolute
 
 
 def _check_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> None:

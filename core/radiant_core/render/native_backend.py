@@ -87,6 +87,7 @@ class _Call:
     alphas: Tensor
     depths: Tensor
     radii_px: Tensor
+    absgrad: Tensor | None
 
 
 def rasterize_native(
@@ -112,10 +113,11 @@ def rasterize_native(
         alphas=_pooled(*shape),
         depths=_pooled(*shape),
         radii_px=_pooled(cameras, count),
+        absgrad=torch.zeros(cameras, count, 2) if view.absgrad else None,
     )
     means2d, link = _Project.apply(call, *splats.tensors().values())
     images, alphas, depths = _Blend.apply(call, means2d, link, view.background)
-    return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=call.radii_px, means2d=means2d)
+    return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=call.radii_px, means2d=means2d, absgrad=call.absgrad)
 
 
 def count_pairs(splats: SplatTensors, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> int:
@@ -193,7 +195,7 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, call: _Call, means2d: Tensor, link: Tensor, background: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        ctx.rendering, ctx.shape, ctx.background_like = call.rendering, means2d.shape, background
+        ctx.rendering, ctx.shape, ctx.background_like, ctx.absgrad = call.rendering, means2d.shape, background, call.absgrad
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(call.alphas, call.depths)
         return call.images, call.alphas, call.depths
@@ -207,7 +209,8 @@ class _Blend(torch.autograd.Function):
         by_images = out_alphas.new_zeros(*out_alphas.shape, 3) if images is None else images.contiguous()
         means2d = sums = None
         if ctx.needs_input_grad[1]:
-            means2d, sums = _blend_backward(ctx.rendering, ctx.shape, by_images, alphas, depths, out_alphas, out_depths)
+            means2d, sums = _pooled(*ctx.shape), _pooled(*ctx.shape[:2], _native.NUM_MOMENTS)
+            _blend_backward(ctx.rendering, by_images, (alphas, depths), (out_alphas, out_depths), (means2d, sums, ctx.absgrad))
         background = None
         if ctx.needs_input_grad[3]:
             background = ((1 - out_alphas)[..., None] * by_images).sum((0, 1, 2)).to(ctx.background_like.dtype)
@@ -215,16 +218,22 @@ class _Blend(torch.autograd.Function):
 
 
 def _blend_backward(
-    rendering: _Rendering, shape: torch.Size, images: Tensor, alphas: Tensor | None, depths: Tensor | None, *outputs: Tensor
-) -> tuple[Tensor, Tensor]:
-    """∂loss/∂means2d, of `shape` (C,N,2), and the sums (C,N,M) from gradients of the pictures and `outputs`, alphas and depths."""
-    alphas, depths = (None if part is None else part.contiguous() for part in (alphas, depths))
-    means2d, sums = _pooled(*shape), _pooled(*shape[:2], _native.NUM_MOMENTS)
+    rendering: _Rendering,
+    images: Tensor,
+    alphas_depths: tuple[Tensor | None, Tensor | None],
+    outputs: tuple[Tensor, Tensor],
+    into: tuple[Tensor, Tensor, Tensor | None],
+) -> None:
+    """∂loss/∂means2d (C,N,2), the sums (C,N,M) and absgrad (C,N,2) `into` three tensors from gradients of the pictures.
+
+    `outputs` are the alphas and depths that were rendered.
+    """
+    by_alphas, by_depths = (None if part is None else part.contiguous() for part in alphas_depths)
+    means2d, sums, absgrad = into
     for index, native in enumerate(rendering.views):
-        by_alphas, by_depths = (None if part is None else part[index].numpy() for part in (alphas, depths))
+        alphas, depths, absolute = (None if part is None else part[index].numpy() for part in (by_alphas, by_depths, absgrad))
         out_alphas, out_depths = (output[index].numpy() for output in outputs)
         native.blend_backward(
-            images[index].numpy(), by_alphas, by_depths, out_alphas, out_depths, means2d[index].numpy(), sums[index].numpy(),
+            images[index].numpy(), alphas, depths, out_alphas, out_depths, means2d[index].numpy(), sums[index].numpy(), absolute,
             rendering.threads,
         )  # fmt: skip
-    return means2d, sums

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from radiant_core.render.contract import (
     ALPHA_MAX,
@@ -33,7 +35,7 @@ PAIRS_PER_BLOCK = 2_000_000
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Projection:
     """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), log_opacities (N,), extents (N,2) px,
-    depths (N,) m, visible (N,)."""
+    depths (N,) m, visible (N,); absolute (N,2), where it is asked for: zeros whose gradient is `RenderOutput.absgrad`."""
 
     means2d: Tensor
     conics: Tensor
@@ -41,6 +43,7 @@ class _Projection:
     extents: Tensor
     depths: Tensor
     visible: Tensor
+    absolute: Tensor | None = None
 
 
 def rasterize_reference(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
@@ -48,12 +51,50 @@ def rasterize_reference(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view
     projections = [_project(splats, viewmat, K, view) for viewmat, K in zip(viewmats, Ks, strict=True)]
     # Stacked before blending, so that the returned tensor lies on the way of the gradients.
     means2d = torch.stack([projection.means2d for projection in projections])
+    absgrad = torch.zeros_like(means2d, requires_grad=False) if view.absgrad else None
+    centres, absolute = (means2d, None) if absgrad is None else _WithAbsolute.apply(means2d, absgrad)
     pictures = [
-        _shade(splats, viewmats[index], replace(projection, means2d=means2d[index]), view) for index, projection in enumerate(projections)
+        _shade(
+            splats,
+            viewmats[index],
+            replace(projection, means2d=centres[index], absolute=None if absolute is None else absolute[index]),
+            view,
+        )
+        for index, projection in enumerate(projections)
     ]
     images, alphas, depths = (torch.stack(parts) for parts in zip(*pictures, strict=True))
     radii_px = torch.stack([torch.where(p.visible, p.extents.amax(-1), 0).detach() for p in projections])
-    return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=radii_px, means2d=means2d)
+    return RenderOutput(images=images, alphas=alphas, depths=depths, radii_px=radii_px, means2d=means2d, absgrad=absgrad)
+
+
+class _WithAbsolute(torch.autograd.Function):
+    """means2d as it is, and zeros whose gradient is written into `absgrad`."""
+
+    @staticmethod
+    def forward(ctx: Any, means2d: Tensor, absgrad: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx.absgrad = absgrad
+        return means2d.view_as(means2d), torch.zeros_like(means2d)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, means2d: Tensor, absolute: Tensor) -> tuple[Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx.absgrad.copy_(absolute)
+        return means2d, None
+
+
+class _Watched(torch.autograd.Function):
+    """ln α (tiles,K,P) as it is; `absolute` (tiles,K,2) gets as gradient Σ_p |∂loss/∂ln α · slopes|, slopes (tiles,K,P,2) = ∂ln α/∂m."""
+
+    @staticmethod
+    def forward(ctx: Any, log_alphas: Tensor, absolute: Tensor, slopes: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx.save_for_backward(slopes)
+        return log_alphas.view_as(log_alphas)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, log_alphas: Tensor) -> tuple[Tensor, Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (slopes,) = ctx.saved_tensors
+        return log_alphas, (log_alphas[..., None] * slopes).abs().sum(2), None
 
 
 def _shade(splats: SplatTensors, viewmat: Tensor, projection: _Projection, view: ViewOptions) -> tuple[Tensor, Tensor, Tensor]:
@@ -212,7 +253,10 @@ def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, start
     present = slots < counts[:, None]
     chosen = lists[torch.where(present, starts[:, None] + slots, starts[:, None])]
     coefficients = _log_alpha_coefficients(projection, chosen, centres, present)
-    alphas = torch.exp(coefficients @ _monomials(coefficients).T).clamp_max(ALPHA_MAX)
+    log_alphas = coefficients @ _monomials(coefficients).T
+    if projection.absolute is not None:
+        log_alphas = _Watched.apply(log_alphas, projection.absolute[chosen], _slopes(projection, chosen, centres))
+    alphas = torch.exp(log_alphas).clamp_max(ALPHA_MAX)
     alphas = torch.where(alphas >= ALPHA_MIN, alphas, 0.0)
     transmittance_after = torch.cumprod(1 - alphas, dim=1)
     transmittance = torch.cat([torch.ones_like(alphas[:, :1]), transmittance_after[:, :-1]], dim=1)
@@ -228,6 +272,15 @@ def _log_alpha_coefficients(projection: _Projection, chosen: Tensor, centres: Te
     # Slots that only fill up a short list get an α of 0; the value survives every floating type.
     constant = torch.where(present, constant, -1e4)
     return torch.stack([constant, xx * x + xy * y, yy * y + xy * x, -0.5 * xx, -xy, -0.5 * yy], dim=-1)
+
+
+def _slopes(projection: _Projection, chosen: Tensor, centres: Tensor) -> Tensor:
+    """∂ln α/∂m = Σ'⁻¹ (p − m) at every pixel p of the tiles (tiles, K, P, 2)."""
+    pixels = _monomials(centres)[:, 1:3]
+    offsets = pixels - (projection.means2d[chosen] - centres[:, None])[:, :, None].detach()
+    x, y = offsets.unbind(-1)
+    xx, xy, yy = projection.conics.detach()[chosen][:, :, None].unbind(-1)
+    return torch.stack([xx * x + xy * y, xy * x + yy * y], dim=-1)
 
 
 def _monomials(like: Tensor) -> Tensor:

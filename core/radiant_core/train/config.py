@@ -67,6 +67,11 @@ class TrainConfig:
     """Steps between two rounds of density control; not scaled, since a mean over fewer steps is noise."""
     densify_min_gradient: float = 2e-4
     """A Gaussian is cloned or split when its projected centre's mean gradient, in half image sides, is at least this."""
+    densify_gradient: Literal["mean", "absolute"] = "mean"
+    """mean: gradients of a centre are summed over pixels with their signs, as 3DGS does; absolute: without, so that pixels which pull a
+    large Gaussian to opposite sides do not cancel (AbsGS, Ye 2024), and `densify_min_absolute` is the threshold."""
+    densify_min_absolute: float = 8e-4
+    """The threshold in place of `densify_min_gradient` where `densify_gradient` is absolute; gsplat's for it."""
     prune_radius_px: float | None = None
     """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code of 3DGS passes 20 but clears the
     radii before it looks at them, so that nothing is pruned by this rule; None is what it does."""
@@ -101,7 +106,7 @@ class TrainConfig:
         for name in ("num_steps", "long_side_px", "max_num_splats", "densify_every", "reset_opacity_every", "schedule_steps", "num_looks"):
             if getattr(self, name) < 1:
                 raise BadInput(f"{name} is {getattr(self, name)}, expected at least 1.")
-        for name in ("sh_degree_every", "densify_from_step", "densify_until_step", "densify_min_gradient"):
+        for name in ("sh_degree_every", "densify_from_step", "densify_until_step", "densify_min_gradient", "densify_min_absolute"):
             if not getattr(self, name) >= 0:
                 raise BadInput(f"{name} is {getattr(self, name)}, expected at least 0.")
         if not 0 < self.means_lr_end <= 1:
@@ -126,6 +131,7 @@ class TrainConfig:
             raise BadInput(f"exposure_lr is {self.exposure_lr}, expected a positive number.")
         choices_of = {
             "densify": ("none", "adc", "planned", "mcmc"),
+            "densify_gradient": ("mean", "absolute"),
             "exposure": ("none", "affine", "auto"),
             "background": ("black", "random"),
             "skip_images": ("none", "auto"),
@@ -146,6 +152,7 @@ _SHORT = TrainConfig(
     densify="planned",
     reset_opacity_every=NEVER,
     start_scale=0.5,
+    background="random",
     skip_images="auto",
 )
 _PLAIN = TrainConfig(

@@ -1,6 +1,7 @@
 """Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians that the pictures pull at are cloned or split, empty ones pruned.
 
     g_i = mean over the steps that saw i of ‖(W/2, H/2) ⊙ ∂loss/∂m_i‖        m_i: projected centre in px; gsplat's normalisation
+          or of ‖(W/2, H/2) ⊙ Σ_p |∂loss_p/∂m_i|‖ over pixels p, by absolute value (AbsGS, Ye 2024)
     g_i ≥ t:  longest axis ≤ 1 % of the cameras' extent: cloned;  longer: two drawn from N(μ_i, Σ_i) with scales / 1.6 in its place
     pruned:   opacity < 0.005;  after the first reset also axes > 10 % of the extent, and what is wider than a limit on screen
     reset:    opacity ← min(opacity, 0.01), its moments ← 0
@@ -180,8 +181,13 @@ class AdaptiveDensity:
         self._last_reset = 0
         # Not scaled: a mean over few steps is noise. Every 7th of 2,000 steps, 27,000 Gaussians of the town were 150,000 after 98 steps.
         self._every = config.densify_every
+        self._absolute = config.densify_gradient == "absolute"
         self.counts = DensityCounts()
         self._forget(splats)
+
+    def wants_absgrad(self, schedule_step: float) -> bool:
+        """Whether `watch` will look at `RenderOutput.absgrad`."""
+        return self._absolute and schedule_step < self._config.densify_until_step
 
     def watch(self, schedule_step: float, output: RenderOutput, size_wh: tuple[int, int]) -> None:
         """Take the gradients of a rendering (one camera) when its backward pass comes."""
@@ -190,7 +196,9 @@ class AdaptiveDensity:
         visible = _plain(output.visible)
         if self._config.prune_radius_px is not None:
             self._radii_px = _larger(self._radii_px, _plain(output.radii_px)[0])
-        output.means2d.register_hook(partial(self._add, visible, size_wh))
+        if self._absolute and output.absgrad is None:
+            raise ValueError("density control by absolute gradients needs a rendering with absgrad=True")
+        output.means2d.register_hook(partial(self._add, visible, size_wh, output.absgrad if self._absolute else None))
 
     def before_step(self, splats: SplatTensors) -> None:
         """Nothing: this policy adds no gradients."""
@@ -223,13 +231,15 @@ class AdaptiveDensity:
             own = getattr(self, f"_{name}")
             own[:] = arrays[name] if isinstance(own, np.ndarray) else torch.from_numpy(arrays[name]).to(own.device)
 
-    def _add(self, visible: Any, size_wh: tuple[int, int], gradient: Tensor) -> None:
+    def _add(self, visible: Any, size_wh: tuple[int, int], absgrad: Tensor | None, gradient: Tensor) -> None:
         # numpy on the CPU, torch on a GPU: the operators are the same, and torch's threads would spin on after each of them (libgomp).
-        across, down = (_plain(gradient)[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
+        taken = _plain(gradient if absgrad is None else absgrad)
+        across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
         with np.errstate(over="ignore", invalid="ignore"):
             length = (across * across + down * down) ** 0.5
             # The step of a gradient that is not finite is not taken, and must not be remembered here either.
-            self._sums += length * (length < math.inf)
+            length[~(length < math.inf)] = 0
+            self._sums += length
         self._seen += visible
 
     def _limit(self, schedule_step: float) -> int:
@@ -243,7 +253,7 @@ class AdaptiveDensity:
 
     def _edited(self, step: int, schedule_step: float, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
         rules = DensityRules(
-            min_gradient=self._config.densify_min_gradient,
+            min_gradient=self._config.densify_min_absolute if self._absolute else self._config.densify_min_gradient,
             extent=self._extent,
             max_num_splats=self._limit(schedule_step),
             prune_large=schedule_step > self._config.reset_opacity_every,

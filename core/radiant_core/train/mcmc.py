@@ -61,6 +61,10 @@ class RelocatedDensity:
         self._config = config
         self.counts = DensityCounts()
 
+    def wants_absgrad(self, schedule_step: float) -> bool:
+        """Never."""
+        return False
+
     def watch(self, schedule_step: float, output: RenderOutput, size_wh: tuple[int, int]) -> None:
         """Nothing: this policy needs no gradients of the picture."""
 

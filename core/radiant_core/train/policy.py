@@ -18,6 +18,10 @@ class DensityPolicy(Protocol):
 
     counts: DensityCounts
 
+    def wants_absgrad(self, schedule_step: float) -> bool:
+        """Whether the rendering that is watched next must have `RenderOutput.absgrad`."""
+        ...
+
     def watch(self, schedule_step: float, output: RenderOutput, size_wh: tuple[int, int]) -> None:
         """Look at a rendering of one camera before its backward pass."""
         ...

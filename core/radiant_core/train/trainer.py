@@ -298,6 +298,7 @@ class Training:
             height,
             sh_degree=self._sh_degree(),
             background=_background(self.step, config),
+            absgrad=self._density is not None and self._density.wants_absgrad(self._schedule_step()),
             backend=self._options.backend,
         )
         image = output.images.view(height, width, 3)

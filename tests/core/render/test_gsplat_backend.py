@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import weakref
 from types import SimpleNamespace
 
 import pytest
@@ -48,10 +49,26 @@ def test_every_argument_arrives(monkeypatch: pytest.MonkeyPatch, antialiased: bo
     assert ((got.radii_px > 0) == (exact.radii_px > 0)).all() and (exact.radii_px == 0).any()
 
 
+def test_absolute_gradients_are_taken_where_gsplat_leaves_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gsplat_backend, "_check_gsplat", lambda *_: None)
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=_drawn_by_the_reference))  # type: ignore[arg-type]
+    tensors = SplatTensors.from_splats(gaussians.regular(60, bases=16))
+    tensors.means.requires_grad_()
+    got, exact = (render(backend, tensors, absgrad=True) for backend in ("gsplat", "reference"))
+    assert got.absgrad is not None and exact.absgrad is not None and not got.absgrad.any()
+    seen: list[Tensor] = []
+    got.means2d.register_hook(lambda _, absgrad=got.absgrad: seen.append(absgrad.clone()))
+    for output in (got, exact):
+        output.images.square().sum().backward()
+    torch.testing.assert_close(got.absgrad, exact.absgrad, rtol=1e-4, atol=1e-5 * float(exact.absgrad.max()))
+    assert torch.equal(seen[0], got.absgrad) and got.absgrad.any()
+    assert render("gsplat", tensors).absgrad is None
+
+
 def _drawn_by_the_reference(
     *, means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, colors: Tensor, viewmats: Tensor, Ks: Tensor, width: int,
     height: int, near_plane: float, far_plane: float, eps2d: float, sh_degree: int, backgrounds: Tensor, render_mode: str,
-    rasterize_mode: str, packed: bool,
+    rasterize_mode: str, packed: bool, absgrad: bool,
 ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:  # fmt: skip
     assert (eps2d, render_mode, packed, backgrounds.shape) == (0.3, "RGB+ED", False, (len(viewmats), 3))
     tensors = SplatTensors(
@@ -59,8 +76,11 @@ def _drawn_by_the_reference(
     )
     output = rasterize(
         tensors, viewmats, Ks, width, height, sh_degree=sh_degree, background=backgrounds[0], near_m=near_plane, far_m=far_plane,
-        antialiased={"antialiased": True, "classic": False}[rasterize_mode], backend="reference",
+        antialiased={"antialiased": True, "classic": False}[rasterize_mode], absgrad=absgrad, backend="reference",
     )  # fmt: skip
+    if output.absgrad is not None and output.means2d.requires_grad:
+        reference, absolute = weakref.ref(output.means2d), output.absgrad
+        output.means2d.register_hook(lambda _: setattr(reference(), "absgrad", absolute))
     pictures = torch.cat([output.images, output.depths[..., None]], dim=-1)
     radii = output.radii_px.ceil().int()[..., None].expand(-1, -1, 2)
     return pictures, output.alphas[..., None], {"means2d": output.means2d, "radii": radii}

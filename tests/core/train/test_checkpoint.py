@@ -85,6 +85,7 @@ def saved_twice(folder: Path) -> None:
         pytest.param(EVERYTHING, id="adc, exposures, half size first"),
         pytest.param(replace(EVERYTHING, densify="planned", adam="dense", sh_degree_every=8), id="planned, dense Adam, degrees of colour"),
         pytest.param(replace(EVERYTHING, densify="mcmc"), id="mcmc"),
+        pytest.param(replace(EVERYTHING, densify_gradient="absolute", densify_min_absolute=4e-6), id="adc by absolute gradients"),
     ],
 )
 @pytest.mark.parametrize("die_after", [1, 9, 10, 23])

@@ -184,6 +184,33 @@ class TestSchedule:
         np.testing.assert_array_equal(policy._seen, seen)
         np.testing.assert_array_equal(policy._radii_px, widest.astype(np.float32))
 
+    def test_absolute_statistics_are_those_of_the_pixels_and_poison_is_not_remembered(self) -> None:
+        splats = SplatTensors.from_splats(ground_splats(40))
+        for tensor in splats.tensors().values():
+            tensor.requires_grad_()
+        policy = self.policy(splats, densify_gradient="absolute")
+        assert policy.wants_absgrad(14_999.0) and not policy.wants_absgrad(15_000.0)
+        assert not self.policy(splats).wants_absgrad(1.0)
+        sums = np.zeros(40)
+        for step, factor in enumerate((1.0, -0.5, math.inf), 1):
+            output = rasterize(
+                splats, torch.tensor(CAMERAS.cam_from_world[:1]), torch.tensor(CAMERAS.Ks[:1]), 48, 36, sh_degree=0, absgrad=True
+            )
+            policy.watch(float(step), output, (48, 36))
+            (factor * output.images * torch.arange(36)[None, :, None, None] / 36).mean().backward()
+            assert output.absgrad is not None
+            if factor < math.inf:
+                sums += np.linalg.norm(output.absgrad[0].numpy() * [24.0, 18.0], axis=1)
+        assert sums.max() > 0
+        np.testing.assert_allclose(policy._sums, sums, rtol=1e-5, atol=1e-12)
+
+    def test_a_rendering_without_absolute_gradients_is_a_mistake_of_the_caller(self) -> None:
+        splats = SplatTensors.from_splats(ground_splats(4))
+        splats.means.requires_grad_()
+        output = rasterize(splats, torch.tensor(CAMERAS.cam_from_world[:1]), torch.tensor(CAMERAS.Ks[:1]), 48, 36, sh_degree=0)
+        with pytest.raises(ValueError, match="absgrad=True"):
+            self.policy(splats, densify_gradient="absolute").watch(1.0, output, (48, 36))
+
 
 def test_a_reset_lowers_opacities_and_forgets_their_moments_only() -> None:
     splats = SplatTensors.from_splats(ground_splats(6))
@@ -244,6 +271,23 @@ def test_a_run_with_edits_repeats_to_the_bit_and_counts_add_up() -> None:
     assert len(first.splats) == 40 + grown != 40
 
 
+def test_absolute_gradients_choose_other_gaussians_by_their_own_threshold_and_repeat_to_the_bit() -> None:
+    views = photographs()
+    runs = {
+        key: fit_splats(few_splats(), views, replace(ADC, num_steps=120, densify_gradient=gradient, densify_min_absolute=least))
+        for key, gradient, least in (
+            ("mean", "mean", 8e-4),
+            ("abs", "absolute", 8e-4),
+            ("again", "absolute", 8e-4),
+            ("none", "absolute", 1e9),
+        )
+    }
+    for name, array in runs["abs"].splats.arrays().items():
+        np.testing.assert_array_equal(array, runs["again"].splats.arrays()[name])
+    assert len(runs["abs"].splats) > 40 and runs["none"].density.num_cloned == runs["none"].density.num_split == 0
+    assert runs["abs"].density != runs["mean"].density
+
+
 @pytest.mark.parametrize("adam", ["visible", "dense"])
 def test_the_limit_of_gaussians_holds_in_a_run(adam) -> None:
     result = fit_splats(few_splats(), photographs(), replace(ADC, num_steps=120, max_num_splats=45, adam=adam))
@@ -264,6 +308,8 @@ def test_flat_photographs_and_one_gaussian_end_in_a_finite_model(value: int) -> 
         ({"densify": "grow"}, "expected one of none, adc, planned, mcmc"),
         ({"densify_every": 0}, "densify_every is 0"),
         ({"densify_min_gradient": math.nan}, "densify_min_gradient is nan"),
+        ({"densify_gradient": "signed"}, "densify_gradient is 'signed', expected one of mean, absolute"),
+        ({"densify_min_absolute": -1e-4}, "densify_min_absolute is -0.0001"),
         ({"prune_radius_px": 0.0}, "prune_radius_px is 0.0"),
         ({"means_lr_end": 0.0}, "means_lr_end is 0.0"),
         ({"schedule_steps": 0}, "schedule_steps is 0"),
