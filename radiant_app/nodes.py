@@ -138,7 +138,7 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
         options = replace(options, statistics_bytes=plan.statistics_bytes)
     views = load_training_views(images, cameras, folder / MASKS)
     scene, views = without_useless(scene, views, config, running)
-    config = needed(scene, views, config, running)
+    config = needed(scene, views, config, task["backend"], running)
     initial = first_model(scene, views, config, running)
     checkpoints = checkpoints_in(folder, training_key(initial, views, config, options), running)
     result = fit(initial, views, config, replace(options, checkpoints=checkpoints), running)
@@ -173,12 +173,19 @@ def without_useless(
     return scene, views
 
 
-def needed(scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]) -> TrainConfig:
-    """The configuration as this scene needs it; tells what was decided."""
+def needed(scene: SfmScene, views: TrainingViews, config: TrainConfig, backend: Any, running: tuple[str, Emit]) -> TrainConfig:
+    """The configuration as this scene needs it and a CUDA device can hold it; tells what was decided."""
+    from radiant_core.render.contract import resolve_backend
+    from radiant_core.render.gsplat_backend import free_vram_bytes
+    from radiant_core.train.memory import within_vram
     from radiant_core.train.needs import fit_to_scene
 
     stage, emit = running
     config, decisions = fit_to_scene(config, scene, views)
+    free_bytes = free_vram_bytes(resolve_backend(backend))
+    if free_bytes is not None:
+        config, more = within_vram(config, views.cameras, free_bytes, stage)
+        decisions = (*decisions, *more)
     for decision in decisions:
         emit(Decided(decision=replace(decision, stage=stage)))
     return config

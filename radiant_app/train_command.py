@@ -207,7 +207,7 @@ def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _S
         looked_at = scene.cameras.select(np.flatnonzero(validated)).scaled(config.long_side_px)
         options = replace(options, validation=load_training_views(images, looked_at, masks))
     training, views = without_useless(training, views, config, stage.running)
-    config = needed(training, views, config, stage.running)
+    config = needed(training, views, config, backend, stage.running)
     initial = first_model(training, views, config, stage.running)
     return _Training(config=config, views=views, initial=initial, options=options)
 

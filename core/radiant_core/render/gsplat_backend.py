@@ -34,6 +34,11 @@ def missing_for_gsplat() -> str | None:
     return None
 
 
+def free_vram_bytes(backend: str) -> int | None:
+    """What the CUDA device has free for `backend`; None for a backend that does not use it."""
+    return torch.cuda.mem_get_info()[0] if backend == "gsplat" else None
+
+
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
     """`contract.rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient.
 

@@ -28,6 +28,8 @@ RASTERIZER_BYTES_PER_SPLAT = 600
 IMAGE_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 36, 100
 MAX_STATISTICS_SHARE = 0.25
 """Of what photographs leave free, at most this much keeps statistics: they save time, Gaussians make the picture."""
+VRAM_SHARE = 0.8
+"""Of free GPU memory, for Gaussians and a step. Not measured: no CUDA device was at hand."""
 MIN_SPLATS = 1_000
 """A limit that leaves room for fewer is refused."""
 
@@ -73,6 +75,31 @@ def memory_plan(config: TrainConfig, cameras: Cameras, memory_bytes: int, base_b
             f"give {enough / 1e6:,.0f} MB, or lower the photographs' size by --long-side-px."
         )
     return MemoryPlan(max_num_splats=count, statistics_bytes=statistics, needed_bytes=round(fixed + statistics + count * each))
+
+
+def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """The configuration whose Gaussians fit beside one step into what a CUDA device has free, and the decision where that is fewer.
+
+    The same model as above without the photographs, which stay in the machine's own memory. Raises BadInput as `memory_plan`.
+    """
+    step = STEP_BYTES_PER_PX * float(cameras.sizes_wh.prod(axis=1).max(initial=0))
+    count = int((VRAM_SHARE * free_bytes - step) // bytes_per_splat(config.sh_degree))
+    if count >= config.max_num_splats:
+        return config, ()
+    if count < MIN_SPLATS:
+        raise BadInput(
+            f"{free_bytes / 1e6:,.0f} MB of free GPU memory leave room for {max(0, count):,} Gaussians, expected {MIN_SPLATS:,} or more: "
+            "end what else runs there, or lower the photographs' size by --long-side-px."
+        )
+    decision = Decision(
+        stage=stage,
+        topic="GPU memory",
+        choice=f"at most {count:,} Gaussians instead of {config.max_num_splats:,}",
+        figure=free_bytes / 1e6,
+        unit="MB free",
+        reason=f"each takes {bytes_per_splat(config.sh_degree):,.0f} bytes in training, and a fifth is left to the driver",
+    )
+    return replace(config, max_num_splats=count), (decision,)
 
 
 def within_memory(config: TrainConfig, plan: MemoryPlan, memory_bytes: int, stage: str, asked: int | None) -> tuple[TrainConfig, Decision]:

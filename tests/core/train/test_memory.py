@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from radiant_core.errors import BadInput
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.memory import MIN_SPLATS, bytes_per_splat, fixed_bytes, memory_plan, within_memory
+from radiant_core.train.memory import MIN_SPLATS, bytes_per_splat, fixed_bytes, memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from tests.core.scenes import cameras_above
 
@@ -55,3 +55,13 @@ def test_the_lower_of_two_limits_of_gaussians_counts() -> None:
     assert config.max_num_splats == plan.max_num_splats and f"{plan.max_num_splats:,}" in decision.choice
     assert within_memory(CONFIG, plan, 10**9, "train", 5_000)[0].max_num_splats == 5_000
     assert within_memory(CONFIG, plan, 10**9, "train", 10**9)[0].max_num_splats == plan.max_num_splats
+
+
+def test_a_small_gpu_limits_the_gaussians_and_a_large_one_decides_nothing() -> None:
+    config, decisions = within_vram(CONFIG, CAMERAS, 80 * 10**9, "train")
+    assert config == CONFIG and decisions == ()
+    config, (decision,) = within_vram(CONFIG, CAMERAS, 5 * 10**8, "train")
+    taken = config.max_num_splats * bytes_per_splat(CONFIG.sh_degree) + 100 * 640 * 480
+    assert 0.99 * 0.4e9 < taken <= 0.4e9 and decision.figure == 500 and f"{config.max_num_splats:,}" in decision.choice
+    with pytest.raises(BadInput, match="30 MB of free GPU memory leave room for 0 Gaussians, expected 1,000 or more: end"):
+        within_vram(CONFIG, CAMERAS, 30 * 10**6, "train")
