@@ -23,7 +23,7 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.cameras import Cameras
 from radiant_core.io.masks import mask_name
 from radiant_core.io.records import save_cameras, save_scene
-from radiant_core.io.run_store import content_key, is_sealed, write_json
+from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
 from radiant_core.io.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
@@ -157,6 +157,25 @@ class SharedDealer(Dealer):
     images: Path
     """Folder of the undistorted photographs."""
     scene: SfmScene
+
+    def delivered(self, node: Tree) -> bool:
+        """Whether a device or edge that has run has a model: an edge has none where all that arrived was refused."""
+        return node.tier != "edge" or read_json(self.run / node.id / "frame.json", ("status",))["status"] == "placed"
+
+    def missing(self) -> dict[str, str]:
+        """Devices whose model is not in the scene, and why."""
+        cloud = self._refused("cloud")
+        found = {}
+        for plan in self.edge_plans:
+            edge = plan.edge_id
+            found |= {device: f"edges/{edge} refused {device}: {reason}" for device, reason in self._refused(f"edges/{edge}").items()}
+            if edge in cloud:
+                found |= {device: f"cloud refused {edge}: {cloud[edge]}" for device in plan.device_ids if device not in found}
+        return found
+
+    def _refused(self, node_id: str) -> dict[str, str]:
+        record = self.run / node_id / "frame.json"
+        return read_json(record, ("refused",))["refused"] if record.is_file() else {}
 
     def fill_device(self, node: Tree, folder: Path) -> Filled:
         """The device's photographs and its part of the scene."""

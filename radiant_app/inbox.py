@@ -19,7 +19,6 @@ from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.io.upload import load_upload
 from radiant_core.splats import Splats
 
 Emit = Callable[[Event], None]
@@ -44,15 +43,32 @@ class Inbox:
 
 
 def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> Inbox:
-    """The models in inbox/<sender>/, brought together through their geometry."""
+    """The models in inbox/<sender>/ that pass `check_splats`, brought together through their geometry."""
+    from radiant_core.aggregate.arrival import load_arrived
+
+    arrived, rejected = {}, {}
+    for name in senders:
+        own = _cameras_in(folder / "inbox" / name)
+        model = load_arrived(folder / "inbox" / name / "model.safetensors", own)
+        if isinstance(model, str):
+            rejected[name] = model
+            emit(Warned(stage=stage, message=f"the model of {name} is left out: {model}"))
+        else:
+            arrived[name] = model, own
+    inbox = _joined(folder, arrived, stage, emit)
+    return replace(inbox, corrections={**inbox.corrections, **dict.fromkeys(rejected)}, refused={**inbox.refused, **rejected})
+
+
+def _joined(folder: Path, arrived: dict[str, tuple[Splats, Cameras]], stage: str, emit: Emit) -> Inbox:
+    """The models that may be joined, in one frame."""
+    senders = tuple(arrived)
     places = [folder / "inbox" / name for name in senders]
-    models = [load_upload(place / "model.safetensors") for place in places]
-    cameras = [_cameras_in(place) for place in places]
+    models, cameras = [model for model, _ in arrived.values()], [own for _, own in arrived.values()]
     uncertainties = [
         read_json(place / "frame.json", ("uncertainty",))["uncertainty"] if (place / "frame.json").is_file() else None for place in places
     ]
     known = [uncertainty for uncertainty in uncertainties if uncertainty is not None]
-    if len(known) < len(senders):
+    if len(known) < len(senders) or not senders:
         return _together(senders, models, cameras, [_UNMOVED] * len(senders), None)
     from radiant_core.geometry.frame_refinement import PlacedModel, refine_frames
     from radiant_core.sfm.device_frame import FrameUncertainty

@@ -34,7 +34,7 @@ from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
-from radiant_core.io.upload import UploadFormat, load_upload, save_upload, upload_problem
+from radiant_core.io.upload import UploadFormat, save_upload, upload_problem
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, morton_order
 
@@ -220,12 +220,16 @@ def fit(initial: Splats, views: TrainingViews, config: TrainConfig, options: Fit
 
 def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Render what one device's model shows at its cameras, for the retraining of its edge; may be stopped at any time."""
+    from radiant_core.aggregate.arrival import load_arrived
     from radiant_core.aggregate.synthetic_views import views_in_bytes
     from radiant_core.io.view_file import save_view
 
     task = read_json(folder / "task.json", ("long_side_px", "backend"))
-    model = load_upload(folder / "inbox" / "model.safetensors")
     cameras = load_cameras(folder / "inbox" / "cameras.safetensors").scaled(task["long_side_px"])
+    model = load_arrived(folder / "inbox" / "model.safetensors", cameras)
+    if isinstance(model, str):
+        # Its edge refuses it too, and says why.
+        return []
     (folder / "views").mkdir(exist_ok=True)
     names = []
     for name, (image, weight) in zip(cameras.names, views_in_bytes(model, cameras, task["backend"]), strict=True):

@@ -29,7 +29,7 @@ from radiant_app.stages import Progress, executor_of, plan_stage, require_plan, 
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
 from radiant_core.evaluate.lpips import MIN_SIDE_PX, LpipsNetwork, load_lpips, save_lpips
 from radiant_core.evaluate.split import held_out_mask
@@ -85,19 +85,25 @@ def run(
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
         progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
-        cloud_plan, tree = (
-            _run_shared(config, system, progress) if config.frames == "shared" else run_in_the_field(config, system, progress)
-        )
+        missing: dict[str, Any] = {}
+        if config.frames == "shared":
+            cloud_plan, tree, refused = _run_shared(config, system, progress)
+            missing["missing"] = refused
+        else:
+            cloud_plan, tree = run_in_the_field(config, system, progress)
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
         emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
-        metrics = _write_metrics(config.out, manifest, cloud_plan, emulation)
+        metrics = _write_metrics(config.out, manifest, cloud_plan, {**emulation, **missing})
         manifest.status = "done"
         write_report(config.out, manifest, metrics)
     return RunResult(folder=config.out, metrics=metrics)
 
 
-def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[CloudPlan, Tree]:
-    """One owner has all photographs: structure from motion once, then everything as planned. Ends with evaluation/result.json."""
+def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[CloudPlan, Tree, dict[str, str]]:
+    """One owner has all photographs: structure from motion once, then everything as planned. Ends with evaluation/result.json.
+
+    The last of what it returns: devices whose models were refused, with the reasons. StageFailed where all were.
+    """
     scene, images = sfm_stage(config, progress)
     held_out = held_out_mask(scene.cameras.names)
     training = scene.restricted_to(np.flatnonzero(~held_out))
@@ -123,10 +129,13 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
     executor_of(config, system, progress).fold(tree, dealer.prepare, progress.listen)
     progress.manifest.ledger = dealer.ledger
+    missing = dealer.missing()
+    if not any(dealer.delivered(node) for node in tree if node.tier == "edge"):
+        raise StageFailed("no device's model could be used. " + " ".join(missing.values()))
     _evaluation_stage(config, scene, train, (images, backend), progress)
     for kind in PICTURE_KINDS:
         shutil.copytree(config.out / "evaluation" / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
-    return cloud_plan, tree
+    return cloud_plan, tree, missing
 
 
 def sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:

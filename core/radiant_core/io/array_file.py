@@ -65,6 +65,14 @@ def schema_of(path: Path) -> str:
         return str(record.get("schema", "")) if isinstance(record, dict) else ""
 
 
+def header_of(path: Path) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]]:
+    """What a file of `save_arrays` says it is, and the shapes of its arrays, without reading them; raises as `schema_of`."""
+    with _opened(path) as file, naming(path):
+        record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        shapes = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+        return (record if isinstance(record, dict) else {}), shapes
+
+
 def require_schema(record: Any, schema: str) -> None:
     """Raise BadInput unless `record` says that it is `schema` in this version."""
     if not isinstance(record, dict):

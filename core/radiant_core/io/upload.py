@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.array_file import load_arrays, naming, save_arrays, schema_of
+from radiant_core.io.array_file import header_of, load_arrays, naming, save_arrays, schema_of
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, SPZ_MEAN_STEP, splats_from_spz, spz_bytes
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.numerics import FloatArray, checked_array, unit_quats
@@ -66,6 +66,15 @@ def load_upload(path: Path) -> Splats:
     if schema == SPZ_SCHEMA:
         return _load_spz(path)
     return load_splats(path)
+
+
+def num_uploaded(path: Path) -> int:
+    """How many Gaussians an upload says it holds, without reading them; raises as `load_upload`."""
+    record, shapes = header_of(path)
+    with naming(path):
+        if record.get("schema") == SPZ_SCHEMA:
+            return int(record["about"]["num_splats"])
+        return int(shapes["logit_opacities"][0])
 
 
 def upload_problem(splats: Splats, upload_format: UploadFormat) -> str | None:
