@@ -18,14 +18,16 @@ import pytest
 
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
-from radiant_app.events import Decided, Event, StageDone, StageSkipped
-from radiant_app.nodes import run_device
+from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
+from radiant_app.inbox import read_inbox
+from radiant_app.nodes import run_device, run_edge
 from radiant_app.pipeline import RunResult, run
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.upload import load_upload, save_upload
 from radiant_core.train.needs import Overrides
 from tests.app.alex_weights import write_alex_weights
 
@@ -150,6 +152,29 @@ def test_a_devices_memory_limits_its_gaussians(finished: tuple[RunConfig, RunRes
     write_json(tmp_path / "device" / "task.json", {**task, "memory_bytes": 1e6})
     with pytest.raises(BadInput, match="1 MB of memory leave room for 0 Gaussians, expected 1,000 or more: give"):
         run_device(tmp_path / "device", "devices/one", events.append)
+
+
+def test_a_model_out_of_its_cameras_sight_is_refused_and_the_rest_is_joined(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    edge = next(folder for folder in sorted((config.out / "edges").iterdir()) if len(list((folder / "inbox").iterdir())) > 1)
+    shutil.copytree(edge, tmp_path / "edge")
+    senders = read_json(tmp_path / "edge" / "task.json")["devices"]
+    bad, *good = senders
+    place = tmp_path / "edge" / "inbox" / bad / "model.safetensors"
+    model = load_upload(place)
+    save_upload(place, replace(model, means=model.means + np.float32(1e5)), "float32")
+    events: list[Event] = []
+    inbox = read_inbox(tmp_path / "edge", senders, "edges/one", events.append)
+    assert inbox.senders == tuple(good) and inbox.corrections[bad] is None and set(inbox.refused) == {bad}
+    (warning,) = (event.message for event in events if isinstance(event, Warned))
+    assert warning.startswith(f"the model of {bad} is left out: its own cameras see 0.0% of its Gaussians")
+    for name in good:
+        (tmp_path / "edge" / "inbox" / name / "model.safetensors").write_bytes(b"no model")
+    assert run_edge(tmp_path / "edge", "edges/one", events.append) == ["summary.json", "corrections.json", "frame.json"]
+    frame = read_json(tmp_path / "edge" / "frame.json")
+    assert frame["status"] == "missing" and set(frame["refused"]) == set(senders)
 
 
 def test_commands_on_a_finished_run(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:

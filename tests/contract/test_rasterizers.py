@@ -17,7 +17,7 @@ import torch
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.render.contract import FEATURES, Backend, Feature, SplatTensors, device_of, rasterize
-from radiant_core.splats import Splats
+from radiant_core.splats import TENSORS, Splats
 
 from . import gaussians
 from .backends import BACKENDS, NATIVE, opacity_rounding, random_loss, relative_errors, render, undecided_pixels
@@ -358,7 +358,7 @@ def rasterize_changed(name: str, tensor: torch.Tensor, **options):
     """`rasterize` of `valid_inputs` with one of them replaced."""
     inputs = {**valid_inputs(), **{key: options.pop(key) for key in set(options) & set(INPUTS)}}
     viewmats, Ks, background = (tensor if name == view else inputs.pop(view) for view in ("viewmats", "Ks", "background"))
-    splats = SplatTensors(**{key: inputs[key] for key in SplatTensors.__dataclass_fields__})
+    splats = SplatTensors(**{key: inputs[key] for key in TENSORS})
     if name in SplatTensors.__dataclass_fields__:
         # Set afterwards: the tests check the shapes of every product when it is made.
         object.__setattr__(splats, name, tensor)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -34,6 +35,8 @@ MAX_SAMPLES = 2000
 NUM_FEATURES = 1500
 RATIO = 0.85
 NUM_CORNERS = 250
+MAX_GROUND_DISTANCES = 3.0
+"""In median distances of Gaussians from the nearest camera; a sky stands at ten or more."""
 COARSE_TOLERANCE = 0.03
 """Rendered depth and feature together, as a share of the distance to the camera."""
 MIN_COARSE_PAIRS = 25
@@ -80,6 +83,7 @@ def find_overlap(a_surface: FloatArray, a_cameras: Cameras, b_surface: FloatArra
 
 def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int) -> PairFit | str:
     """The similarity a ← b of two models in nearly one frame, or one clause that says why none was found."""
+    a, b = without_background(a, overlap.a_cameras), without_background(b, overlap.b_cameras)
     coarse = coarse_match(a, b, overlap, seed)
     if isinstance(coarse, str):
         return coarse
@@ -95,6 +99,13 @@ def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int) -> PairFit |
     if fitted.num_pairs < max(MIN_FINE_PAIRS, MIN_FINE_SHARE * len(pairs)):
         return f"only {fitted.num_pairs} of {len(pairs)} points that were followed agree with one similarity"
     return fitted
+
+
+def without_background(splats: Splats, cameras: Cameras) -> Splats:
+    """The Gaussians near enough to the cameras to be the ground: a sky behind it would bend the mean depth of every pixel through which
+    a hundredth of it shines."""
+    distances = KDTree(cameras.centers).query(splats.means)[0]
+    return splats.select(distances <= MAX_GROUND_DISTANCES * np.median(distances))
 
 
 def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | str:

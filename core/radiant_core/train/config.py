@@ -152,7 +152,6 @@ _SHORT = TrainConfig(
     densify="planned",
     reset_opacity_every=NEVER,
     start_scale=0.5,
-    background="random",
     skip_images="auto",
 )
 _PLAIN = TrainConfig(

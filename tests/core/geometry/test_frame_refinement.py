@@ -11,14 +11,27 @@ from scipy.spatial.transform import Rotation
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
+from radiant_core.geometry.frame_matches import without_background
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
 from radiant_core.geometry.pair_fit import compose
 from radiant_core.sfm.align import fit_sim3
+from radiant_core.splats import concatenate_splats
 from tests.core.geometry.patchy_ground import cameras_over, gps_like_move, ground_model, move_about, moved_model
 
 WEST, MIDDLE, EAST = (-26.0, 4.0), (-12.0, 18.0), (2.0, 32.0)
 NOTHING = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 SURE = FrameUncertainty(position_m=1.0, scale=0.01, rotation_rad=np.radians(1.0))
+
+
+def test_a_sky_behind_the_ground_is_left_out_of_matching() -> None:
+    ground = ground_model(WEST)
+    directions = np.random.default_rng(0).normal(size=(500, 3))
+    sky = ground.select(np.arange(500))
+    far = 600 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    sky = replace(sky, means=far.astype(np.float32), log_scales=np.full_like(sky.log_scales, 3.0))
+    kept = without_background(concatenate_splats([ground, sky]), cameras_over(WEST))
+    np.testing.assert_array_equal(kept.means, ground.means)
+    assert len(without_background(ground.select([0]), cameras_over(WEST))) == 1
 
 
 def middle_of(x_range: tuple[float, float]) -> np.ndarray:
