@@ -21,7 +21,6 @@ from radiant_app.config import PlanMethod
 from radiant_app.progress import ProgressDisplay
 from radiant_app.sources import load_scene_of
 from radiant_app.system_file import even_system, load_system
-from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
@@ -31,7 +30,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import PlanInfeasible, choose_method, plan_regions
+from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 
 Report = Callable[[float, float, str], None]
@@ -55,7 +54,6 @@ class PlanRequest:
 class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
-    decisions: tuple[Decision, ...]
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -138,11 +136,10 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
 def _made_plan(positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     system = place_edges(system, positions, origin, request.seed)
-    method, decisions = choose_method(request.method, len(positions), len(system.edges))
-    cloud = plan_regions(positions, system, method=method)
+    cloud = plan_regions(positions, system, method=request.method)
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
-    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), decisions=decisions)
+    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system))
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
@@ -154,7 +151,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "makespan_s": cloud.makespan_s,
         "lower_bound_s": cloud.lower_bound_s,
         "status": cloud.status,
-        "method": "; ".join(f"{decision.choice}: {decision.reason}" for decision in made.decisions) or cloud.method,
+        "method": cloud.method,
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),

@@ -11,11 +11,10 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan import region_plan
 from radiant_core.plan.deadline import edge_tables
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.power_diagram import assign, polygon_area_m2
-from radiant_core.plan.region_plan import MARGIN, PlanInfeasible, PlanMethod, choose_method, plan_regions
+from radiant_core.plan.region_plan import MARGIN, PlanInfeasible, PlanMethod, plan_regions
 from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system, random_system
@@ -206,15 +205,6 @@ def test_moving_borders_does_not_leave_what_fits_for_what_looks_faster() -> None
     plan = planned(positions, System(edges=(fast, roomy)), "paper")
     assert plan.counts[0] <= 10
     assert min(plan.history) < plan.makespan_s
-
-
-def test_a_plan_too_large_for_exactness_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert choose_method("exact", 1000, 500) == ("exact", ())
-    assert choose_method("voronoi", 10_000_000, 1000) == ("voronoi", ())
-    method, (decision,) = choose_method("exact", 1000, 501)
-    assert (method, decision.figure) == ("paper", 501_000)
-    monkeypatch.setattr(region_plan, "MAX_EXACT_PAIRS", 99)
-    assert planned(np.random.default_rng(0).random((50, 2)), linear_system(np.eye(2), np.ones(2))).method == "paper"
 
 
 @pytest.mark.parametrize(
