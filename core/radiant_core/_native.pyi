@@ -15,6 +15,9 @@ def deal_to_cells(
     start_weights: NDArray[np.float64],
     warm: bool,
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.float64], float, int, int]: ...
+def cell_polygons(
+    sites: NDArray[np.float64], weights: NDArray[np.float64], outline: NDArray[np.float64], tolerance_m: float
+) -> list[NDArray[np.float64]]: ...
 
 NUM_MOMENTS: int
 

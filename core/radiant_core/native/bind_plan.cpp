@@ -9,6 +9,7 @@
 #include <memory>
 #include <vector>
 
+#include "cell_polygons.h"
 #include "deal.h"
 
 namespace nb = nanobind;
@@ -96,6 +97,23 @@ nb::tuple deal_to_cells(const Numbers& positions, nb::object multiplicities, con
                         numpy_of(std::move(weights), num_sites), violation, rounds, paths);
 }
 
+nb::list cell_polygons(const Numbers& sites, const Numbers& weights, const Numbers& outline, double tolerance_m) {
+  require(sites.ndim() == 2 && sites.shape(1) == 2, "sites must have the shape (E, 2)");
+  require(weights.ndim() == 1 && weights.shape(0) == sites.shape(0), "weights must have the shape (E,)");
+  require(outline.ndim() == 2 && outline.shape(1) == 2, "outline must have the shape (V, 2)");
+  std::vector<std::pair<double, double>> corners;
+  for (std::size_t v = 0; v < outline.shape(0); ++v) corners.emplace_back(outline.data()[2 * v], outline.data()[2 * v + 1]);
+  nb::list polygons;
+  for (std::size_t e = 0; e < sites.shape(0); ++e) {
+    std::vector<double> flat;
+    for (const auto& [x, y] : radiant::cell_polygon(sites.data(), weights.data(), sites.shape(0), e, corners, tolerance_m))
+      flat.insert(flat.end(), {x, y});
+    const std::size_t rows = flat.size() / 2;
+    polygons.append(numpy_of(std::move(flat), rows, 2));
+  }
+  return polygons;
+}
+
 }  // namespace
 
 void bind_plan(nb::module_& module) {
@@ -103,4 +121,6 @@ void bind_plan(nb::module_& module) {
              "Cells (C,) int32 of positions (C,2) m with exactly counts (E,) cameras per site (E,2) m at the least sum of squared distances.\n\n"
              "Also rows of several cells (S,3) as (row, cell, cameras), their cell being -1; weights (E,) m^2 of the power diagram that\n"
              "has these cells; by how much the worst camera misses its cell, m^2; rounds of Newton; augmenting paths.");
+  module.def("cell_polygons", &cell_polygons, "sites"_a, "weights"_a, "outline"_a, "tolerance_m"_a,
+             "Cells of sites (E,2) m with weights (E,) m^2 as polygons (V,2) in a convex counter-clockwise outline (V,2); (0,2) where empty.");
 }

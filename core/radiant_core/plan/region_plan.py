@@ -81,12 +81,13 @@ class _Partition:
 
 
 def plan_regions(
-    positions: ArrayLike, system: System, *, method: PlanMethod = "exact", paper: PaperConfig | None = None
+    positions: ArrayLike, system: System, *, method: PlanMethod = "exact", paper: PaperConfig | None = None, start: CloudPlan | None = None
 ) -> CloudPlan | PlanInfeasible:
     """Regions for cameras (C,2) m; every edge needs a position (`place_edges`). see the module's first lines for the methods.
 
     status: optimal = the lower bound with a certificate; converged = within the paper's threshold (of the bound, for methods
-    that do not iterate); stopped otherwise. Raises BadInput for positions that are not finite, none, or beyond 1e8 m.
+    that do not iterate); stopped otherwise. `start`: a plan of nearly the same input for `exact` to
+    start from. Raises BadInput for positions that are not finite, none, or beyond 1e8 m.
     """
     if method not in get_args(PlanMethod):
         raise BadInput(f"plan method {method!r} is unknown: use one of {', '.join(get_args(PlanMethod))}.")
@@ -98,7 +99,7 @@ def plan_regions(
         return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     paper = paper or PaperConfig()
     fastest = fastest_edge_counts(system, num_cameras)
-    partition = _partition(method, plane, system, fastest, paper)
+    partition = _exact_partition(plane, fastest.counts, start) if method == "exact" else _partition(method, plane, system, paper)
     counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
     for edge, count in zip(system.edges, counts, strict=True):
         if count > (held := system_capacity(System(edges=(edge,)), num_cameras)):
@@ -156,7 +157,13 @@ def _plane(positions: ArrayLike, system: System) -> _Plane:
     )
 
 
-def _partition(method: PlanMethod, plane: _Plane, system: System, fastest: FastestCounts, paper: PaperConfig) -> _Partition:
+def _exact_partition(plane: _Plane, counts: NDArray[np.int64], start: CloudPlan | None) -> _Partition:
+    weights = None if start is None or len(start.weights) != len(counts) else start.weights
+    dealt = deal_with_counts(plane.cameras, plane.sites, counts, weights=weights)
+    return _Partition(edge_of_camera=dealt.edge_of_position, weights=dealt.weights, violation_m2=dealt.violation_m2)
+
+
+def _partition(method: PlanMethod, plane: _Plane, system: System, paper: PaperConfig) -> _Partition:
     num_cameras, num_edges = len(plane.cameras), len(plane.sites)
     if method == "paper":
         tables = edge_tables(system, num_cameras)
@@ -167,9 +174,7 @@ def _partition(method: PlanMethod, plane: _Plane, system: System, fastest: Faste
     if method == "voronoi":
         weights = np.zeros(num_edges)
         return _Partition(edge_of_camera=assign(plane.cameras, plane.sites, weights), weights=weights)
-    counts = fastest.counts if method == "exact" else _even_counts(system, num_cameras)
-    dealt = deal_with_counts(plane.cameras, plane.sites, counts)
-    return _Partition(edge_of_camera=dealt.edge_of_position, weights=dealt.weights, violation_m2=dealt.violation_m2)
+    return _exact_partition(plane, _even_counts(system, num_cameras), None)
 
 
 def _even_counts(system: System, num_cameras: int) -> NDArray[np.int64]:

@@ -9,6 +9,7 @@ Runs once per plan, O(D log C) for the guess and C · window entries, some 1 % o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,12 +52,11 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
     guess = fleet.guessed_quotas()
     window = _FIRST_WINDOW
     while True:
-        low = np.clip(np.floor(guess * (1 - window)).astype(np.int64) - 2, 0, fleet.limits)
-        high = np.clip(np.ceil(guess * (1 + window)).astype(np.int64) + 2, 0, fleet.limits)
+        margin = int(2 * window / _FIRST_WINDOW)
+        low = np.clip(np.floor(guess * (1 - window)).astype(np.int64) - margin, 0, fleet.limits)
+        high = np.clip(np.ceil(guess * (1 + window)).astype(np.int64) + margin, 0, fleet.limits)
         if int((high - low).sum()) > MAX_TABLE_ENTRIES:
-            raise BadInput(
-                f"{num_cameras} cameras on {len(fleet.limits)} devices of nearly equal times are too many to tell apart: use fewer."
-            )
+            raise BadInput(f"{num_cameras} cameras on {len(fleet.limits)} devices cannot be told apart by time: use fewer.")
         found = fleet.solved(low, high)
         if found is not None:
             return found
@@ -162,7 +162,7 @@ class _Fleet:
         taken = np.zeros(len(self.starts), np.int64)
         base_s = np.zeros(len(self.starts))
         entries: list[FloatArray] = []
-        for index, (start, stop) in enumerate(zip(first[:-1], first[1:], strict=True)):
+        for index, (start, stop) in enumerate(pairwise(first.tolist())):
             times = time_s[start:stop]
             begin = int(np.searchsorted(times, earliest[index], side="left"))
             end = int(np.searchsorted(times, latest[index], side="right"))

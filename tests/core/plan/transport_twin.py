@@ -1,4 +1,4 @@
-"""The slow, plain twin of `radiant_core.plan.transport`: cameras dealt to edges with given counts at the least total cost, and the power weights that draw the same borders.
+"""The slow, plain twin of `radiant_core.plan.transport`, for any costs: the cheapest dealing for given counts, and its weights.
 
     minimise Σ_c cost[c, edge_of_camera[c]]   with exactly counts[e] cameras at edge e
 
