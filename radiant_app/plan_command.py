@@ -27,6 +27,7 @@ from radiant_core.io.plan_export import save_device_waypoints, save_regions_geoj
 from radiant_core.io.records import save_plan
 from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.comparators import Compared, compare
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -48,12 +49,15 @@ class PlanRequest:
     system: Path | None
     method: PlanMethod
     seed: int
+    compare: bool = False
+    """Whether all other methods are measured on the same positions."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
+    compared: tuple[Compared, ...] = ()
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -139,7 +143,8 @@ def _made_plan(positions: FloatArray, origin: FloatArray | None, system: System,
     cloud = plan_regions(positions, system, method=request.method)
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
-    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system))
+    compared = compare(positions, system) if request.compare else ()
+    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), compared=compared)
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
@@ -156,7 +161,31 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
         "picture": str(_picture(out)),
+        **({"methods": [_row(row) for row in made.compared]} if made.compared else {}),
     }
+
+
+def _row(row: Compared) -> dict[str, Any]:
+    return {
+        "method": row.method,
+        "makespan_s": row.makespan_s,
+        "makespan_over_bound": row.over_bound,
+        "cameras_in_no_region": row.num_orphans,
+        "squared_distance_m2": row.squared_distance_m2,
+        "iterations": len(row.history) - 1,
+        "last_imbalance": row.history[-1],
+    }
+
+
+def method_table(rows: list[dict[str, Any]]) -> str:
+    """The rows of `--compare`, aligned."""
+    lines = [f"{'method':<14} {'makespan':>12} {'/ bound':>9} {'no region':>9} {'Σ distance²':>13} {'iterations':>10} {'imbalance':>9}"]
+    lines += [
+        f"{row['method']:<14} {row['makespan_s']:>10.1f} s {row['makespan_over_bound']:>9.4f} {row['cameras_in_no_region']:>9} "
+        f"{row['squared_distance_m2']:>10.4g} m² {row['iterations']:>10} {row['last_imbalance']:>9.3f}"
+        for row in rows
+    ]
+    return "\n".join(lines)
 
 
 def _picture(out: Path) -> Path:
