@@ -91,7 +91,7 @@ def kd_split(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> I
         edges = edges[np.argsort(sites[edges, axis], kind="stable")]
         half = len(edges) // 2
         filled = np.cumsum(weights[cameras])
-        cut = int(np.searchsorted(filled, filled[-1] * half / len(edges) * (1 + 1e-12), side="right"))
+        cut = int(filled.searchsorted(float(filled[-1]) * half / len(edges) * (1 + 1e-12), side="right"))
         parts += [(cameras[:cut], edges[:half]), (cameras[cut:], edges[half:])]
     return edge_of_camera
 

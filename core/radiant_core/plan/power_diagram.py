@@ -31,10 +31,10 @@ def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> t
     centre = corners.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
     local_sites = checked_array("sites", sites, (None, 2)) - centre
     checked_weights = checked_array("weights", weights, (len(local_sites),))
-    outline = corners - centre
-    tolerance_m = 1e-13 * float(np.ptp(outline, axis=0).max())
-    negligible_m2 = 1e-15 * polygon_area_m2(outline)
-    polygons = native_cell_polygons(local_sites, checked_weights, outline, tolerance_m)
+    local_outline: FloatArray = corners - centre
+    tolerance_m = 1e-13 * float(np.ptp(local_outline, axis=0).max())
+    negligible_m2 = 1e-15 * polygon_area_m2(local_outline)
+    polygons = native_cell_polygons(local_sites, checked_weights, local_outline, tolerance_m)
     return tuple(polygon + centre if polygon_area_m2(polygon) > negligible_m2 else np.empty((0, 2)) for polygon in polygons)
 
 

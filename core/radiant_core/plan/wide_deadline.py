@@ -162,10 +162,11 @@ class _Fleet:
         taken = np.zeros(len(self.starts), np.int64)
         base_s = np.zeros(len(self.starts))
         entries: list[FloatArray] = []
-        for index, (start, stop) in enumerate(pairwise(first.tolist())):
+        bounds: list[int] = first.tolist()
+        for index, (start, stop) in enumerate(pairwise(bounds)):
             times = time_s[start:stop]
-            begin = int(np.searchsorted(times, earliest[index], side="left"))
-            end = int(np.searchsorted(times, latest[index], side="right"))
+            begin = int(times.searchsorted(float(earliest[index]), side="left"))
+            end = int(times.searchsorted(float(latest[index]), side="right"))
             counts = base_count[index] + np.arange(len(times) + 1)
             sent = (base_bytes[index] + np.concatenate([[0.0], np.cumsum(growth[start:stop])])) / self.edge_uplink[index]
             slot_s = np.maximum.accumulate(np.concatenate([[earliest[index]], times]))
