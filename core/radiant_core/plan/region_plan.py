@@ -81,14 +81,23 @@ class _Partition:
 
 
 def plan_regions(
-    positions: ArrayLike, system: System, *, method: PlanMethod = "exact", paper: PaperConfig | None = None, start: CloudPlan | None = None
+    positions: ArrayLike,
+    system: System,
+    *,
+    method: PlanMethod = "exact",
+    paper: PaperConfig | None = None,
+    start: CloudPlan | None = None,
+    tolerance: float = 0.0,
 ) -> CloudPlan | PlanInfeasible:
-    """Regions for cameras (C,2) m; every edge needs a position (`place_edges`). see the module's first lines for the methods.
+    """Regions for cameras (C,2) m by one of the methods above; every edge needs a position (`place_edges`).
 
     status: optimal = the lower bound with a certificate; converged = within the paper's threshold (of the bound, for methods
-    that do not iterate); stopped otherwise. `start`: a plan of nearly the same input for `exact` to
-    start from. Raises BadInput for positions that are not finite, none, or beyond 1e8 m.
+    that do not iterate); stopped otherwise. `start`: a plan of nearly the same input for `exact` to start from. `tolerance`: `exact`
+    leaves every camera at its nearest edge where that is slower than the bound by this share at most. Raises BadInput for a
+    negative tolerance and for positions that are not finite, none, or beyond 1e8 m.
     """
+    if not (np.isfinite(tolerance) and tolerance >= 0):
+        raise BadInput(f"tolerance is {tolerance}, expected a finite share of at least 0.")
     if method not in get_args(PlanMethod):
         raise BadInput(f"plan method {method!r} is unknown: use one of {', '.join(get_args(PlanMethod))}.")
     plane = _plane(positions, system)
@@ -99,7 +108,13 @@ def plan_regions(
         return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     paper = paper or PaperConfig()
     fastest = fastest_edge_counts(system, num_cameras)
-    partition = _exact_partition(plane, fastest.counts, start) if method == "exact" else _partition(method, plane, system, paper)
+    nearest = _nearest_if_good(plane, system, fastest, tolerance) if method == "exact" and tolerance > 0 else None
+    if nearest is not None:
+        partition = nearest
+    elif method == "exact":
+        partition = _exact_partition(plane, fastest.counts, start)
+    else:
+        partition = _partition(method, plane, system, paper)
     counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
     for edge, count in zip(system.edges, counts, strict=True):
         if count > (held := system_capacity(System(edges=(edge,)), num_cameras)):
@@ -161,6 +176,17 @@ def _exact_partition(plane: _Plane, counts: NDArray[np.int64], start: CloudPlan 
     weights = None if start is None or len(start.weights) != len(counts) else start.weights
     dealt = deal_with_counts(plane.cameras, plane.sites, counts, weights=weights)
     return _Partition(edge_of_camera=dealt.edge_of_position, weights=dealt.weights, violation_m2=dealt.violation_m2)
+
+
+def _nearest_if_good(plane: _Plane, system: System, fastest: FastestCounts, tolerance: float) -> _Partition | None:
+    """The Voronoi partition where its makespan is within the tolerance of the bound, else None."""
+    weights = np.zeros(len(plane.sites))
+    edge_of_camera = assign(plane.cameras, plane.sites, weights)
+    counts = np.bincount(edge_of_camera, minlength=len(weights))
+    if any(count > system_capacity(System(edges=(edge,)), len(plane.cameras)) for edge, count in zip(system.edges, counts, strict=True)):
+        return None
+    good = float(times_of_counts(system, counts).max()) <= (1 + tolerance) * float(fastest.edge_time_s.max())
+    return _Partition(edge_of_camera=edge_of_camera, weights=weights) if good else None
 
 
 def _partition(method: PlanMethod, plane: _Plane, system: System, paper: PaperConfig) -> _Partition:

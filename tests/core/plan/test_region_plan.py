@@ -237,3 +237,21 @@ def test_an_edge_without_position_is_refused() -> None:
 def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(BadInput, match="use one of exact, paper, voronoi, even"):
         plan_regions(np.zeros((3, 2)), linear_system(np.eye(2), np.ones(2)), method="magic")  # pyright: ignore[reportArgumentType]
+
+
+def test_a_tolerance_leaves_nearest_edges_alone_where_they_are_good_enough() -> None:
+    rng = np.random.default_rng(12)
+    positions, system = LAYOUTS["uniform"](rng, 400), linear_system(np.array([[120.0, 125.0], [380.0, 125.0]]), np.array([1.0, 1.0]))
+    nearest = planned(positions, system, "voronoi")
+    over = nearest.makespan_s / nearest.lower_bound_s - 1
+    assert over > 0
+    kept = plan_regions(positions, system, tolerance=2 * over)
+    balanced = plan_regions(positions, system, tolerance=0.5 * over)
+    assert isinstance(kept, CloudPlan)
+    assert isinstance(balanced, CloudPlan)
+    np.testing.assert_array_equal(kept.edge_of_camera, nearest.edge_of_camera)
+    assert balanced.makespan_s == balanced.lower_bound_s
+    full = linear_system(np.array([[120.0, 125.0], [1200.0, 125.0]]), np.array([1.0, 1.0]), 250)
+    assert planned(positions, full).counts.max() <= 250
+    with pytest.raises(BadInput, match="tolerance"):
+        plan_regions(positions, system, tolerance=-0.1)
