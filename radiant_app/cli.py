@@ -173,15 +173,19 @@ def plan(
     out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
     system: SystemFile = None,
     plan_method: Annotated[PlanMethod, typer.Option(help=_PLAN_HELP)] = "exact",
+    compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
-    from radiant_app.plan_command import PlanRequest
+    from radiant_app.plan_command import PlanRequest, method_table
     from radiant_app.plan_command import plan as make_plan
 
-    request = PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed)
-    _finish(make_plan(request, _listener()), as_json)
+    request = PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed, compare=compare)
+    result = make_plan(request, _listener())
+    if compare and not as_json:
+        typer.echo(method_table(result.pop("methods")))
+    _finish(result, as_json)
 
 
 @app.command()

@@ -21,17 +21,17 @@ from radiant_app.config import PlanMethod
 from radiant_app.progress import ProgressDisplay
 from radiant_app.sources import load_scene_of
 from radiant_app.system_file import even_system, load_system
-from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.comparators import Compared, compare
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import PlanInfeasible, choose_method, plan_regions
+from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 
 Report = Callable[[float, float, str], None]
@@ -49,13 +49,15 @@ class PlanRequest:
     system: Path | None
     method: PlanMethod
     seed: int
+    compare: bool = False
+    """Whether all other methods are measured on the same positions."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
-    decisions: tuple[Decision, ...]
+    compared: tuple[Compared, ...] = ()
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -138,11 +140,11 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
 def _made_plan(positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     system = place_edges(system, positions, origin, request.seed)
-    method, decisions = choose_method(request.method, len(positions), len(system.edges))
-    cloud = plan_regions(positions, system, method=method)
+    cloud = plan_regions(positions, system, method=request.method)
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
-    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), decisions=decisions)
+    compared = compare(positions, system) if request.compare else ()
+    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), compared=compared)
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
@@ -154,12 +156,36 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "makespan_s": cloud.makespan_s,
         "lower_bound_s": cloud.lower_bound_s,
         "status": cloud.status,
-        "method": "; ".join(f"{decision.choice}: {decision.reason}" for decision in made.decisions) or cloud.method,
+        "method": cloud.method,
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
         "picture": str(_picture(out)),
+        **({"methods": [_row(row) for row in made.compared]} if made.compared else {}),
     }
+
+
+def _row(row: Compared) -> dict[str, Any]:
+    return {
+        "method": row.method,
+        "makespan_s": row.makespan_s,
+        "makespan_over_bound": row.over_bound,
+        "cameras_in_no_region": row.num_orphans,
+        "squared_distance_m2": row.squared_distance_m2,
+        "iterations": len(row.history) - 1,
+        "last_imbalance": row.history[-1],
+    }
+
+
+def method_table(rows: list[dict[str, Any]]) -> str:
+    """The rows of `--compare`, aligned."""
+    lines = [f"{'method':<14} {'makespan':>12} {'/ bound':>9} {'no region':>9} {'Σ distance²':>13} {'iterations':>10} {'imbalance':>9}"]
+    lines += [
+        f"{row['method']:<14} {row['makespan_s']:>10.1f} s {row['makespan_over_bound']:>9.4f} {row['cameras_in_no_region']:>9} "
+        f"{row['squared_distance_m2']:>10.4g} m² {row['iterations']:>10} {row['last_imbalance']:>9.3f}"
+        for row in rows
+    ]
+    return "\n".join(lines)
 
 
 def _picture(out: Path) -> Path:

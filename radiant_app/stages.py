@@ -25,7 +25,7 @@ from radiant_core.plan.captured import plan_of_captured, require_same_system
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import PlanInfeasible, choose_method, plan_regions
+from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.render.contract import resolve_backend
@@ -63,10 +63,7 @@ def plan_stage(
         cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan, origin), positions, system=system)
         save_plan(config.out / "plan.json", cloud_plan, edge_plans)
         return system, cloud_plan, edge_plans
-    method, decisions = choose_method(config.plan_method, len(positions), len(system.edges))
-    for decision in decisions:
-        progress.listen(Decided(decision=decision))
-    cloud_plan = plan_regions(positions, system, method=method)
+    cloud_plan = plan_regions(positions, system, method=config.plan_method)
     if isinstance(cloud_plan, PlanInfeasible):
         raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system} and add --resume.")
     edge_plans = split_edges(positions, cloud_plan, system)

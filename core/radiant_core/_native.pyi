@@ -7,6 +7,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 def assign_power_cells(positions: NDArray[np.float64], sites: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.int32]: ...
+def deal_to_cells(
+    positions: NDArray[np.float64],
+    multiplicities: NDArray[np.int64] | None,
+    sites: NDArray[np.float64],
+    counts: NDArray[np.int64],
+    start_weights: NDArray[np.float64],
+    warm: bool,
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.float64], float, int, int]: ...
+def cell_polygons(
+    sites: NDArray[np.float64], weights: NDArray[np.float64], outline: NDArray[np.float64], tolerance_m: float
+) -> list[NDArray[np.float64]]: ...
 
 NUM_MOMENTS: int
 

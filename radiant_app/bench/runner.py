@@ -68,8 +68,9 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         return bench_sfm(options.scene or sample_scenes_folder() / "town", options.quick)
     if name == "plan":
         from radiant_app.bench.plan import bench_plan
+        from radiant_app.bench.plan_scale import bench_plan_scale
 
-        return bench_plan(options.quick)
+        return [*bench_plan(options.quick), *bench_plan_scale(options.quick)]
     if name == "raster":
         from radiant_app.bench.raster import bench_raster, build_description
 

@@ -16,7 +16,7 @@ import pytest
 from rich.console import Console
 
 from radiant_app.demo import sample_scenes_folder
-from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.plan_command import PlanRequest, method_table, plan
 from radiant_app.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
@@ -159,3 +159,15 @@ def test_the_command_line_prints_json_and_refuses_with_code_2(tmp_path: Path) ->
     assert refused.returncode == 2
     assert len(refused.stderr.strip().splitlines()) == 1
     assert "must end in .csv" in refused.stderr
+
+
+def test_compare_measures_every_method_on_the_same_positions(tmp_path: Path) -> None:
+    source = grid_csv(tmp_path, 15, 10)
+    request = PlanRequest(source=source, out=tmp_path / "plan.json", system=None, method="exact", seed=0, compare=True)
+    result = plan(request, ProgressDisplay(Console(file=io.StringIO())))
+    over = {row["method"]: row["makespan_over_bound"] for row in result["methods"]}
+    assert over["exact"] == 1.0
+    assert len(over) == 8
+    table = method_table(result["methods"]).splitlines()
+    assert len(table) == 9
+    assert table[1].split()[0] == "exact"

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "bind_plan.h"
 #include "bind_training.h"
 #include "power_cells.h"
 #include "raster_module.h"
@@ -94,5 +95,6 @@ NB_MODULE(_native, module) {
   // Renderings may live in graphs that torch only lets go of at exit: nothing to warn about.
   nb::set_leak_warnings(false);
   radiant::bind_raster(module);
+  bind_plan(module);
   bind_training(module);
 }

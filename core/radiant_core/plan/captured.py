@@ -17,11 +17,12 @@ from scipy.spatial import KDTree  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.deadline import device_time_s, edge_tables, fastest_counts
+from radiant_core.plan.deadline import device_time_s
 from radiant_core.plan.paper_arp import PaperConfig
 from radiant_core.plan.plans import CloudPlan, EdgePlan, PlanStatus, require_plan_of
 from radiant_core.plan.region_plan import is_certified
 from radiant_core.plan.system import Edge, System
+from radiant_core.plan.wide_deadline import fastest_edge_counts
 
 MIN_SITE_M = 100.0
 """A plan of few or one waypoints still stands for a site of this size."""
@@ -154,7 +155,7 @@ def _edge_time_s(edge: Edge, plan: EdgePlan) -> float:
 def _with_bound(
     cloud_plan: CloudPlan, captured: FloatArray, edge_of_camera: NDArray[np.int64], edge_time_s: FloatArray, system: System
 ) -> CloudPlan:
-    _, lower_bound_s = fastest_counts(edge_tables(system, len(captured)), len(captured))
+    lower_bound_s = float(fastest_edge_counts(system, len(captured)).edge_time_s.max())
     centre = captured.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
     certified = is_certified(captured - centre, cloud_plan.sites - centre, cloud_plan.weights, edge_of_camera)
     makespan_s = float(edge_time_s.max())

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from radiant_core._native import assign_power_cells
+from radiant_core._native import cell_polygons as native_cell_polygons
 from radiant_core.numerics import FloatArray, checked_array
 
 
@@ -30,8 +31,11 @@ def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> t
     centre = corners.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
     local_sites = checked_array("sites", sites, (None, 2)) - centre
     checked_weights = checked_array("weights", weights, (len(local_sites),))
-    polygons = (_cell_polygon(index, local_sites, checked_weights, corners - centre) for index in range(len(local_sites)))
-    return tuple(polygon + centre for polygon in polygons)
+    local_outline: FloatArray = corners - centre
+    tolerance_m = 1e-13 * float(np.ptp(local_outline, axis=0).max())
+    negligible_m2 = 1e-15 * polygon_area_m2(local_outline)
+    polygons = native_cell_polygons(local_sites, checked_weights, local_outline, tolerance_m)
+    return tuple(polygon + centre if polygon_area_m2(polygon) > negligible_m2 else np.empty((0, 2)) for polygon in polygons)
 
 
 def clip_polygon(polygon: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
@@ -57,26 +61,3 @@ def polygon_area_m2(polygon: FloatArray) -> float:
 def rectangle(low: FloatArray, high: FloatArray) -> FloatArray:
     """Counter-clockwise corners (4,2) of the box between two corners (2,)."""
     return np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
-
-
-def _cell_polygon(index: int, sites: FloatArray, weights: FloatArray, outline: FloatArray) -> FloatArray:
-    """Cut the outline by the border that it crosses farthest until it crosses none; each border cuts once."""
-    normals = 2 * (sites - sites[index])
-    offsets = np.sum((sites - sites[index]) * (sites + sites[index]), axis=1) - weights + weights[index]
-    same_spot = ~normals.any(axis=1)
-    loses = same_spot & ((offsets < 0) | ((offsets == 0) & (np.arange(len(sites)) < index)))
-    if loses.any():
-        return np.empty((0, 2))
-    lengths = np.where(same_spot, 1.0, np.linalg.norm(normals, axis=1))
-    open_borders = ~same_spot
-    tolerance_m = 1e-13 * float(np.ptp(outline, axis=0).max())
-    polygon = outline
-    while len(polygon):
-        overshoot = np.max(polygon @ normals.T - offsets, axis=0) / lengths
-        worst = int(np.where(open_borders, overshoot, -np.inf).argmax())
-        if not open_borders[worst] or overshoot[worst] <= tolerance_m:
-            break
-        polygon = clip_polygon(polygon, normals[worst], float(offsets[worst]))
-        open_borders[worst] = False
-    negligible_m2 = 1e-15 * polygon_area_m2(outline)
-    return polygon if polygon_area_m2(polygon) > negligible_m2 else np.empty((0, 2))

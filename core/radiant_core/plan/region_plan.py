@@ -15,28 +15,26 @@ Runs once per plan.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.deadline import EdgeTable, earliest_slots, edge_tables, fastest_counts
+from radiant_core.plan.deadline import edge_tables
 from radiant_core.plan.edge_sites import separated_sites
 from radiant_core.plan.paper_arp import PaperConfig, paper_regions
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.power_diagram import assign, cell_polygons, rectangle
 from radiant_core.plan.system import System
-from radiant_core.plan.transport import assign_with_counts, largest_violation, separating_weights
+from radiant_core.plan.transport import deal_with_counts, largest_violation
+from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, system_capacity, times_of_counts
 
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
-MAX_EXACT_PAIRS = 500_000
-"""Cameras × edges up to which least squared distances are sought exactly, some seconds at most; above, `paper` is used."""
+_BLOCK_PAIRS = 500_000
 MAX_COORDINATE_M = 1e8
 """Coordinates may be UTM-sized, not of another planet."""
 MARGIN = 0.1
@@ -71,10 +69,6 @@ class _Plane:
     centre: FloatArray
     side_m: float
 
-    def squared_m2(self) -> FloatArray:
-        """‖camera − site‖² (C,E)."""
-        return np.sum((self.cameras[:, None] - self.sites) ** 2, axis=-1)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Partition:
@@ -82,50 +76,51 @@ class _Partition:
     weights: FloatArray
     history: tuple[float, ...] = ()
     converged: bool = False
-
-
-def choose_method(method: PlanMethod, num_cameras: int, num_edges: int) -> tuple[PlanMethod, tuple[Decision, ...]]:
-    """The method that plans this many cameras and edges in bearable time, with the decision where it is not the wanted one."""
-    pairs = num_cameras * num_edges
-    if method not in ("exact", "even") or pairs <= MAX_EXACT_PAIRS:
-        return method, ()
-    decision = Decision(
-        stage="plan",
-        topic="method",
-        choice=f"paper instead of {method}",
-        figure=float(pairs),
-        unit="cameras × edges",
-        reason=f"Least squared distances are sought exactly up to {MAX_EXACT_PAIRS} pairs.",
-    )
-    return "paper", (decision,)
+    violation_m2: float | None = None
+    """By how much the worst camera misses its cell, None where nobody looked."""
 
 
 def plan_regions(
-    positions: ArrayLike, system: System, *, method: PlanMethod = "exact", paper: PaperConfig | None = None
+    positions: ArrayLike,
+    system: System,
+    *,
+    method: PlanMethod = "exact",
+    paper: PaperConfig | None = None,
+    start: CloudPlan | None = None,
+    tolerance: float = 0.0,
 ) -> CloudPlan | PlanInfeasible:
-    """Regions for cameras (C,2) m; every edge needs a position (`place_edges`). `plan.method` is the one `choose_method` gave.
+    """Regions for cameras (C,2) m by one of the methods above; every edge needs a position (`place_edges`).
 
     status: optimal = the lower bound with a certificate; converged = within the paper's threshold (of the bound, for methods
-    that do not iterate); stopped otherwise. Raises BadInput for positions that are not finite, none, or beyond 1e8 m.
+    that do not iterate); stopped otherwise. `start`: a plan of nearly the same input for `exact` to start from. `tolerance`: `exact`
+    leaves every camera at its nearest edge where that is slower than the bound by this share at most. Raises BadInput for a
+    negative tolerance and for positions that are not finite, none, or beyond 1e8 m.
     """
+    if not (np.isfinite(tolerance) and tolerance >= 0):
+        raise BadInput(f"tolerance is {tolerance}, expected a finite share of at least 0.")
     if method not in get_args(PlanMethod):
         raise BadInput(f"plan method {method!r} is unknown: use one of {', '.join(get_args(PlanMethod))}.")
     plane = _plane(positions, system)
     num_cameras = len(plane.cameras)
-    method, _ = choose_method(method, num_cameras, len(system.edges))
-    tables = edge_tables(system, num_cameras)
-    capacity = sum(table.capacity for table in tables)
+    capacity = system_capacity(system, num_cameras)
     if capacity < num_cameras:
         reason = f"the devices can hold {capacity} of {num_cameras} cameras: raise max_cameras or add devices."
         return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     paper = paper or PaperConfig()
-    partition = _partition(method, plane, tables, paper)
-    counts = np.bincount(partition.edge_of_camera, minlength=len(tables))
-    for edge, count, table in zip(system.edges, counts, tables, strict=True):
-        if count > table.capacity:
-            reason = f"method {method} gives edge {edge.id!r} {count} cameras, it can hold {table.capacity}: use method exact."
+    fastest = fastest_edge_counts(system, num_cameras)
+    nearest = _nearest_if_good(plane, system, fastest, tolerance) if method == "exact" and tolerance > 0 else None
+    if nearest is not None:
+        partition = nearest
+    elif method == "exact":
+        partition = _exact_partition(plane, fastest.counts, start)
+    else:
+        partition = _partition(method, plane, system, paper)
+    counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
+    for edge, count in zip(system.edges, counts, strict=True):
+        if count > (held := system_capacity(System(edges=(edge,)), num_cameras)):
+            reason = f"method {method} gives edge {edge.id!r} {count} cameras, it can hold {held}: use method exact."
             return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
-    return _cloud_plan(method, system, plane, tables, partition, paper.threshold)
+    return _cloud_plan(method, system, plane, partition, fastest, paper.threshold)
 
 
 def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
@@ -138,8 +133,7 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
     means = [positions[edge_of_camera == index].mean(axis=0) if count else positions.mean(axis=0) for index, count in enumerate(counts)]
     placed = [replace(edge, position=(float(x), float(y))) for edge, (x, y) in zip(system.edges, means, strict=True)]
     plane = _plane(positions, System(edges=tuple(placed)))
-    tables = edge_tables(system, len(positions))
-    fits = sum(table.capacity for table in tables) >= len(positions)
+    fits = system_capacity(system, len(positions)) >= len(positions)
     weights = _closed_where_unused(np.zeros(len(placed)), counts, plane)
     return CloudPlan(
         method="captured",
@@ -149,7 +143,7 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
         borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
         edge_of_camera=edge_of_camera,
         edge_time_s=np.zeros(len(placed)),
-        lower_bound_s=fastest_counts(tables, len(positions))[1] if fits else 0.0,
+        lower_bound_s=float(fastest_edge_counts(system, len(positions)).edge_time_s.max()) if fits else 0.0,
         status="stopped",
         certified=False,
     )
@@ -178,9 +172,27 @@ def _plane(positions: ArrayLike, system: System) -> _Plane:
     )
 
 
-def _partition(method: PlanMethod, plane: _Plane, tables: Sequence[EdgeTable], paper: PaperConfig) -> _Partition:
+def _exact_partition(plane: _Plane, counts: NDArray[np.int64], start: CloudPlan | None) -> _Partition:
+    weights = None if start is None or len(start.weights) != len(counts) else start.weights
+    dealt = deal_with_counts(plane.cameras, plane.sites, counts, weights=weights)
+    return _Partition(edge_of_camera=dealt.edge_of_position, weights=dealt.weights, violation_m2=dealt.violation_m2)
+
+
+def _nearest_if_good(plane: _Plane, system: System, fastest: FastestCounts, tolerance: float) -> _Partition | None:
+    """The Voronoi partition where its makespan is within the tolerance of the bound, else None."""
+    weights = np.zeros(len(plane.sites))
+    edge_of_camera = assign(plane.cameras, plane.sites, weights)
+    counts = np.bincount(edge_of_camera, minlength=len(weights))
+    if any(count > system_capacity(System(edges=(edge,)), len(plane.cameras)) for edge, count in zip(system.edges, counts, strict=True)):
+        return None
+    good = float(times_of_counts(system, counts).max()) <= (1 + tolerance) * float(fastest.edge_time_s.max())
+    return _Partition(edge_of_camera=edge_of_camera, weights=weights) if good else None
+
+
+def _partition(method: PlanMethod, plane: _Plane, system: System, paper: PaperConfig) -> _Partition:
     num_cameras, num_edges = len(plane.cameras), len(plane.sites)
     if method == "paper":
+        tables = edge_tables(system, num_cameras)
         regions = paper_regions(plane.cameras, plane.sites, tables, paper.boundary_step * plane.side_m, paper)
         return _Partition(
             edge_of_camera=regions.edge_of_camera, weights=regions.weights, history=regions.history, converged=regions.converged
@@ -188,29 +200,37 @@ def _partition(method: PlanMethod, plane: _Plane, tables: Sequence[EdgeTable], p
     if method == "voronoi":
         weights = np.zeros(num_edges)
         return _Partition(edge_of_camera=assign(plane.cameras, plane.sites, weights), weights=weights)
-    if method == "exact":
-        counts, _ = fastest_counts(tables, num_cameras)
-    else:
-        counts = _even_counts(tables, num_cameras)
-    squared_m2 = plane.squared_m2()
-    edge_of_camera = assign_with_counts(squared_m2, counts)
-    return _Partition(edge_of_camera=edge_of_camera, weights=separating_weights(squared_m2, edge_of_camera))
+    return _exact_partition(plane, _even_counts(system, num_cameras), None)
 
 
-def _even_counts(tables: Sequence[EdgeTable], num_cameras: int) -> NDArray[np.int64]:
-    slots, _ = earliest_slots([np.arange(1.0, table.capacity + 1) for table in tables], num_cameras)
-    return np.bincount(slots, minlength=len(tables))
+def _even_counts(system: System, num_cameras: int) -> NDArray[np.int64]:
+    """Counts (E,) as equal as capacities allow: all edges are filled to one level, the first of them one camera higher."""
+    capacities = np.array([system_capacity(System(edges=(edge,)), num_cameras) for edge in system.edges])
+    levels = np.arange(num_cameras + 1)
+    ordered = np.sort(capacities)
+    filled = np.cumsum(np.concatenate([[0], ordered]))
+    below = np.searchsorted(ordered, levels, side="left")
+    level = int(np.searchsorted(filled[below] + (len(ordered) - below) * levels, num_cameras, side="right")) - 1
+    counts = np.minimum(capacities, level)
+    counts[np.flatnonzero(capacities > level)[: num_cameras - int(counts.sum())]] += 1
+    return counts
 
 
 def _cloud_plan(
-    method: PlanMethod, system: System, plane: _Plane, tables: Sequence[EdgeTable], partition: _Partition, threshold: float
+    method: PlanMethod, system: System, plane: _Plane, partition: _Partition, fastest: FastestCounts, threshold: float
 ) -> CloudPlan:
-    counts = np.bincount(partition.edge_of_camera, minlength=len(tables))
-    edge_time_s = np.array([table.edge_time_s[count] for table, count in zip(tables, counts, strict=True)])
-    _, lower_bound_s = fastest_counts(tables, len(plane.cameras))
+    counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
+    edge_time_s = fastest.edge_time_s if np.array_equal(counts, fastest.counts) else times_of_counts(system, counts)
+    lower_bound_s = float(fastest.edge_time_s.max())
     makespan_s = float(edge_time_s.max())
     weights = _closed_where_unused(partition.weights, counts, plane)
-    certified = is_certified(plane.cameras, plane.sites, weights, partition.edge_of_camera)
+    if partition.violation_m2 is None:
+        certified = is_certified(plane.cameras, plane.sites, weights, partition.edge_of_camera)
+    else:
+        # Edges without cameras were left out there; they lose everywhere by construction.
+        corners = plane.cameras.min(axis=0), plane.cameras.max(axis=0)
+        largest_m2 = max(float(np.sum((plane.sites - corner) ** 2, axis=1).max()) for corner in rectangle(*corners))
+        certified = partition.violation_m2 <= CERTIFICATE_TOLERANCE * largest_m2
     status: PlanStatus = "stopped"
     if certified and makespan_s <= lower_bound_s:
         status = "optimal"
@@ -248,7 +268,7 @@ def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: 
 def is_certified(cameras: FloatArray, sites: FloatArray, weights: FloatArray, edge_of_camera: NDArray[np.int64]) -> bool:
     """Whether every camera (C,2) m is in its own power cell within the tolerance; in blocks, as C × E may be large."""
     worst_m2, largest_m2 = 0.0, 0.0
-    rows = max(1, MAX_EXACT_PAIRS // len(weights))
+    rows = max(1, _BLOCK_PAIRS // len(weights))
     for start in range(0, len(cameras), rows):
         block = slice(start, start + rows)
         squared_m2 = np.sum((cameras[block, None] - sites) ** 2, axis=-1)

@@ -1,135 +1,88 @@
-"""Cameras dealt to edges with given counts at the least total cost, and the power weights that draw the same borders.
+"""Cameras dealt to edges with given counts at the least Σ ‖camera − edge‖², and the power diagram that draws the same borders.
 
-    minimise Σ_c cost[c, edge_of_camera[c]]   with exactly counts[e] cameras at edge e
+    minimise Σ_c ‖x_c − P_e(c)‖²   with exactly counts[e] cameras at edge e
 
-Start with every camera in its power cell for some weights, which is optimal for the counts it happens to give; the weights
-come from a few sweeps that set one edge's count right at a time. Then move one camera per step along the cheapest chain of
-edges from one that has too many to one that has too few (successive shortest paths with potentials: Ahuja, Magnanti, Orlin,
-Network Flows, 1993, ch. 9): it stays optimal for the counts it has. The graph has E nodes, not C.
-Runs once per plan: at most C steps of O(C + E² + cameras of the edges on the chain × E).
+The dual of this transport problem is the power diagram's weights (Aurenhammer, Hoffmann, Aronov, Algorithmica 1998). The native
+module solves it on ever finer boxes of cameras: damped Newton on the smoothed dual (Kitagawa, Mérigot, Thibert, JEMS 2019) over
+a tree of cameras, a ridge where cells share no camera, the last cameras by cheapest chains (Ahuja, Magnanti, Orlin, Network
+Flows, 1993, ch. 9), which end in the exact optimum whatever Newton left. The certificate is taken over all cameras afterwards.
+Runs once per plan.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from radiant_core.numerics import FloatArray
+from radiant_core._native import deal_to_cells
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
 
 Indices = NDArray[np.int64]
-_START_SWEEPS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class _Moves:
-    """extra_cost (E,E): cheapest change of cost when one camera of edge i moves to edge j, inf without cameras; camera (E,E)."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Dealt:
+    """Where the cameras went.
 
-    extra_cost: FloatArray
-    camera: Indices
-
-    def refresh(self, cost: FloatArray, edge_of_camera: Indices, edge: int) -> None:
-        """Recompute row `edge` in place after its cameras changed."""
-        members = np.flatnonzero(edge_of_camera == edge)
-        if not len(members):
-            self.extra_cost[edge] = np.inf
-            return
-        extra = cost[members] - cost[members, edge][:, None]
-        cheapest = extra.argmin(axis=0)
-        self.extra_cost[edge] = extra[cheapest, np.arange(cost.shape[1])]
-        self.camera[edge] = members[cheapest]
-
-
-def assign_with_counts(cost: FloatArray, counts: Indices) -> Indices:
-    """Edge (C,) of each camera: least total cost (C,E) for exactly these counts (E,), which sum to C."""
-    assert counts.sum() == len(cost)
-    assert counts.min() >= 0
-    potentials = _start_weights(cost, counts)
-    edge_of_camera = (cost - potentials).argmin(axis=1)
-    moves = _cheapest_moves(cost, edge_of_camera)
-    surplus = np.bincount(edge_of_camera, minlength=len(counts)) - counts
-    while surplus.any():
-        # Reduced costs are non-negative up to rounding; Dijkstra needs them so exactly.
-        reduced = np.maximum(moves.extra_cost + potentials[:, None] - potentials, 0.0)
-        chain, distances = _cheapest_chain(reduced, surplus)
-        potentials += np.minimum(distances, distances[chain[-1]])
-        for giver, taker in pairwise(chain):
-            edge_of_camera[moves.camera[giver, taker]] = taker
-        for edge in chain:
-            moves.refresh(cost, edge_of_camera, edge)
-        surplus[chain[0]] -= 1
-        surplus[chain[-1]] += 1
-    return edge_of_camera
-
-
-def separating_weights(cost: FloatArray, edge_of_camera: Indices) -> FloatArray:
-    """Weights (E,) with cost[c, own] − w[own] ≤ cost[c, e] − w[e] for every camera c and edge e that has cameras.
-
-    They exist where the assignment is optimal for its counts. All of them form a convex set bounded by shortest distances
-    between edges; the mean of its extreme points is taken, so that borders run between cameras and not through one wherever
-    there is room. Edges without cameras get weight 0. Mean weight of the others 0. O(E³).
+    edge_of_position (C,): −1 for a position whose cameras went to several edges; parts (S,3): those as (position, edge, cameras);
+    weights (E,) m²: every camera lies in its power cell up to `violation_m2`; edges without cameras have weight 0.
     """
-    used = np.unique(edge_of_camera)
-    distances = _cheapest_moves(cost, edge_of_camera).extra_cost[np.ix_(used, used)]
-    for middle in range(len(used)):
-        np.minimum(distances, distances[:, middle, None] + distances[middle], out=distances)
-    np.fill_diagonal(distances, 0.0)  # rounding may have left cycles of −1e-16
-    weights = np.zeros(cost.shape[1])
-    weights[used] = (distances.mean(axis=0) - distances.mean(axis=1)) / 2
-    return weights
+
+    edge_of_position: Indices
+    parts: Indices
+    weights: FloatArray
+    violation_m2: float
+    num_rounds: int
+    """How often cameras were counted."""
+    num_paths: int
+    """Chains of single moves that finished it."""
 
 
-def largest_violation(cost: FloatArray, weights: FloatArray, edge_of_camera: Indices) -> float:
-    """How far the worst camera is from its own power cell, in units of cost: max_c (own − min_e) of cost[c, e] − w[e], ≥ 0."""
-    power = cost - weights
-    return float((power[np.arange(len(cost)), edge_of_camera] - power.min(axis=1)).max(initial=0.0))
+def deal_with_counts(
+    positions: FloatArray, sites: FloatArray, counts: Indices, *, multiplicities: ArrayLike | None = None, weights: FloatArray | None = None
+) -> Dealt:
+    """Deal cameras at positions (C,2) m to distinct sites (E,2) m with exactly counts (E,).
 
-
-def _start_weights(cost: FloatArray, counts: Indices) -> FloatArray:
-    """Weights (E,) whose power cells hold about `counts` cameras; any weights would do, these save steps.
-
-    A camera is in the cell of e while w_e > cost[c, e] − min over the others: w_e goes between the counts[e]-th and the next
-    of these gaps. A sweep costs C E², the steps it saves up to C², so it is left out where edges are many.
+    multiplicities (C,): cameras at each position, a count raster; weights (E,) m²: of a similar plan, to start from. Coordinates
+    should be about a local origin. Raises BadInput unless the counts are not negative and sum to the cameras.
     """
-    num_cameras, num_edges = cost.shape
-    weights = np.zeros(num_edges)
-    if num_edges == 1 or num_edges**2 > num_cameras:
-        return weights
-    power = cost.copy()
-    for edge in [*range(num_edges)] * _START_SWEEPS:
-        power[:, edge] = np.inf
-        gaps = cost[:, edge] - power.min(axis=1)
-        ranks = np.clip([counts[edge] - 1, counts[edge]], 0, num_cameras - 1)
-        weights[edge] = np.partition(gaps, ranks)[ranks].mean()
-        power[:, edge] = cost[:, edge] - weights[edge]
-    return weights
+    counts = checked_array("counts", counts, (len(sites),), np.int64)
+    given = None if multiplicities is None else checked_array("multiplicities", multiplicities, (len(positions),), np.int64)
+    num_cameras = len(positions) if given is None else int(given.sum())
+    if counts.min(initial=0) < 0 or (given is not None and given.min(initial=0) < 0) or counts.sum() != num_cameras:
+        raise BadInput(f"counts sum to {counts.sum()} for {num_cameras} cameras: give counts of at least 0 that sum to the cameras.")
+    used = np.flatnonzero(counts)
+    out_weights = np.zeros(len(sites))
+    if not len(used):
+        return Dealt(
+            edge_of_position=np.full(len(positions), -1, np.int64),
+            parts=np.zeros((0, 3), np.int64),
+            weights=out_weights,
+            violation_m2=0.0,
+            num_rounds=0,
+            num_paths=0,
+        )
+    start = np.zeros(len(used)) if weights is None else np.ascontiguousarray(weights[used])
+    cells, parts, found, violation_m2, rounds, paths = deal_to_cells(
+        np.ascontiguousarray(positions), given, np.ascontiguousarray(sites[used]), counts[used], start - start.mean(), weights is not None
+    )
+    out_weights[used] = found - found.mean()
+    edge_of_position = np.where(cells >= 0, used[cells], -1)
+    parts = np.stack([parts[:, 0], used[parts[:, 1]], parts[:, 2]], axis=1)
+    return Dealt(
+        edge_of_position=edge_of_position,
+        parts=parts,
+        weights=out_weights,
+        violation_m2=violation_m2,
+        num_rounds=rounds,
+        num_paths=paths,
+    )
 
 
-def _cheapest_moves(cost: FloatArray, edge_of_camera: Indices) -> _Moves:
-    num_edges = cost.shape[1]
-    moves = _Moves(np.full((num_edges, num_edges), np.inf), np.zeros((num_edges, num_edges), dtype=np.int64))
-    for edge in range(num_edges):
-        moves.refresh(cost, edge_of_camera, edge)
-    return moves
-
-
-def _cheapest_chain(reduced: FloatArray, surplus: Indices) -> tuple[list[int], FloatArray]:
-    """Dijkstra over the edges (E,E) from all with too many cameras to the nearest with too few: the chain, and distances (E,)."""
-    distances = np.where(surplus > 0, 0.0, np.inf)
-    previous = np.full(len(surplus), -1)
-    done = np.zeros(len(surplus), dtype=bool)
-    while True:
-        nearest = int(np.where(done, np.inf, distances).argmin())
-        if surplus[nearest] < 0:
-            break
-        done[nearest] = True
-        reached = distances[nearest] + reduced[nearest]
-        closer = (reached < distances) & ~done
-        distances[closer] = reached[closer]
-        previous[closer] = nearest
-    chain = [nearest]
-    while previous[chain[-1]] >= 0:
-        chain.append(int(previous[chain[-1]]))
-    return chain[::-1], distances
+def largest_violation(squared_m2: FloatArray, weights: FloatArray, edge_of_camera: Indices) -> float:
+    """How far the worst camera is from its own power cell, m²: max_c (own − min_e) of squared_m2[c, e] − w[e], ≥ 0."""
+    power = squared_m2 - weights
+    return float((power[np.arange(len(squared_m2)), edge_of_camera] - power.min(axis=1)).max(initial=0.0))

@@ -11,11 +11,10 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan import region_plan
 from radiant_core.plan.deadline import edge_tables
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.power_diagram import assign, polygon_area_m2
-from radiant_core.plan.region_plan import MARGIN, PlanInfeasible, PlanMethod, choose_method, plan_regions
+from radiant_core.plan.region_plan import MARGIN, PlanInfeasible, PlanMethod, plan_regions
 from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system, random_system
@@ -208,15 +207,6 @@ def test_moving_borders_does_not_leave_what_fits_for_what_looks_faster() -> None
     assert min(plan.history) < plan.makespan_s
 
 
-def test_a_plan_too_large_for_exactness_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert choose_method("exact", 1000, 500) == ("exact", ())
-    assert choose_method("voronoi", 10_000_000, 1000) == ("voronoi", ())
-    method, (decision,) = choose_method("exact", 1000, 501)
-    assert (method, decision.figure) == ("paper", 501_000)
-    monkeypatch.setattr(region_plan, "MAX_EXACT_PAIRS", 99)
-    assert planned(np.random.default_rng(0).random((50, 2)), linear_system(np.eye(2), np.ones(2))).method == "paper"
-
-
 @pytest.mark.parametrize(
     ("positions", "message"),
     [
@@ -247,3 +237,21 @@ def test_an_edge_without_position_is_refused() -> None:
 def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(BadInput, match="use one of exact, paper, voronoi, even"):
         plan_regions(np.zeros((3, 2)), linear_system(np.eye(2), np.ones(2)), method="magic")  # pyright: ignore[reportArgumentType]
+
+
+def test_a_tolerance_leaves_nearest_edges_alone_where_they_are_good_enough() -> None:
+    rng = np.random.default_rng(12)
+    positions, system = LAYOUTS["uniform"](rng, 400), linear_system(np.array([[120.0, 125.0], [380.0, 125.0]]), np.array([1.0, 1.0]))
+    nearest = planned(positions, system, "voronoi")
+    over = nearest.makespan_s / nearest.lower_bound_s - 1
+    assert over > 0
+    kept = plan_regions(positions, system, tolerance=2 * over)
+    balanced = plan_regions(positions, system, tolerance=0.5 * over)
+    assert isinstance(kept, CloudPlan)
+    assert isinstance(balanced, CloudPlan)
+    np.testing.assert_array_equal(kept.edge_of_camera, nearest.edge_of_camera)
+    assert balanced.makespan_s == balanced.lower_bound_s
+    full = linear_system(np.array([[120.0, 125.0], [1200.0, 125.0]]), np.array([1.0, 1.0]), 250)
+    assert planned(positions, full).counts.max() <= 250
+    with pytest.raises(BadInput, match="tolerance"):
+        plan_regions(positions, system, tolerance=-0.1)

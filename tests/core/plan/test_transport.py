@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.transport import assign_with_counts, largest_violation, separating_weights
 
 from .instances import LAYOUTS
+from .transport_twin import assign_with_counts, largest_violation, separating_weights
 
 
 def squared_distances(positions: FloatArray, sites: FloatArray) -> FloatArray:

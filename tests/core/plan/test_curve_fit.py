@@ -1,0 +1,74 @@
+"""Curves from samples: what generated them comes back, and what is no cost is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.curve_fit import corrected, fit_curve
+
+COUNTS = np.array([10, 20, 50, 100, 200, 400])
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        CostCurve(constant=20, linear=1),
+        CostCurve(linear=0.5),
+        CostCurve(constant=7),
+        CostCurve(constant=5, linear=0.1, power_coefficient=0.02, exponent=1.5),
+        CostCurve(power_coefficient=3, exponent=0.5),
+    ],
+)
+def test_the_generating_curve_is_found_again(curve: CostCurve) -> None:
+    fitted = fit_curve(COUNTS, curve(COUNTS))
+    assert fitted.worst_error < 1e-6
+    np.testing.assert_allclose(fitted.curve([15, 300]), curve([15, 300]), rtol=1e-6)
+    assert (fitted.smallest_count, fitted.largest_count) == (10, 400)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_of_five_percent_moves_predictions_by_little_more(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    curve = CostCurve(constant=rng.uniform(1, 50), linear=rng.uniform(0.1, 2))
+    fitted = fit_curve(COUNTS, curve(COUNTS) * rng.normal(1, 0.05, len(COUNTS)))
+    assert (np.abs(fitted.curve(COUNTS) / curve(COUNTS) - 1) < 0.2).all()
+    assert (np.diff(fitted.curve(np.arange(1, 1000))) >= 0).all()
+
+
+def test_one_sample_is_taken_in_proportion() -> None:
+    assert float(fit_curve([50], [100.0]).curve(25)) == pytest.approx(50.0)
+
+
+def test_beyond_twice_the_range_it_extrapolates() -> None:
+    fitted = fit_curve(COUNTS, COUNTS + 1.0)
+    assert not fitted.extrapolates(800)
+    assert fitted.extrapolates(801)
+
+
+def test_the_first_sample_of_a_run_scales_the_curve() -> None:
+    curve = corrected(CostCurve(constant=10, linear=1), 90, 200.0)
+    assert float(curve(90)) == pytest.approx(200.0)
+    assert float(curve(40)) == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("counts", "values", "message"),
+    [
+        ([], [], "at least one sample"),
+        ([0, 1], [1.0, 2.0], "at least one sample"),
+        ([1, 2], [1.0, 0.0], "positive values"),
+        ([1, 2], [1.0, np.nan], "not finite"),
+        ([10, 20, 40], [9.0, 5.0, 1.0], "does not fall"),
+    ],
+)
+def test_what_is_no_cost_is_refused(counts: list, values: list, message: str) -> None:
+    with pytest.raises(BadInput, match=message):
+        fit_curve(counts, values)
+
+
+def test_a_correction_needs_a_measurement() -> None:
+    with pytest.raises(BadInput, match="positive"):
+        corrected(CostCurve(linear=1), 10, float("nan"))

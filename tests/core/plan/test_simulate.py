@@ -1,0 +1,147 @@
+"""The vectorised timeline against an event queue that plays every machine by itself, second by second of the trace."""
+
+from __future__ import annotations
+
+import heapq
+import time
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.deadline import edge_tables, fastest_counts
+from radiant_core.plan.simulate import BandwidthTrace, Fleet, fleet_of, merged_s, simulate
+
+from .instances import random_system
+
+
+def random_fleet(rng: np.random.Generator, num_edges: int, num_devices: int) -> Fleet:
+    edge_of_device = np.sort(np.concatenate([np.arange(num_edges), rng.integers(num_edges, size=num_devices - num_edges)]))
+    fails = rng.random(num_devices) < 0.2
+    return Fleet(
+        edge_of_device=edge_of_device,
+        start_s=rng.uniform(0, 50, num_devices),
+        work_s=rng.uniform(10, 500, num_devices),
+        model_bytes=rng.uniform(1e6, 1e8, num_devices),
+        uplink_bytes_per_s=rng.uniform(1e5, 1e7, num_devices),
+        aggregate_s=rng.uniform(5, 50, num_edges),
+        edge_uplink_bytes_per_s=rng.uniform(1e6, 1e8, num_edges),
+        fails_s=np.where(fails, rng.uniform(0, 600, num_devices), np.inf),
+        repair_s=rng.uniform(0, 100, num_devices),
+        dropped=rng.random(num_devices) < 0.1,
+    )
+
+
+def random_trace(rng: np.random.Generator) -> BandwidthTrace:
+    return BandwidthTrace(times_s=np.concatenate([[0.0], np.cumsum(rng.uniform(5, 60, 40))]), shares=rng.uniform(0.05, 1, 41))
+
+
+def sent_by_steps(trace: BandwidthTrace, now_s: float, seconds: float) -> float:
+    """Piece by piece of the trace."""
+    at = max(index for index, begin in enumerate(trace.times_s) if begin <= now_s)
+    while at + 1 < len(trace.times_s):
+        room = (trace.times_s[at + 1] - now_s) * trace.shares[at]
+        if seconds <= room:
+            break
+        seconds -= room
+        now_s, at = float(trace.times_s[at + 1]), at + 1
+    return now_s + seconds / float(trace.shares[at])
+
+
+def played(fleet: Fleet, trace: BandwidthTrace) -> list[float]:
+    """When each edge has delivered, from a queue of events (time, what, who)."""
+    queue: list[tuple[float, str, int]] = [(float(start), "start", n) for n, start in enumerate(fleet.start_s) if not fleet.dropped[n]]
+    waiting = np.bincount(fleet.edge_of_device, weights=~fleet.dropped, minlength=len(fleet.aggregate_s)).astype(int)
+    received = [0.0] * len(waiting)
+    done = [0.0] * len(waiting)
+    repaired: set[int] = set()
+    heapq.heapify(queue)
+    while queue:
+        now_s, what, who = heapq.heappop(queue)
+        if what == "start":
+            end_s = now_s + fleet.work_s[who]
+            if who not in repaired and now_s <= fleet.fails_s[who] < end_s:
+                repaired.add(who)
+                heapq.heappush(queue, (float(fleet.fails_s[who] + fleet.repair_s[who]), "start", who))
+            else:
+                heapq.heappush(queue, (float(end_s), "send", who))
+        elif what == "send":
+            seconds = float(fleet.model_bytes[who] / fleet.uplink_bytes_per_s[who])
+            heapq.heappush(queue, (sent_by_steps(trace, now_s, seconds), "arrive", who))
+        elif what == "arrive":
+            edge = int(fleet.edge_of_device[who])
+            waiting[edge] -= 1
+            received[edge] += float(fleet.model_bytes[who])
+            if not waiting[edge]:
+                heapq.heappush(queue, (now_s + float(fleet.aggregate_s[edge]), "joined", edge))
+        else:
+            done[who] = sent_by_steps(trace, now_s, received[who] / float(fleet.edge_uplink_bytes_per_s[who]))
+    return done
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_timeline_is_that_of_the_event_queue(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    fleet, trace = random_fleet(rng, 20, 100), random_trace(rng)
+    np.testing.assert_allclose(simulate(fleet, trace).edge_done_s, played(fleet, trace), rtol=1e-12)
+
+
+def test_ten_thousand_devices_equal_the_event_queue() -> None:
+    rng = np.random.default_rng(99)
+    fleet, trace = random_fleet(rng, 100, 10_000), random_trace(rng)
+    np.testing.assert_allclose(simulate(fleet, trace).edge_done_s, played(fleet, trace), rtol=1e-12)
+
+
+def test_a_million_devices_take_a_tenth_of_a_second() -> None:
+    fleet = random_fleet(np.random.default_rng(0), 10_000, 1_000_000)
+    best_s = np.inf
+    for _ in range(3):
+        start_s = time.process_time()
+        simulate(fleet)
+        best_s = min(best_s, time.process_time() - start_s)
+    assert best_s < 0.3  # seconds of one core; 0.1 is the goal, a busy machine needs room
+
+
+def test_a_constant_half_of_the_bandwidth_doubles_sending() -> None:
+    rng = np.random.default_rng(1)
+    fleet = random_fleet(rng, 5, 20)
+    half = BandwidthTrace(times_s=np.array([0.0]), shares=np.array([0.5]))
+    whole = simulate(fleet)
+    slow = simulate(fleet, half)
+    sending_s = fleet.model_bytes / fleet.uplink_bytes_per_s
+    alive = ~fleet.dropped
+    np.testing.assert_allclose(slow.device_done_s[alive] - whole.device_done_s[alive], sending_s[alive], rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_an_undisturbed_fleet_takes_the_planned_times(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    system = random_system(rng, 6)
+    tables = edge_tables(system, 300)
+    counts, bound_s = fastest_counts(tables, 300)
+    quotas = np.concatenate([table.quotas(int(count)) for table, count in zip(tables, counts, strict=True)])
+    assert simulate(fleet_of(system, quotas)).makespan_s == pytest.approx(bound_s, rel=1e-12)
+
+
+def test_one_merger_takes_one_model_after_the_other_and_more_share_them() -> None:
+    assert merged_s([0.0, 0.0, 100.0], 10.0) == 110.0
+    assert merged_s([0.0] * 8, 10.0) == 80.0
+    assert merged_s([0.0] * 8, 10.0, num_mergers=4) == 20.0
+
+
+def test_what_cannot_be_played_is_refused() -> None:
+    fleet = random_fleet(np.random.default_rng(2), 3, 9)
+    from dataclasses import replace
+
+    with pytest.raises(BadInput, match="bandwidth"):
+        replace(fleet, uplink_bytes_per_s=np.zeros(9))
+    with pytest.raises(BadInput, match="not finite"):
+        replace(fleet, work_s=np.full(9, np.nan))
+    with pytest.raises(BadInput, match="every edge a device"):
+        replace(fleet, edge_of_device=np.zeros(0, np.int64))
+    with pytest.raises(BadInput, match="without a gap"):
+        replace(fleet, edge_of_device=np.array([0, 0, 0, 1, 1, 1, 3, 3, 3]))
+    with pytest.raises(BadInput, match="trace"):
+        BandwidthTrace(times_s=np.array([0.0, 1.0]), shares=np.array([1.0, 0.0]))
+    with pytest.raises(BadInput, match="mergers"):
+        merged_s([0.0], 1.0, num_mergers=0)
