@@ -203,11 +203,7 @@ def train(
     ] = None,
     validate: Annotated[
         bool | None,
-        typer.Option(
-            "--validate/--no-validate",
-            help="Whether an eighth of the training photographs only picks the best model.",
-            show_default="from 100 on",
-        ),
+        typer.Option(help="An eighth of the training photographs only picks the best model.", show_default="from 100 on"),
     ] = None,
     long_side_px: LongSide = None,
     masks: MaskFolder = None,

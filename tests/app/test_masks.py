@@ -29,10 +29,8 @@ HELD_OUT = "drone_0008.jpg"
 """A held-out photograph; it has no mask."""
 
 
-@pytest.fixture(scope="module")
-def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The hamlet as a COLMAP project, with masks of all photographs but one beside it."""
-    folder = tmp_path_factory.mktemp("project")
+def masked_hamlet(folder: Path) -> Path:
+    """The hamlet as a COLMAP project in `folder`, with masks of all photographs but one beside it."""
     hamlet = sample_scenes_folder() / "hamlet"
     (folder / "images").symlink_to(hamlet / "images")
     (folder / "sparse").symlink_to(hamlet / "known")
@@ -40,6 +38,11 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if path.name != HELD_OUT:
             save_mask(folder / "masks" / f"{path.stem}.png", USED)
     return folder
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return masked_hamlet(tmp_path_factory.mktemp("project"))
 
 
 def test_a_scene_made_with_masks_keeps_them_for_training(project: Path, tmp_path: Path) -> None:

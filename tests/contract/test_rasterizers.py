@@ -287,15 +287,13 @@ def probe(feature: Feature, name: Backend, dtype: torch.dtype) -> list[torch.Ten
     background = torch.tensor([0.2, 0.5, 0.9], dtype=dtype, requires_grad=feature == "background")
     if feature == "camera gradients":
         viewmats.requires_grad_()
-    if feature == "2D-mean gradients":
-        splats.means.requires_grad_()
-    if feature == "absolute gradients":
+    if feature in ("2D-mean gradients", "absolute gradients"):
         splats.means.requires_grad_()
     options = {
         "background": background,
         "antialiased": feature == "antialiased",
-        "absgrad": feature == "absolute gradients",
         "backend": name,
+        "absgrad": feature == "absolute gradients",
     }
     degrees = range(4) if feature == "SH 0-3" else (3,)
     outputs = [rasterize(splats, viewmats, Ks, 24, 20, sh_degree=degree, **options) for degree in degrees]

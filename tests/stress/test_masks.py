@@ -6,13 +6,11 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from rich.console import Console
 
 from radiant_app.config import RunConfig
 from radiant_app.dealing import received
-from radiant_app.demo import sample_scenes_folder
 from radiant_app.evaluate_command import EvaluateRequest, evaluate
 from radiant_app.events import Event, StageSkipped
 from radiant_app.pipeline import RunResult, run
@@ -21,26 +19,12 @@ from radiant_app.train_command import TrainRequest, train
 from radiant_core.errors import BadInput
 from radiant_core.io.masks import mask_name, save_mask
 from radiant_core.io.run_store import read_json
-from radiant_core.train.needs import Overrides
-
-TINY = Overrides(long_side_px=96, num_steps=40, max_num_splats=1500)
-USED = np.ones((240, 320), bool)
-USED[:80, :160] = False
-HELD_OUT = "drone_0008.jpg"
-"""A held-out photograph; it has no mask."""
+from tests.app.test_masks import HELD_OUT, TINY, USED, masked_hamlet
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The hamlet as a COLMAP project, with masks of all photographs but one beside it."""
-    folder = tmp_path_factory.mktemp("project")
-    hamlet = sample_scenes_folder() / "hamlet"
-    (folder / "images").symlink_to(hamlet / "images")
-    (folder / "sparse").symlink_to(hamlet / "known")
-    for path in (hamlet / "images").iterdir():
-        if path.name != HELD_OUT:
-            save_mask(folder / "masks" / f"{path.stem}.png", USED)
-    return folder
+    return masked_hamlet(tmp_path_factory.mktemp("project"))
 
 
 @pytest.fixture(scope="module")
