@@ -34,7 +34,7 @@ MIN_COMMON_PIXELS = 0.05
 MAX_SAMPLES = 2000
 NUM_FEATURES = 1500
 RATIO = 0.85
-NUM_CORNERS = 250
+NUM_CORNERS = 1000
 MAX_GROUND_DISTANCES = 3.0
 """In median distances of Gaussians from the nearest camera; a sky stands at ten or more."""
 COARSE_TOLERANCE = 0.03
