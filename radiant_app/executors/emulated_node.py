@@ -67,13 +67,16 @@ def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int
         ahead_s = _cpu_s(process.pid) - speed * (time.monotonic() - begun_s)
         if running != (ahead_s < (half_s if running else -half_s)):
             running = not running
-            process.send_signal(signal.SIGCONT if running else signal.SIGSTOP)
+            # Not Popen.send_signal, which collects a process that has just ended, and its CPU time with it.
+            signal.pidfd_send_signal(ended, signal.SIGCONT if running else signal.SIGSTOP)
         # One thread gains less than a second in a second; while it stands still, time passes at `speed`.
         wait_s = min(max(half_s - ahead_s, SHORTEST_S), PERIOD_S) if running else (ahead_s + half_s) / speed
+    os.close(ended)
     _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
     cpu_s = usage.ru_utime + usage.ru_stime
     _wait(cpu_s / speed - (time.monotonic() - begun_s))
-    return os.waitstatus_to_exitcode(status), cpu_s
+    return process.returncode, cpu_s
 
 
 def _deliver(stage: str, num_bytes: int, bytes_per_s: float) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from radiant_app.events import Event, StageDone, StageProgress, Warned
+from radiant_app.executors import emulated_node
 from radiant_app.executors.emulated import EmulatedExecutor, emulated_figures, require_emulable
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
@@ -146,6 +147,15 @@ def _renamed(emulated: System, name: str):
 
     edge = emulated.edges[0]
     return replace(edge, id=name, devices=tuple(replace(device, id=f"{name}{device.id}") for device in edge.devices))
+
+
+def test_a_command_that_ends_just_before_it_would_be_stopped_is_told_as_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    def far_ahead_at_its_end(pid: int) -> float:
+        waited_for(lambda: not state_of(pid))
+        return 1e9
+
+    monkeypatch.setattr(emulated_node, "_cpu_s", far_ahead_at_its_end)
+    assert emulated_node._run_at_share(["/bin/sh", "-c", "exit 3"], 0.5, time.monotonic())[0] == 3
 
 
 FOLD = """
