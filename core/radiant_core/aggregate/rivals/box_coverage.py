@@ -39,10 +39,12 @@ def box_coverage(cameras: Cameras, low: ArrayLike, high: ArrayLike) -> FloatArra
     in_camera = np.einsum("cij,kj->cki", cameras.cam_from_world[:, :3, :3], corners) + cameras.cam_from_world[:, None, :3, 3]
     vertices, exists = _cut_at_near(in_camera, near_m)
     pixels = np.einsum("cij,ckj->cki", cameras.Ks, vertices)[..., :2] / vertices[..., 2:]
-    owners, _ = np.nonzero(exists)
-    hulls = shapely.convex_hull(shapely.multipoints(pixels[exists], indices=owners, out=np.full(len(cameras), shapely.MultiPoint())))
     width, height = cameras.sizes_wh.T.astype(np.float64)
-    return shapely.area(shapely.intersection(hulls, shapely.box(0, 0, width, height))) / (width * height)
+    seen, owners = np.unique(np.nonzero(exists)[0], return_inverse=True)
+    hulls = shapely.convex_hull(shapely.multipoints(pixels[exists], indices=owners))
+    shares = np.zeros(len(cameras))
+    shares[seen] = shapely.area(shapely.intersection(hulls, shapely.box(0, 0, width[seen], height[seen]))) / (width * height)[seen]
+    return shares
 
 
 def _cut_at_near(corners: FloatArray, near_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:

@@ -187,5 +187,4 @@ def _airspace(scene: SfmScene, bounds: FloatArray, config: VastGaussianConfig) -
 
 def _inside(places: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
     """Mask (K,) of the places (K,2 or more) whose xy lie in the closed rectangle."""
-    inside: NDArray[np.bool_] = ((places[:, :2] >= low) & (places[:, :2] <= high)).all(axis=1)
-    return inside
+    return np.asarray(((places[:, :2] >= low) & (places[:, :2] <= high)).all(axis=1), bool)
