@@ -75,7 +75,7 @@ class VastCell:
         return np.where(self.is_outer, [[-np.inf], [np.inf]], self.bounds)
 
     def owns(self, means: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Whether each of the places (N,3) m is the cell's: low ≤ xy < high, so that a place on a border has one owner."""
+        """Whether each of the places (N,2) or (N,3) m is the cell's: low ≤ xy < high, so that a place on a border has one owner."""
         low, high = self.region
         xy = np.asarray(means, np.float64)[:, :2]
         return ((xy >= low) & (xy < high)).all(axis=1)
