@@ -68,7 +68,7 @@ def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float,
     near = (np.abs(places) <= 1.02 * reach_m + _REACH_SIGMAS * sizes_m[:, None]).all(axis=1)
     inside = (np.abs(places) < reach_m).all(axis=1)
     ground_m = float(np.median(splats.means[inside, 2])) if inside.any() else 0.0
-    low = splats.means[:, 2] < ground_m + CEILING_M
+    low = low_gaussians(splats, inside)
     near, inside = near & low, inside & low
     moved = _moved(splats.select(np.flatnonzero(near)), local[near], ground_m)
     camera = _camera_above(along, columns, 2 * half_rows, px_m)
@@ -77,6 +77,12 @@ def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float,
     height_m = np.where(view.alpha > 0, ground_m + altitude_m - view.depth.astype(np.float64), np.nan)
     density = _density(splats, places, inside, (2 * half_rows, columns), px_m)
     return BorderStrip(image=view.image, alpha=view.alpha, height_m=height_m, density=density, px_m=px_m, ends=ends)
+
+
+def low_gaussians(splats: Splats, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mask (N,) of those at most `CEILING_M` above the middle height of those `inside` (N,)."""
+    ground_m = float(np.median(splats.means[inside, 2])) if inside.any() else 0.0
+    return splats.means[:, 2] < ground_m + CEILING_M
 
 
 def _moved(splats: Splats, local_xy: FloatArray, ground_m: float) -> Splats:
@@ -93,7 +99,7 @@ def _camera_above(along: FloatArray, columns: int, rows: int, px_m: float) -> Ca
     pose[2, 3] = altitude_m
     focal_px = altitude_m / px_m
     K = [[focal_px, 0, columns / 2], [0, focal_px, rows / 2], [0, 0, 1]]
-    return Cameras(names=("border",), Ks=[K], cam_from_world=pose[None], sizes_wh=[[columns, rows]])
+    return Cameras(names=("border",), Ks=np.array([K]), cam_from_world=pose[None], sizes_wh=np.array([[columns, rows]]))
 
 
 def _density(splats: Splats, places: FloatArray, inside: NDArray[np.bool_], shape: tuple[int, int], px_m: float) -> FloatArray:
