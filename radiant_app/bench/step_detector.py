@@ -1,9 +1,10 @@
 """Measures the step detector: thresholds, false alarms and power on virtual borders inside centralised models.
 
-`python -m radiant_app.bench.step_detector [--borders 40] MODEL.ply…` lays as many random straight lines through each model, where nothing was ever joined.
-Thresholds are the score quantiles at which 5 % of all lines show any quantity, the same share α of each; false alarms are counted on the
-other half of the lines than the thresholds come from, and the other way round. Power is for the printed thresholds, on every fourth line, with a step planted
-in the model itself: all Gaussians whose centre is left of the line are brighter, higher, or fewer; or none is left at the line.
+`python -m radiant_app.bench.step_detector [--borders 40] MODEL.ply…` lays as many random straight lines through each model, where nothing
+was ever joined. Thresholds are the score quantiles at which 5 % of all lines show any quantity, the same share α of each; false alarms are
+counted on the other half of the lines than the thresholds come from, and the other way round. Power is for the printed thresholds, on every
+fourth line, with a step planted in the model itself: all Gaussians whose centre is left of the line are brighter, higher, or fewer; or none
+is left at the line.
 """
 
 from __future__ import annotations
@@ -83,24 +84,22 @@ def measure_step_detector(models: Sequence[Path], num_borders: int) -> str:
     cases = [(model, line) for seed, model in enumerate(loaded) for line in virtual_borders(model, num_borders, seed)]
     scores = np.array([_scores(model, line) for model, line in tracked(cases, "virtual borders")])
     limits = thresholds_of(scores)
+    length_m = np.mean([np.hypot(*(line[1] - line[0])) for _, line in cases])
+    unknown = zip(QUANTITIES, np.isnan(scores).mean(axis=0), strict=True)
     lines = [
-        f"{len(cases)} virtual borders in {len(loaded)} models, {np.mean([np.hypot(*(line[1] - line[0])) for _, line in cases]):.0f} m long in the mean",
+        f"{len(cases)} virtual borders in {len(loaded)} models, {length_m:.0f} m long in the mean",
         "thresholds: " + ", ".join(f"{name} {limit:.2f}" for name, limit in zip(QUANTITIES, limits, strict=True)),
         f"false alarms, cross-validated: {cross_validated_false_alarms(scores):.1%}",
-        "borders without a figure: "
-        + ", ".join(f"{name} {share:.0%}" for name, share in zip(QUANTITIES, np.isnan(scores).mean(axis=0), strict=True)),
+        "borders without a figure: " + ", ".join(f"{name} {share:.0%}" for name, share in unknown),
     ]
     tried = cases[::4]
     for (quantity, name), plant in plants().items():
         found = np.array([_scores(plant(model, line), line) for model, line in tracked(tried, f"planted {quantity} {name}")]) > limits
         own = found[:, QUANTITIES.index(quantity)]
-        lines.append(
-            f"power: {quantity} {name}: {own.mean():.2f} by its own score, {found.any(axis=1).mean():.2f} by any ({len(tried)} borders)"
-        )
-        by_model = [
-            f"{path.parent.name} {own[[model is one for model, _ in tried]].mean():.2f}" for path, one in zip(models, loaded, strict=True)
-        ]
-        lines.append("    " + ", ".join(by_model))
+        shares = f"{own.mean():.2f} by its own score, {found.any(axis=1).mean():.2f} by any"
+        lines.append(f"power: {quantity} {name}: {shares} ({len(tried)} borders)")
+        by_model = [own[[model is one for model, _ in tried]].mean() for one in loaded]
+        lines.append("    " + ", ".join(f"{path.parent.name} {share:.2f}" for path, share in zip(models, by_model, strict=True)))
     return "\n".join(lines)
 
 

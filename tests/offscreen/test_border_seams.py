@@ -65,7 +65,7 @@ def brighter(levels: float) -> Splats:
 
 
 def higher(step_m: float) -> Splats:
-    return replace(street(), means=street().means + [0.0, 0.0, step_m])
+    return replace(street(), means=street().means + np.array([0.0, 0.0, step_m]))
 
 
 def thinner(share: float) -> Splats:

@@ -1,8 +1,9 @@
-"""A border from straight above, and how far colour, height, density and opacity step there, beside the same at its parallels. Once per border."""
+"""A border from straight above, and how far colour, height, density and opacity step there and at its parallels. Once per border."""
 
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from radiant_core.evaluate.step_detector import PARALLELS_M, QUANTITIES, THRESHOLDS, BorderSteps
 from radiant_viewer.images import Image
@@ -50,16 +51,15 @@ def border_picture(steps: BorderSteps, title: str) -> Image:
     return figure_image(figure)
 
 
-def _draw_strip(figure: object, steps: BorderSteps) -> None:
+def _draw_strip(figure: Figure, steps: BorderSteps) -> None:
     strip = steps.strip
     half_m, length_m = len(strip.image) * strip.px_m / 2, strip.image.shape[1] * strip.px_m
     axes = axes_at(figure, (LEFT_PX, FOOT_PX + CHART_PX + 66, WIDTH_PX - LEFT_PX - 16, STRIP_PX))
     axes.imshow(np.clip(strip.image, 0, 1), extent=(0, length_m, -half_m, half_m), interpolation="antialiased", aspect="equal")
     axes.set_anchor("W")
     # Marks outside the picture: a line over the border would hide or feign the seam.
-    for x_m, text in ((0.0, "border ▸"),):
-        axes.annotate(text, (x_m, 0), xytext=(-4, 0), textcoords="offset points", ha="right", va="center", size=8, color=INK_COLOR)
-    axes.annotate("◂", (length_m, 0), xytext=(4, 0), textcoords="offset points", ha="left", va="center", size=9, color=INK_COLOR)
+    for x_m, text, shift, side in ((0.0, "border ▸", -4, "right"), (length_m, "◂", 4, "left")):
+        axes.annotate(text, (x_m, 0), xytext=(shift, 0), textcoords="offset points", ha=side, va="center", size=8, color=INK_COLOR)
     axes.set_xlabel("metres along the border", size=8, color=SOFT_COLOR)
     axes.set_yticks([])
     axes.tick_params(colors=SOFT_COLOR, labelsize=8)

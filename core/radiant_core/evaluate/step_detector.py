@@ -1,12 +1,12 @@
 """Finds a seam without a reference: does a model step at a border more than at lines beside it? One render and 0.3 s per straight border.
 
-Of the strip seen from straight above, and of the Gaussians that show in it, four quantities are taken at the border (t = 0) and at parallels:
+Of the strip seen from straight above and the Gaussians that show in it, four quantities are taken at the border and at parallels:
     colour   mean of the 0.4 m to the left − to the right of every half metre of the border; grey and two differences of channels
     height   left − right of neighbouring Gaussians' centres that lie on either side
     density  log of the ratio of Gaussians, weighted by opacity, in the bands to either side
     gap      opacity beside the line − opacity on it
-each pooled along the border by a location that lets no piece decide: weights 1 / (s² + (x − v)²), the maximum of Cauchy's likelihood with the
-scale s of each piece's own surroundings, so that lawn counts more than hedges. With v(t) for what is pooled at the parallel t,
+the first two pooled along the border by a location that lets no piece decide: weights 1 / (s² + (x − v)²), the maximum of Cauchy's
+likelihood with the scale s of each piece's own surroundings, so that lawn counts more than hedges. With v(t) for the pooled figure at t,
     score = |v(0) − median of v(t)| / root mean square of v(t) − median,  2 m ≤ |t| ≤ 7 m.
 Heights are those of centres, since rendered depth mixes surfaces: there, 5 cm vanish in the scatter of 20 cm. A seam is found where any
 score exceeds its threshold. They hold for metric models of towns from the air; `radiant_app/bench/step_detector.py` measured them.
@@ -37,8 +37,8 @@ PIECE_M = 0.5
 """Length of the border in which colours are averaged."""
 PARALLELS_M: FloatArray = np.concatenate([np.arange(-7.0, -1.9, 0.5), np.arange(2.0, 7.1, 0.5)])
 COLOR_WIDTH_M = 0.4
-"""Narrow, though a step is blurred over as much: texture grows faster with the distance than the step does. With 0.4 m a grey step of 20/255
-was found at 0.71 of 90 virtual borders, with 1 m at 0.54, with straight lines fitted to 1.5 m on either side and extrapolated at 0.38."""
+"""Narrow, though a step is blurred over as much: texture grows faster with the distance than the step does. With 0.4 m a grey step of
+20/255 was found at 0.71 of 90 virtual borders, with 1 m at 0.54, with straight lines through 1.5 m on either side at 0.38."""
 DENSITY_WIDTH_M = 2.0
 GAP_WIDTH_M, BESIDE_GAP_M = 0.3, 1.0
 """Half the width of the line, and to where opacity beside it is taken."""
