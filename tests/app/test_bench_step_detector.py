@@ -1,4 +1,4 @@
-"""The bench of the step detector: thresholds keep their rate on noise, virtual borders lie in the model, planted steps stand where they should."""
+"""The bench of the step detector: thresholds keep their rate on noise, virtual borders lie in the model, steps where they were planted."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float,
     reach_m = np.array([columns, 2 * half_rows]) * px_m / 2
     sizes_m = np.exp(np.minimum(splats.log_scales.max(axis=1, initial=-np.inf).astype(np.float64), 50.0))
     near = (np.abs(places) <= 1.02 * reach_m + _REACH_SIGMAS * sizes_m[:, None]).all(axis=1)
-    inside = (np.abs(places) < reach_m).all(axis=1)
+    inside = np.asarray((np.abs(places) < reach_m).all(axis=1))
     ground_m = float(np.median(splats.means[inside, 2])) if inside.any() else 0.0
     low = low_gaussians(splats, inside)
     near, inside = near & low, inside & low
