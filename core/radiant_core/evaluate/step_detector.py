@@ -30,7 +30,7 @@ Quantity = Literal["colour", "height", "density", "gap"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 THRESHOLDS: dict[Quantity, float] = {"colour": 4.40, "height": 3.05, "density": 3.21, "gap": 3.34}
-"""Together 5 % false alarms on 216 virtual borders of 144 m in six centralised models (town, caliterra, lewis, 2 seeds each, 640 px, 150 s):
+"""Together 5 % false alarms on 216 virtual borders of 144 m in six centralised models (town, caliterra, lewis; 2 seeds, 640 px, 150 s):
 `python -m radiant_app.bench.step_detector --borders 36 MODEL…`. Cross-validated 6.9 %. Power by that command: height 5 cm 1.00 in the town,
 0.44 in caliterra, 0 in lewis; grey 20/255 0.61, 0.44, 0; grey 2/255 0 everywhere, since texture alone steps by more."""
 
