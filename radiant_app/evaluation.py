@@ -7,7 +7,6 @@ Seam masks come from the scene's own depth here; a comparison of methods has to 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -157,9 +156,7 @@ def _seam_figures(
 ) -> dict[str, Any]:
     plan, _ = load_plan(plan_path)
     half_band = region_width(plan.sites)
-    masks = seam_masks(cameras, [view.depth for view in rendered], plan, half_band)
-    counted = zip(masks, used, strict=True)
-    masks = [m if pixels is None else replace(m, band=m.band & pixels, interior=m.interior & pixels) for m, pixels in counted]
+    masks = seam_masks(cameras, [view.depth for view in rendered], plan, half_band).within(used)
     error = band_and_interior_psnr_db([view.image for view in rendered], photographs, masks)
     return {
         "seam_psnr_db": error.seam_psnr_db,

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.seam_error import border_distance_m
+from radiant_core.evaluate.borders import border_distance_m
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene

@@ -1,36 +1,77 @@
-"""How much worse a model is along the inner borders of a plan than elsewhere. Runs once per held-out image.
+"""How much worse a model is along the borders of a plan than elsewhere. Masks once per scene, plan and image, then sums once per render.
 
-A pixel belongs to the band when the ground under it, x = world_from_cam · (z K⁻¹ (u, v, 1)), lies within half a band of a
-border between two regions. Regions are cells of a power diagram (sites P, weights w), so that the distance of x in cell i to
-its border is
-    min over j ≠ i of (‖x − Pj‖² − wj − ‖x − Pi‖² + wi) / (2‖Pi − Pj‖)
-exactly, without a search through polygons: a half-plane that does not touch the cell is never the nearest.
+A pixel belongs to a band when the surface it sees, x = world_from_cam · (z K⁻¹ (u, v, 1)), lies within half a band of a border, measured
+horizontally, and to the nearest of all borders; what lies farther is the interior. Depths z are the generator's or the centralised model's,
+never the judged model's own, so that all methods are judged by the same pixels. A roof or facade counts by its own place, not by the
+ground it hides. Out are the sky and pixels whose place is not known to half of half a band: along the edge of what hides something
+else, depth mixes both. Inverse depth is affine over any plane, seen however flatly, so there its second differences
+    |q(u−1) − 2 q(u) + q(u+1)| z² ‖horizontal part of K⁻¹ (u, v, 1)‖,  q = 1 / z, and likewise for v
+are how far the place is unsure.
+
+The headline (`seam_scores.py`) is (band − interior) of a method minus that of a reference, usually the centralised model: what is hard
+to learn along a border for anybody cancels out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.borders import Borders, EdgeBorders
 from radiant_core.evaluate.image_error import psnr_db_of_mse
+from radiant_core.evaluate.image_pair import Used
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan
 
 MIN_PIXELS = 20_000
 MIN_IMAGES = 10
+INTERIOR, UNCOUNTED = -1, -2
+UNSURE_SHARE = 0.5
+"""A pixel is out where its place is unsure by this share of half a band."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamMask:
-    """Pixels of one image: band (H,W) near an inner border, interior (H,W) the others; the sky, without depth, is in neither."""
+    """Pixels of one image: labels (H,W), the number of the border whose band it is, -1 in the interior, -2 where it does not count."""
 
-    band: NDArray[np.bool_]
-    interior: NDArray[np.bool_]
+    labels: NDArray[np.int16]
+
+    @property
+    def band(self) -> NDArray[np.bool_]:
+        """(H,W) near any border."""
+        return self.labels >= 0
+
+    @property
+    def interior(self) -> NDArray[np.bool_]:
+        """(H,W) far from all of them."""
+        return self.labels == INTERIOR
+
+    def within(self, used: Used) -> SeamMask:
+        """Without the pixels that are not `used` (H,W); all of it for None."""
+        return self if used is None else replace(self, labels=np.where(used, self.labels, np.int16(UNCOUNTED)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeamMasks:
+    """One mask per image, and the names of the two regions of every border that any of them sees."""
+
+    borders: tuple[tuple[str, str], ...]
+    masks: tuple[SeamMask, ...]
+
+    def __len__(self) -> int:
+        return len(self.masks)
+
+    def __iter__(self) -> Iterator[SeamMask]:
+        return iter(self.masks)
+
+    def within(self, used: Sequence[Used]) -> SeamMasks:
+        """Without the pixels that are not `used` of each image."""
+        return replace(self, masks=tuple(mask.within(pixels) for mask, pixels in zip(self.masks, used, strict=True)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,30 +94,30 @@ class SeamError:
             f" at least {MIN_PIXELS} in {MIN_IMAGES} are needed"
         )
 
-
-def border_distance_m(points_xy: FloatArray, plan: CloudPlan) -> FloatArray:
-    """Distance (P,) of ground positions (P,2) to the border of the region they lie in; inf with one region."""
-    sites = plan.sites
-    powers = ((points_xy[:, None] - sites) ** 2).sum(axis=2) - plan.weights
-    own = powers.argmin(axis=1)
-    spacing = np.linalg.norm(sites[:, None] - sites, axis=2)
-    gaps = np.full(powers.shape, np.inf)
-    # Two regions at one site have no border between them: the heavier one owns everything.
-    apart = spacing[own] > 0
-    np.divide(powers - powers.min(axis=1, keepdims=True), 2 * spacing[own], out=gaps, where=apart)
-    return gaps.min(axis=1)
+    @property
+    def band_minus_interior_db(self) -> float | None:
+        """Negative where the band is worse; None where either part has no figure."""
+        if self.seam_psnr_db is None or self.interior_psnr_db is None:
+            return None
+        return self.seam_psnr_db - self.interior_psnr_db
 
 
-def seam_masks(cameras: Cameras, depths_m: Sequence[NDArray[np.floating]], plan: CloudPlan, half_band_m: float) -> tuple[SeamMask, ...]:
+def seam_masks(
+    cameras: Cameras, depths_m: Sequence[NDArray[np.floating]], borders: CloudPlan | Sequence[Borders], half_band_m: float
+) -> SeamMasks:
     """Masks of C images from their depths, C arrays (H,W) along the camera's z axis; 0, NaN or infinite means no ground.
 
-    Raises BadInput when a depth does not have its camera's size or `half_band_m` is not positive.
+    `borders` are those between the edges of a plan, or several kinds, as in `[EdgeBorders(…), DeviceBorders(…)]`: a pixel then
+    belongs to the nearest border of any kind. Raises BadInput when a depth is not of its camera's size or `half_band_m` not positive.
     """
-    if not half_band_m > 0:
+    if not 0 < half_band_m < np.inf:
         raise BadInput(f"half_band_m is {half_band_m}, expected a positive width of the band beside a border.")
     if len(depths_m) != len(cameras):
         raise BadInput(f"{len(depths_m)} depth images come with {len(cameras)} cameras: give one each.")
-    return tuple(_seam_mask(cameras, index, depth_m, plan, half_band_m) for index, depth_m in enumerate(depths_m))
+    kinds = [EdgeBorders(plan=borders)] if isinstance(borders, CloudPlan) else list(borders)
+    numbers: dict[tuple[str, str], int] = {}
+    masks = tuple(_seam_mask(cameras, index, depth_m, kinds, half_band_m, numbers) for index, depth_m in enumerate(depths_m))
+    return SeamMasks(borders=tuple(numbers), masks=masks)
 
 
 def band_and_interior_psnr_db(
@@ -106,26 +147,67 @@ def seam_sums(
     """(2,3): squared error, pixels and images of the band and of the interior, over images (H,W,3) in 0..1 that come one at a time."""
     band, interior = np.zeros(3), np.zeros(3)
     for render, photograph, mask in zip(renders, photographs, masks, strict=True):
-        if not render.shape == photograph.shape == (*mask.band.shape, 3):
-            raise BadInput(f"render {render.shape}, photograph {photograph.shape} and mask {mask.band.shape} differ in size.")
-        squared = ((np.asarray(render, np.float64) - photograph) ** 2).mean(axis=2)
+        squared = squared_errors(render, photograph, mask)
         band += _sums(squared, mask.band)
         interior += _sums(squared, mask.interior)
     return np.stack([band, interior])
 
 
-def _seam_mask(cameras: Cameras, index: int, depth_m: NDArray[np.floating], plan: CloudPlan, half_band_m: float) -> SeamMask:
+def squared_errors(render: NDArray[np.floating], photograph: NDArray[np.floating], mask: SeamMask) -> FloatArray:
+    """Mean over channels (H,W) of the squared difference of two images; BadInput when they and the mask differ in size."""
+    if not render.shape == photograph.shape == (*mask.labels.shape, 3):
+        raise BadInput(f"render {render.shape}, photograph {photograph.shape} and mask {mask.labels.shape} differ in size.")
+    squared = ((np.asarray(render, np.float64) - photograph) ** 2).mean(axis=2)
+    if not np.isfinite(squared[mask.labels != UNCOUNTED]).all():
+        raise BadInput("a render or photograph has values that are not finite where it is to be scored: check the model it came from.")
+    return squared
+
+
+def _seam_mask(
+    cameras: Cameras,
+    index: int,
+    depth_m: NDArray[np.floating],
+    kinds: Sequence[Borders],
+    half_band_m: float,
+    numbers: dict[tuple[str, str], int],
+) -> SeamMask:
+    """The mask of one image; borders that are new get their number in `numbers`."""
     width, height = cameras.sizes_wh[index]
     if depth_m.shape != (height, width):
         raise BadInput(f"the depth of {cameras.names[index]!r} has shape {depth_m.shape}, expected ({height}, {width}).")
-    seen = np.isfinite(depth_m) & (depth_m > 0)
-    rows, columns = np.nonzero(seen)
-    pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1)
-    in_camera = pixels @ np.linalg.inv(cameras.Ks[index]).T * depth_m[seen][:, None]
-    in_world = (in_camera - cameras.cam_from_world[index, :3, 3]) @ cameras.cam_from_world[index, :3, :3]
-    band = np.zeros((height, width), bool)
-    band[rows, columns] = border_distance_m(in_world[:, :2], plan) <= half_band_m
-    return SeamMask(band=band, interior=seen & ~band)
+    places, unsure_m = _places(cameras, index, depth_m)
+    counted = np.isfinite(places).all(axis=2) & (unsure_m <= UNSURE_SHARE * half_band_m)
+    labels = np.full((height, width), UNCOUNTED, np.int16)
+    labels[counted] = INTERIOR
+    distance_m = np.full(int(counted.sum()), half_band_m)
+    found = np.full(len(distance_m), INTERIOR, np.int16)
+    for kind in kinds:
+        nearest = kind.nearest(places[counted])
+        nearer = np.flatnonzero((nearest.distance_m <= distance_m) & (nearest.pair[:, 0] >= 0))
+        distance_m[nearer] = nearest.distance_m[nearer]
+        pairs, which = np.unique(nearest.pair[nearer], axis=0, return_inverse=True)
+        names = [(kind.names[a], kind.names[b]) for a, b in pairs]
+        found[nearer] = np.array([numbers.setdefault(name, len(numbers)) for name in names], np.int16)[which.ravel()]
+    labels[counted] = found
+    return SeamMask(labels=labels)
+
+
+def _places(cameras: Cameras, index: int, depth_m: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
+    """Horizontal place (H,W,2) of what each pixel sees, NaN without depth, and how far it is unsure (H,W) m."""
+    height, width = depth_m.shape
+    depth = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.nan).astype(np.float64)
+    K, pose = cameras.Ks[index], cameras.cam_from_world[index]
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(columns)], axis=2) @ pose[:3, :2]
+    places = cameras.centers[index, :2] + rays * depth[..., None]
+    bends = np.zeros((height, width))
+    inverse = 1 / depth
+    for axis in (0, 1):
+        padded = np.pad(inverse, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], constant_values=np.nan)
+        before, after = (np.delete(padded, (0, 1) if end else (-2, -1), axis=axis) for end in (0, 1))
+        # At the rim of the picture and beside the sky one side is missing: nothing is said there.
+        bends = np.fmax(bends, np.abs(before - 2 * inverse + after))
+    return places, bends * depth**2 * np.linalg.norm(rays, axis=2)
 
 
 def _sums(squared: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:

@@ -8,8 +8,9 @@ import shapely
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.borders import border_distance_m
 from radiant_core.evaluate.image_error import psnr_db
-from radiant_core.evaluate.seam_error import SeamMask, band_and_interior_psnr_db, border_distance_m, seam_masks
+from radiant_core.evaluate.seam_error import SeamMask, band_and_interior_psnr_db, seam_masks
 from radiant_core.plan.plans import CloudPlan
 
 
@@ -108,7 +109,7 @@ def test_wrong_sizes_are_bad_input() -> None:
     for depths_m, half_band_m in (([np.ones((3, 3))], 1.0), ([], 1.0), (whole, 0.0), (whole, np.nan)):
         with pytest.raises(BadInput):
             seam_masks(camera, depths_m, TWO_HALVES, half_band_m)
-    mask = SeamMask(band=np.ones((4, 4), bool), interior=np.zeros((4, 4), bool))
+    mask = SeamMask(labels=np.zeros((4, 4), np.int16))
     with pytest.raises(BadInput, match="differ in size"):
         band_and_interior_psnr_db([np.zeros((4, 5, 3))], [np.zeros((4, 4, 3))], [mask])
 
@@ -118,7 +119,11 @@ def striped(num_images: int, side_px: int) -> tuple[list[np.ndarray], list[np.nd
     left = np.zeros((side_px, side_px), bool)
     left[:, : side_px // 2] = True
     render = np.where(left[..., None], 0.1, 0.01) * np.ones(3)
-    return [render] * num_images, [np.zeros_like(render)] * num_images, [SeamMask(band=left, interior=~left)] * num_images
+    return (
+        [render] * num_images,
+        [np.zeros_like(render)] * num_images,
+        [SeamMask(labels=np.where(left, 0, -1).astype(np.int16))] * num_images,
+    )
 
 
 def test_band_and_interior_are_scored_apart() -> None:
@@ -138,7 +143,7 @@ def test_too_few_images_or_pixels_are_insufficient(num_images: int, side_px: int
 def test_over_whole_images_it_is_the_ordinary_psnr() -> None:
     rng = np.random.default_rng(0)
     render, photo = rng.random((2, 50, 50, 3))
-    everywhere = SeamMask(band=np.ones((50, 50), bool), interior=np.zeros((50, 50), bool))
+    everywhere = SeamMask(labels=np.zeros((50, 50), np.int16))
     error = band_and_interior_psnr_db([render] * 10, [photo] * 10, [everywhere] * 10)
     assert error.seam_psnr_db == pytest.approx(psnr_db(render, photo), abs=1e-9)
     assert error.interior_psnr_db is None

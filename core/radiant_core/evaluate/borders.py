@@ -1,0 +1,140 @@
+"""Where one region's ground ends and the next one's begins: who owns a ground position, who is next, and how far that is. Per mask once.
+
+Ownership depends on x and y alone, so a border is a wall that stands on its line: what is seen of ground, roof or facade within a
+width of the line belongs to it. Two kinds: between edges, cells of a power diagram (sites P, weights w), where x in cell i is away by
+    min over j ≠ i of (‖x − Pj‖² − wj − ‖x − Pi‖² + wi) / (2‖Pi − Pj‖)
+exactly, without a search through polygons: a half-plane that does not touch the cell is never the nearest. And between the devices of
+an edge, strips of its cell cut by lines, where it is the least distance to a cut. P positions, R regions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.power_diagram import polygon_area_m2
+
+BLOCK_NUMBERS = 4_000_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NearestBorder:
+    """distance_m (P,), infinite where a region has no neighbour; pair (P,2) of region indices, the lower one first, -1 there."""
+
+    distance_m: FloatArray
+    pair: NDArray[np.int64]
+
+
+class Borders(Protocol):
+    """Regions of the ground and the borders between them."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The R regions."""
+        ...
+
+    def nearest(self, points_xy: FloatArray) -> NearestBorder:
+        """The border of its own region that is nearest to each of the positions (P,2) m, finite."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EdgeBorders:
+    """Borders between the edges of a plan."""
+
+    plan: CloudPlan
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Ids of the edges."""
+        return self.plan.edge_ids
+
+    def nearest(self, points_xy: FloatArray) -> NearestBorder:
+        """See `Borders`; two edges at one site have no border between them, the heavier one owns everything."""
+        sites = self.plan.sites
+        spacing = np.linalg.norm(sites[:, None] - sites, axis=2)
+        distances, pairs = np.full(len(points_xy), np.inf), np.full((len(points_xy), 2), -1)
+        block = max(1, BLOCK_NUMBERS // (2 * len(sites)))
+        for start in range(0, len(points_xy), block):
+            rows = slice(start, start + block)
+            powers = ((points_xy[rows, None] - sites) ** 2).sum(axis=2) - self.plan.weights
+            own = powers.argmin(axis=1)
+            gaps = np.full(powers.shape, np.inf)
+            np.divide(powers - powers.min(axis=1, keepdims=True), 2 * spacing[own], out=gaps, where=spacing[own] > 0)
+            distances[rows] = gaps.min(axis=1)
+            found = np.sort(np.stack([own, gaps.argmin(axis=1)], axis=1), axis=1)
+            pairs[rows] = np.where(np.isfinite(distances[rows])[:, None], found, -1)
+        return NearestBorder(distance_m=distances, pair=pairs)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DeviceBorders:
+    """Borders between the devices of each edge; those between edges are not among them. Cuts reach across the whole cell of the edge."""
+
+    plan: CloudPlan
+    edge_plans: Sequence[EdgePlan]
+
+    def __post_init__(self) -> None:
+        if tuple(plan.edge_id for plan in self.edge_plans) != self.plan.edge_ids:
+            raise BadInput("the plans of the edges are not those of the regions, or in another order: pass both of one plan.")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Ids of the devices, edge by edge."""
+        return tuple(device for plan in self.edge_plans for device in plan.device_ids)
+
+    def nearest(self, points_xy: FloatArray) -> NearestBorder:
+        """See `Borders`."""
+        distances, pairs = np.full(len(points_xy), np.inf), np.full((len(points_xy), 2), -1)
+        owners = edge_owners(points_xy, self.plan)
+        first = 0
+        for edge, plan in enumerate(self.edge_plans):
+            inside = np.flatnonzero(owners == edge)
+            for pair, normal, offset in _cuts(plan):
+                gaps = np.abs(points_xy[inside] @ normal - offset)
+                nearer = gaps < distances[inside]
+                distances[inside[nearer]] = gaps[nearer]
+                pairs[inside[nearer]] = np.sort(pair) + first
+            first += len(plan.device_ids)
+        return NearestBorder(distance_m=distances, pair=pairs)
+
+
+def border_distance_m(points_xy: FloatArray, plan: CloudPlan) -> FloatArray:
+    """Distance (P,) of ground positions (P,2) to the border of the edge's region they lie in; inf with one region."""
+    return EdgeBorders(plan=plan).nearest(points_xy).distance_m
+
+
+def edge_owners(points_xy: FloatArray, plan: CloudPlan) -> NDArray[np.int64]:
+    """Index (P,) of the edge whose power cell holds each of the positions (P,2)."""
+    owners = np.zeros(len(points_xy), np.int64)
+    block = max(1, BLOCK_NUMBERS // (2 * len(plan.sites)))
+    for start in range(0, len(points_xy), block):
+        rows = slice(start, start + block)
+        owners[rows] = (((points_xy[rows, None] - plan.sites) ** 2).sum(axis=2) - plan.weights).argmin(axis=1)
+    return owners
+
+
+def _cuts(plan: EdgePlan) -> list[tuple[tuple[int, int], FloatArray, float]]:
+    """Devices on either side, unit normal (2,) and offset of the line between each two consecutive strips that hold ground."""
+    used = [index for index, strip in enumerate(plan.strips) if len(strip) >= 3]
+    return [((a, b), *_separating_side(plan.strips[a], plan.strips[b])) for a, b in pairwise(used)]
+
+
+def _separating_side(strip: FloatArray, other: FloatArray) -> tuple[FloatArray, float]:
+    """The side of a convex polygon (V,2) that `other` lies farthest beyond: outward normal n and n · x on it."""
+    strip = strip if polygon_area_m2(strip) > 0 else strip[::-1]
+    sides = np.roll(strip, -1, axis=0) - strip
+    lengths = np.linalg.norm(sides, axis=1)
+    strip, sides, lengths = strip[lengths > 0], sides[lengths > 0], lengths[lengths > 0]
+    normals = np.column_stack([sides[:, 1], -sides[:, 0]]) / lengths[:, None]
+    beyond = ((other[None] - strip[:, None]) * normals[:, None]).sum(axis=2).min(axis=1)
+    best = int(beyond.argmax())
+    return normals[best], float(normals[best] @ strip[best])
