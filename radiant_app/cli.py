@@ -246,7 +246,7 @@ def aggregate(
     run_folder: RunFolder,
     out: Annotated[Path, typer.Option("--out", help="PLY of the joined scene.", show_default=False)],
     aggregate_preset: Annotated[AggregatePreset, typer.Option(help=_AGGREGATE_HELP)] = "default",
-    epochs: Annotated[int, typer.Option(min=1, help="How often each synthetic view is shown.")] = 10,
+    epochs: Annotated[int | None, typer.Option(min=1, help="How often each synthetic view is shown, else as the preset has it.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Join the device models of a run once more, in another way."""

@@ -1,4 +1,4 @@
-"""The cloud's retraining (paper Sec. III-D): what the cloud is dealt for it, and how its node decides and does it. Once per run.
+"""What edges and the cloud decide when they join models, and the cloud's retraining, its task and node (paper Sec. III-D). Once per run.
 
 The cloud gets virtual cameras of each edge and how long its aggregation took, never a device's id, count or pose.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,11 +16,17 @@ from radiant_app.events import Decided, Event
 from radiant_app.inbox import Inbox
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.decisions import Decision
 from radiant_core.io.run_store import content_key, read_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import System
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
+
+if TYPE_CHECKING:
+    from radiant_core.aggregate.retrain import Joined
+
+BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
 def virtual_cameras_of(folder: Path, cameras: Sequence[Cameras], splats: Splats) -> Cameras:
@@ -45,9 +51,10 @@ def retrain_settings(run: Path, edges: Sequence[str], plan: CloudPlan, system: S
 
 
 def retrained_at_cloud(task: dict[str, Any], inbox: Inbox, stage: str, emit: Callable[[Event], None], options: Any) -> Any:
-    """The TrainResult of retraining at the cloud, or None where its limits forbid it; the choice is emitted as a decision."""
+    """`Joined` of retraining at the cloud, or None where its limits forbid it; the choice is emitted as a decision."""
     from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
-    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.ownership import claims_of_cells
+    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
     from radiant_core.plan.system import Cloud
 
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
@@ -56,7 +63,35 @@ def retrained_at_cloud(task: dict[str, Any], inbox: Inbox, stage: str, emit: Cal
     needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, own_times_s)
     retrains, decision = choose_at_cloud(needs, Cloud(**task["limits"]), stage)
     emit(Decided(decision=decision))
-    return retrain_on_synthetic_views(inbox.models, inbox.cameras, train, aggregate, options) if retrains else None
+    if not retrains:
+        return None
+    rows = [task["edges"].index(name) for name in inbox.senders]
+    claims = claims_of_cells(np.array(task["sites"])[rows], np.array(task["weights"])[rows])
+    teachers = [Teacher(splats=model, cameras=own) for model, own in zip(inbox.models, inbox.cameras, strict=True)]
+    return retrain_on_synthetic_views(teachers, train, aggregate, options, claims)
+
+
+def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, joined: Joined) -> list[Decision]:
+    """What was retrained of the joined models and what was skipped, with the figures that decided."""
+
+    def decided(choice: str, figure: float, unit: str, reason: str) -> Decision:
+        forced = aggregate.preset == "paper"
+        return Decision(stage=stage, topic="retraining", choice=choice, figure=figure, unit=unit, reason=reason, forced=forced)
+
+    steps = joined.trained.num_steps
+    if num_models == 1 and not aggregate.retrain_single:
+        return [decided("skipped", 1.0, "models", "a single model would only learn from its own pictures")]
+    if aggregate.preset == "paper":
+        return [decided(f"{steps:,} steps on all Gaussians and whole pictures", float(steps), "steps", BY_PRESET)]
+    if not joined.num_shown:
+        return [decided("skipped", 0.0, "% contested", "no view shows enough that a second model knows: models are cut at their borders")]
+    if not steps:
+        reason = f"models that agree to {aggregate.agreement_db:g} dB have no seam that could be seen: they are cut at their borders"
+        return [decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
+    shown = f"{joined.num_shown} of {joined.num_views} views"
+    share = 100 * joined.contested_share
+    left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
+    return [decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", "only what a second model knows too can be joined better")]
 
 
 def _edge_time_s(run: Path, edge: str, plan: CloudPlan, system: System) -> float:

@@ -46,17 +46,19 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay, masks:
     }
 
 
-def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, display: ProgressDisplay) -> dict[str, Any]:
+def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
     """Join the device models of a finished run with other settings; writes a PLY. No system file is read: the cloud has no limit."""
     from radiant_core.aggregate.crop_merge import crop_merge
-    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
+    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.trainer import FitOptions
 
     require_file_to_be(out)
     require_run(run)
     cloud_plan, edge_plans = load_plan(run / "plan.json")
-    config = replace(aggregate_preset(preset), num_epochs=epochs)
+    config = aggregate_preset(preset)
+    config = config if epochs is None else replace(config, num_epochs=epochs)
     train = TrainConfig()
     models, views, rows, seconds = [], [], [], 0.0
     for row, edge_plan in enumerate(edge_plans):
@@ -70,17 +72,21 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int, displa
             options = FitOptions(report=lambda p, report=report: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
             device_models = [load_upload(place / "model.safetensors") for place in inbox]
             device_cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
-            result = retrain_on_synthetic_views(device_models, device_cameras, train, config, options)
-        models.append(result.splats)
-        views.append(virtual_cameras_of(run / "edges" / edge, device_cameras, result.splats))
+            claims = claims_of_polygons([edge_plan.strips[edge_plan.device_ids.index(device)] for device in task["devices"]])
+            teachers = [Teacher(splats=model, cameras=own) for model, own in zip(device_models, device_cameras, strict=True)]
+            joined = retrain_on_synthetic_views(teachers, train, config, options, claims)
+        models.append(joined.splats)
+        views.append(virtual_cameras_of(run / "edges" / edge, device_cameras, joined.splats))
         rows.append(row)
-        seconds += result.seconds
+        seconds += joined.trained.seconds
     if config.cloud == "retrain" and models:
         with stage_bar(display, "cloud") as report:
             options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
-            result = retrain_on_synthetic_views(models, views, train, config, options)
-        save_ply(out, result.splats)
-        return {"gaussians": len(result.splats), "retrain_s": round(seconds + result.seconds, 2), "model": str(out)}
+            claims = claims_of_cells(cloud_plan.sites[rows], cloud_plan.weights[rows])
+            teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, views, strict=True)]
+            joined = retrain_on_synthetic_views(teachers, train, config, options, claims)
+        save_ply(out, joined.splats)
+        return {"gaussians": len(joined.splats), "retrain_s": round(seconds + joined.trained.seconds, 2), "model": str(out)}
     merged = crop_merge(models, cloud_plan.sites[rows], cloud_plan.weights[rows], fill_blind_spots=config.fill_blind_spots)
     save_ply(out, merged.splats)
     return {"gaussians": len(merged.splats), "retrain_s": round(seconds, 2), "filled": merged.num_filled, "model": str(out)}

@@ -112,12 +112,17 @@ class Dealer:
             self.deal_device(device, folder / "inbox" / device)
         task = {
             "devices": devices,
+            "strips": [self._strip_of(device) for device in devices],
             "train": asdict(self.train),
             "aggregate": asdict(self.aggregate),
             "backend": self.backend,
             "upload": self.upload,
         }
         return task, [folder / "inbox"]
+
+    def _strip_of(self, device: str) -> list[list[float]]:
+        plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
+        return plan.strips[plan.device_ids.index(device)].tolist()
 
     def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
         """What the edges uploaded, and the plan's borders."""

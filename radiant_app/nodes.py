@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.cloud_task import retrained_at_cloud, virtual_cameras_of
+from radiant_app.cloud_task import BY_PRESET, join_decisions, retrained_at_cloud, virtual_cameras_of
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
 from radiant_app.memory import resident_bytes
@@ -51,7 +51,6 @@ CHECKPOINTS = "checkpoints"
 """Folder of a training's checkpoints inside its node's; gone when the node is done."""
 MASKS = "masks"
 """Folder of masks beside a node's photographs, where there are any."""
-_BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -242,7 +241,8 @@ def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Join the devices' models by retraining on what each shows at its own cameras."""
     from radiant_core.aggregate.config import AggregateConfig
-    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.ownership import claims_of_polygons
+    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
     from radiant_core.train.config import TrainConfig
 
     task = read_json(folder / "task.json")
@@ -261,8 +261,13 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     key = content_key(__version__, {name: value for name, value in task.items() if name != "teachers"}, folder / "inbox")
     checkpoints = checkpoints_in(folder, key, (stage, emit))
     options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
-    result = retrain_on_synthetic_views(inbox.models, inbox.cameras, train, aggregate, options, rendered)
-    emit(Decided(decision=_retrain_decision(stage, aggregate, [len(model) for model in inbox.models], result)))
+    strips = [np.array(task["strips"][task["devices"].index(name)]).reshape(-1, 2) for name in inbox.senders]
+    asked = zip(inbox.models, inbox.cameras, rendered, strict=True)
+    teachers = [Teacher(splats=model, cameras=own, rendered=ready) for model, own, ready in asked]
+    joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims_of_polygons(strips))
+    result = joined.trained
+    for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
+        emit(Decided(decision=decision))
     # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
     splats = result.splats.select(morton_order(result.splats.means))
     save_splats(folder / "model.safetensors", splats)
@@ -285,11 +290,12 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         return _nothing_placed(folder, inbox)
     outputs = ["scene.ply", "summary.json", *save_frames(folder, inbox)]
     if aggregate.cloud == "retrain":
-        result = retrained_at_cloud(task, inbox, stage, emit, fit_options(stage, task["backend"], emit))
-        if result is not None:
-            emit(Decided(decision=_retrain_decision(stage, aggregate, [len(model) for model in inbox.models], result)))
-            save_ply(folder / "scene.ply", result.splats)
-            write_json(folder / "summary.json", training_summary(result))
+        joined = retrained_at_cloud(task, inbox, stage, emit, fit_options(stage, task["backend"], emit))
+        if joined is not None:
+            for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
+                emit(Decided(decision=decision))
+            save_ply(folder / "scene.ply", joined.splats)
+            write_json(folder / "summary.json", training_summary(joined.trained))
             return outputs
     rows = [task["edges"].index(name) for name in inbox.senders]
     sites, weights = np.array(task["sites"])[rows], np.array(task["weights"])[rows]
@@ -398,7 +404,7 @@ def _sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
         choice="Gaussians on a far half sphere were added" if looks_up else "no sky was added",
         figure=100 * share,
         unit="% above the horizon in the image that has most",
-        reason=f"a sky is modelled from {100 * MIN_SKY_SHARE:.0f} % of one image on" if wanted else _BY_PRESET,
+        reason=f"a sky is modelled from {100 * MIN_SKY_SHARE:.0f} % of one image on" if wanted else BY_PRESET,
         forced=not wanted,
     )
 
@@ -410,7 +416,7 @@ def _fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool
         choice=f"{num_filled:,} points were added to {num_points:,} sparse ones",
         figure=float(num_filled),
         unit="image cells without a sparse point" if wanted else "points",
-        reason="places without sparse points would start empty" if wanted else _BY_PRESET,
+        reason="places without sparse points would start empty" if wanted else BY_PRESET,
         forced=not wanted,
     )
 
@@ -453,22 +459,6 @@ def _shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> De
     )
 
 
-def _retrain_decision(stage: str, aggregate: Any, counts: Sequence[int], result: Any) -> Decision:
-    dropped = sum(counts) - len(result.splats)
-    if len(counts) == 1 and not aggregate.retrain_single:
-        choice, figure, unit, reason = "skipped", 1.0, "models", "a single model would only learn from its own pictures"
-    elif aggregate.drop_unseen:
-        choice = f"{result.num_steps:,} steps; {dropped:,} of {sum(counts):,} Gaussians were left out first"
-        figure, unit = 100 * dropped / max(1, sum(counts)), "% of the Gaussians"
-        reason = "only another model's cameras see what was left out"
-    else:
-        choice = f"{result.num_steps:,} steps on all Gaussians and whole pictures"
-        figure, unit, reason = float(result.num_steps), "steps", _BY_PRESET
-    return Decision(
-        stage=stage, topic="retraining", choice=choice, figure=figure, unit=unit, reason=reason, forced=not aggregate.drop_unseen
-    )
-
-
 def _blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
     return Decision(
         stage=stage,
@@ -476,6 +466,6 @@ def _blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
         choice=f"kept {merged.num_filled:,} Gaussians outside their own region and dropped {merged.num_dropped:,}",
         figure=100 * merged.num_filled / max(1, len(merged.splats)),
         unit="% of the scene",
-        reason="the owner of that place has no Gaussian near it" if wanted else _BY_PRESET,
+        reason="the owner of that place has no Gaussian near it" if wanted else BY_PRESET,
         forced=not wanted,
     )

@@ -154,5 +154,5 @@ def _retrain_decision() -> Decision:
         choice=f"at most {REFERENCE_RETRAIN_STEPS} steps",
         figure=float(REFERENCE_RETRAIN_STEPS),
         unit="steps",
-        reason="ten epochs would take most of the run on the plain PyTorch backend",
+        reason="all epochs would take most of the run on the plain PyTorch backend",
     )

@@ -13,7 +13,7 @@ import numpy as np
 from radiant_app.bench.drone_scene import SceneSize, drone_scene
 from radiant_app.memory import peak_bytes, reset_peak_bytes
 from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
 from radiant_core.cameras import Cameras
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import train_preset
@@ -31,7 +31,8 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int) -> 
     aggregate = replace(aggregate_preset("paper"), max_num_steps=num_views)
     model_bytes = sum(model.num_bytes for model in models)
     before = reset_peak_bytes()
-    retrain_on_synthetic_views(models, cameras, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, FitOptions())
+    teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
+    retrain_on_synthetic_views(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, FitOptions())
     # The models themselves were there before the count began.
     print(peak_bytes() - before + model_bytes)
 

@@ -126,7 +126,7 @@ def _held_out_psnr_db(run: Path, edges: Sequence[EdgeOfRun], upload_format: Uplo
     """PSNR of the run's held-out photographs after joining what the edges and the cloud received in this format."""
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.crop_merge import crop_merge
-    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
     from radiant_core.evaluate.image_error import psnr_db
     from radiant_core.render.rendered_view import render_views
     from radiant_core.train.config import TrainConfig
@@ -139,7 +139,8 @@ def _held_out_psnr_db(run: Path, edges: Sequence[EdgeOfRun], upload_format: Uplo
     models = []
     for edge in edges:
         train, aggregate = TrainConfig(**edge.task["train"]), AggregateConfig(**edge.task["aggregate"])
-        joined = retrain_on_synthetic_views([received(model) for model in edge.models], edge.cameras, train, aggregate, FitOptions())
+        teachers = [Teacher(splats=received(model), cameras=own) for model, own in zip(edge.models, edge.cameras, strict=True)]
+        joined = retrain_on_synthetic_views(teachers, train, aggregate, FitOptions())
         models.append(received(joined.splats))
     plan, _ = load_plan(run / "plan.json")
     rows = [plan.edge_ids.index(edge.name) for edge in edges]

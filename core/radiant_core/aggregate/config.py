@@ -17,21 +17,23 @@ class AggregateConfig:
     """How an edge joins its devices' models, and the cloud its edges'."""
 
     preset: AggregatePreset = "default"
-    """Which tensors move. default: opacity and colour at full rate, scale and rotation at a tenth, centres fixed; paper: everything at
-    full rate."""
-    num_epochs: int = 10
+    """default: models fade where others own the place and are fitted together; paper: they are concatenated and retrained."""
+    num_epochs: int = 2
     """How often each synthetic view is shown (paper Sec. IV-B: 10)."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
     """Whether a lone model is retrained on its own pictures too."""
-    drop_unseen: bool = True
-    """Whether a model's Gaussians that only another model's cameras see are left out; the paper concatenates all."""
+    foreign_opacity: float = 0.3
+    """Factor of a Gaussian's opacity at the start where another model owns the place; default only."""
+    agreement_db: float | None = 40.0
+    """Models are only cut where their pictures agree with those of the cut at least so well, beyond what can be seen; None: they are
+    always retrained. default only."""
     weight_by_alpha: bool = True
     """Whether a synthetic pixel counts as much as its teacher is opaque there; the paper takes the pictures as they are."""
-    cloud: Literal["crop_merge", "retrain"] = "crop_merge"
-    """crop_merge: the cloud cuts models at the plan's borders; retrain: it does what the edges do, on views from virtual cameras, and
-    crop-merges where that would exceed its limits."""
+    cloud: Literal["crop_merge", "retrain"] = "retrain"
+    """retrain: the cloud does what the edges do, on views from virtual cameras, and crop-merges where that would exceed its limits;
+    crop_merge: it always cuts models at the plan's borders."""
     fill_blind_spots: bool = True
     """Whether crop-merge keeps a neighbour's Gaussian where the region's owner has nothing near it."""
 
@@ -40,6 +42,10 @@ class AggregateConfig:
             raise BadInput(f"aggregate preset {self.preset!r} is unknown: use 'default' or 'paper'.")
         if self.cloud not in ("crop_merge", "retrain"):
             raise BadInput(f"the cloud's aggregation is {self.cloud!r}, expected 'crop_merge' or 'retrain'.")
+        if not 0 < self.foreign_opacity <= 1 or not (self.agreement_db is None or self.agreement_db > 0):
+            raise BadInput(
+                f"foreign_opacity is {self.foreign_opacity} and agreement_db {self.agreement_db}: give a share and a level in dB."
+            )
         if self.num_epochs < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
             raise BadInput("num_epochs and max_num_steps of the aggregation must be at least 1.")
 
@@ -48,7 +54,7 @@ def aggregate_preset(name: str) -> AggregateConfig:
     """The configuration of a preset; BadInput lists the names there are."""
     if name == "paper":
         return AggregateConfig(
-            preset="paper", retrain_single=True, drop_unseen=False, weight_by_alpha=False, cloud="retrain", fill_blind_spots=False
+            preset="paper", num_epochs=10, retrain_single=True, weight_by_alpha=False, cloud="retrain", fill_blind_spots=False
         )
     if name != "default":
         raise BadInput(f"aggregate preset {name!r} is unknown: use one of {', '.join(get_args(AggregatePreset))}.")

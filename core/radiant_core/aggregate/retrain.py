@@ -1,84 +1,195 @@
-"""Retraining at an edge or the cloud: all models together, taught by their own synthetic views (paper Sec. III-D, Fig. 6). Once per node.
+"""Joining models at an edge or the cloud: all of them together, taught by what each shows at its own cameras. Once per node.
 
-Gaussians move but are neither added nor pruned: the paper densifies on devices, from step 500 of their 20,000 on.
+`paper` concatenates and retrains everything (paper Sec. III-D, Fig. 6). `default` begins near the end instead: every model fades where
+another one speaks for the place (`ownership`), so that the first picture is about that of a clean cut, then all of them are fitted
+together in a few epochs at falling rates. Views before which nothing is contested are not shown, and what only they see keeps its bits.
+Gaussians are neither added nor densified: the paper densifies on devices, from step 500 of their 20,000 on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.ownership import Claims, Ownership, ownership
 from radiant_core.aggregate.synthetic_views import Rendered, synthetic_views
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.render.contract import Backend
+from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.shapes import without_dead
 from radiant_core.train.trainer import FitOptions, Steps, TrainResult, fit_splats
 from radiant_core.train.views import TrainingViews, concatenate_views
 
-_STEPS = {
-    "paper": Steps(),
-    "default": Steps(means=0.0, quats=0.1, log_scales=0.1),
-}
+MEANS_RATE = 0.3
+"""Rate of the centres as a share of training's."""
+RATES_END = 0.3
+"""Share of the other rates that is left at the end of a retraining by `default`."""
+TOUCHED_SHARE = 0.02
+"""A view is shown where at least this share of the Gaussians before it is contested."""
+NUM_COMPARED = 6
+"""Views that say how far the models disagree before anything is done about it."""
+NUM_ASKED = 10_000
+"""Gaussians that say which views are touched."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Teacher:
+    """A model, the cameras that it is asked at, and by index of the camera the views that need not be rendered any more."""
+
+    splats: Splats
+    cameras: Cameras
+    rendered: Rendered = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joined:
+    """A joined model and what was done and skipped on the way."""
+
+    trained: TrainResult
+    num_given: int
+    """Gaussians of all models."""
+    num_views: int = 0
+    """Synthetic views there are."""
+    num_shown: int = 0
+    """Those that something contested lies before."""
+    contested_share: float = 1.0
+    """Of all Gaussians, those in places that a second model knows too."""
+    agreement_db: float | None = None
+    """PSNR between the models' own pictures and those of all models cut at their borders; None where nobody looked."""
+
+    @property
+    def splats(self) -> Splats:
+        """The joined model."""
+        return self.trained.splats
 
 
 def retrain_on_synthetic_views(
-    models: Sequence[Splats],
-    cameras: Sequence[Cameras],
-    train: TrainConfig,
-    aggregate: AggregateConfig,
-    options: FitOptions,
-    rendered: Sequence[Rendered] | None = None,
-) -> TrainResult:
-    """Concatenate `models`, or what they know, and retrain that on what each shows at its own `cameras` (one set per model).
+    teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None = None
+) -> Joined:
+    """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a place lies in.
 
-    `rendered` holds per model the views that need not be rendered any more. A single model is its own teacher and comes back unchanged
-    unless `aggregate.retrain_single`. Raises BadInput when the counts differ.
+    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single`. Raises BadInput without any.
     """
-    if len(models) != len(cameras) or not models:
-        raise BadInput(f"{len(models)} models with {len(cameras)} sets of cameras: give one set per model, at least one.")
-    if len(models) == 1 and not aggregate.retrain_single:
-        return TrainResult(splats=models[0], num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)
-    views = teacher_views(models, cameras, train.long_side_px, rendered)
+    if not teachers:
+        raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
+    if len(teachers) == 1 and not aggregate.retrain_single:
+        return Joined(trained=_untrained(teachers[0].splats), num_given=len(teachers[0].splats))
+    if aggregate.preset == "paper":
+        return _as_in_the_paper(teachers, train, aggregate, options)
+    return _join(teachers, train, aggregate, options, claims)
+
+
+def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions) -> Joined:
+    views = teacher_views(teachers, train.long_side_px)
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
-    if aggregate.drop_unseen:
-        models = [model.select(known) for model, known in zip(models, known_parts(models, cameras), strict=True)]
-    merged = concatenate_splats(models)
-    num_steps = aggregate.num_epochs * len(views)
+    merged = concatenate_splats([teacher.splats for teacher in teachers])
+    trained = fit_splats(merged, views, _config(train, aggregate, merged, len(views)), options)
+    return Joined(trained=trained, num_given=len(merged), num_views=len(views), num_shown=len(views))
+
+
+def _join(
+    teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None
+) -> Joined:
+    models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
+    owned = [ownership(model.means, cameras, claims) for model in models]
+    owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
+    contested = np.concatenate([places.contested for places in owned])
+    merged = faded(models, owned, aggregate.foreign_opacity)
+    shown = [_touched(own, merged.means, contested) for own in cameras]
+    num_shown = int(sum(rows.sum() for rows in shown))
+    plainly_cut = Joined(
+        trained=_untrained(concatenate_splats(models).select(owns)),
+        num_given=len(merged),
+        num_views=sum(map(len, cameras)),
+        num_shown=num_shown,
+        contested_share=float(contested.mean()) if len(contested) else 0.0,
+    )
+    if not num_shown:
+        return plainly_cut
+    views = teacher_views([_at(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()], train.long_side_px)
+    if not aggregate.weight_by_alpha:
+        views = replace(views, weights=None)
+    plainly_cut = replace(plainly_cut, agreement_db=_agreement_db(plainly_cut.splats, views, options.backend))
+    if aggregate.agreement_db is not None and (plainly_cut.agreement_db or 0.0) >= aggregate.agreement_db:
+        return plainly_cut
+    # What no shown view can show is not held while the rest is fitted.
+    before = reached_by(merged, views.cameras)
+    config = _config(train, aggregate, merged, len(views))
+    trained = fit_splats(merged.select(before), views, config, replace(options, steps=Steps(means=MEANS_RATE, end=RATES_END)))
+    whole = concatenate_splats([without_dead(trained.splats)[0], merged.select(~before & owns)])
+    return replace(plainly_cut, trained=replace(trained, splats=whole))
+
+
+def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -> Splats:
+    """All models together, their opacities times `factor` where another model owns the place."""
+    parts = []
+    for index, (model, places) in enumerate(zip(models, owned, strict=True)):
+        opacities = 1 / (1 + np.exp(-model.logit_opacities.astype(np.float64)))
+        faint = np.clip(opacities * factor, 1e-4, 1 - 1e-4)
+        logits = np.where(places.owner == index, model.logit_opacities, np.log(faint / (1 - faint)))
+        parts.append(replace(model, logit_opacities=logits.astype(np.float32)))
+    return concatenate_splats(parts)
+
+
+def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) may show in an image: whose sphere of three standard deviations reaches into the pyramid of a camera."""
+    radii = 3 * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
+    reached = np.zeros(len(splats), bool)
+    for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
+        in_camera = splats.means @ pose[:3, :3].T + pose[:3, 3]
+        # The sides of the pyramid, pointing inwards: columns 0 and width, rows 0 and height.
+        sides = np.array([K[0] * [1, 0, 1], [-K[0, 0], 0, width - K[0, 2]], K[1] * [0, 1, 1], [0, -K[1, 1], height - K[1, 2]], [0, 0, 1]])
+        heights = in_camera @ (sides / np.linalg.norm(sides, axis=1, keepdims=True)).T
+        reached |= (heights.min(axis=1) + radii) > 0
+    return reached
+
+
+def teacher_views(teachers: Sequence[Teacher], long_side_px: int) -> TrainingViews:
+    """Every teacher's synthetic views at its cameras, reduced to `long_side_px`; those that are rendered are taken as they are."""
+    return concatenate_views([synthetic_views(t.splats, t.cameras.scaled(long_side_px), rendered=t.rendered) for t in teachers])
+
+
+def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
+    """The teacher at some of its cameras."""
+    rows = np.flatnonzero(chosen).tolist()
+    rendered = {place: teacher.rendered[row] for place, row in enumerate(rows) if row in teacher.rendered}
+    return Teacher(splats=teacher.splats, cameras=teacher.cameras.select(rows), rendered=rendered)
+
+
+def _touched(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which cameras (C,) have enough of the contested Gaussians before them, by every so-manieth Gaussian."""
+    touched = np.zeros(len(cameras), bool)
+    some = np.unique(np.linspace(0, len(means) - 1, NUM_ASKED).astype(np.int64))
+    means, contested = means[some], contested[some]
+    for index in range(len(cameras)):
+        before = cameras.select([index]).any_sees(means)
+        touched[index] = contested[before].sum() > TOUCHED_SHARE * before.sum()
+    return touched
+
+
+def _agreement_db(joined: Splats, views: TrainingViews, backend: Backend) -> float:
+    """Mean PSNR of what the models show and what the joined one does, over some views."""
+    some = np.unique(np.linspace(0, len(views) - 1, NUM_COMPARED).astype(np.int64))
+    compared = zip(render_views(joined, views.cameras.select(some), backend), some, strict=True)
+    return float(np.mean([psnr_db(view.image, views.images[index] / 255) for view, index in compared]))
+
+
+def _config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
+    num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
-    config = replace(
-        train,
-        num_steps=num_steps,
-        sh_degree=merged.sh_degree,
-        sh_degree_every=0,
-        densify="none",
-        start_scale=1.0,
-        exposure="none",
-        background="black",
-    )
-    return fit_splats(merged, views, config, replace(options, steps=_STEPS[aggregate.preset]))
+    still = {"sh_degree_every": 0, "densify": "none", "start_scale": 1.0, "exposure": "none", "background": "black"}
+    return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still)
 
 
-def known_parts(models: Sequence[Splats], cameras: Sequence[Cameras]) -> list[NDArray[np.bool_]]:
-    """Masks (N,) per model of what it may speak of: all that its own cameras see, and elsewhere what no other model's cameras see."""
-    seen = [[views.any_sees(model.means) for views in cameras] for model in models]
-    return [rows[own] | ~np.any(np.delete(rows, own, axis=0), axis=0) for own, rows in enumerate(seen)]
-
-
-def teacher_views(
-    models: Sequence[Splats],
-    cameras: Sequence[Cameras],
-    long_side_px: int,
-    rendered: Sequence[Rendered] | None = None,
-) -> TrainingViews:
-    """Every model's synthetic views at its own cameras, reduced to `long_side_px`; those in `rendered` are taken as they are."""
-    ready = [{}] * len(models) if rendered is None else rendered
-    return concatenate_views(
-        [synthetic_views(model, own.scaled(long_side_px), rendered=views) for model, own, views in zip(models, cameras, ready, strict=True)]
-    )
+def _untrained(splats: Splats) -> TrainResult:
+    return TrainResult(splats=splats, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)

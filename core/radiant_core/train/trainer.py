@@ -48,6 +48,8 @@ class Steps:
     logit_opacities: float = 1.0
     sh0: float = 1.0
     shN: float = 1.0
+    end: float = 1.0
+    """Share of these rates to which they fall over the run, exponentially; the centres' fall by `means_lr_end`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +148,7 @@ class Training:
         self._device = device_of(resolve_backend(options.backend))
         self._extent = camera_extent(views.cameras)
         self._splats = SplatTensors.from_splats(initial, device=self._device)
-        self._optimizer, self._means_rate = self._new_optimizer()
+        self._optimizer, self._rates = self._new_optimizer()
         self._density = density_policy(config, self._extent, self._splats)
         self._exposures = Exposures(len(views), config.exposure_lr, self._device) if config.exposure == "affine" else None
         self._best = None if options.validation is None else BestModel(options.validation, config.num_looks)
@@ -182,7 +184,8 @@ class Training:
         view = view_of_step(self.step, len(self._full), config.seed)
         if self.step % STEPS_BETWEEN_LIMITS == 0:
             limit_shapes(self._splats, self._full.cameras.centers, config)
-        self._optimizer.set_rate("means", self._means_rate * config.means_lr_end**progress)
+        for name, rate in self._rates.items():
+            self._optimizer.set_rate(name, rate * (config.means_lr_end if name == "means" else self._options.steps.end) ** progress)
         try:
             loss = self._fit_view(view, progress)
         except StageFailed as error:
@@ -250,7 +253,7 @@ class Training:
         try:
             own = {name: torch.from_numpy(arrays[f"splats.{name}"].copy()).to(self._device) for name in self._splats.tensors()}
             self._splats = replace(self._splats, **own)
-            self._optimizer, self._means_rate = self._new_optimizer()
+            self._optimizer, self._rates = self._new_optimizer()
             self._optimizer.restore(_part(arrays, "adam."), int(numbers["adam_step"]))
             if self._density is not None:
                 self._density.restore(_part(arrays, "density."), DensityCounts(**numbers["density"]), self._splats)
@@ -268,7 +271,7 @@ class Training:
         self._num_reported = len(self._losses)
         self._use_size(self._config.start_scale if self.progress < self._config.full_size_from else 1.0)
 
-    def _new_optimizer(self) -> tuple[SelectiveAdam, float]:
+    def _new_optimizer(self) -> tuple[SelectiveAdam, dict[str, float]]:
         return _optimizer(self._splats, self._extent, self._config, self._options.steps)
 
     def _use_size(self, scale: float) -> None:
@@ -367,7 +370,7 @@ def _part(arrays: dict[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
-def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: Steps) -> tuple[SelectiveAdam, float]:
+def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: Steps) -> tuple[SelectiveAdam, dict[str, float]]:
     rates = {
         "means": config.means_lr * extent,
         "quats": config.quats_lr,
@@ -379,7 +382,7 @@ def _optimizer(splats: SplatTensors, extent: float, config: TrainConfig, steps: 
     moving = {name: rates[name] * getattr(steps, name) for name, tensor in splats.tensors().items() if tensor.numel()}
     moving = {name: rate for name, rate in moving.items() if rate > 0}
     tensors = {name: tensor for name, tensor in splats.tensors().items() if name in moving}
-    return SelectiveAdam(tensors, moving), rates["means"] * steps.means
+    return SelectiveAdam(tensors, moving), moving
 
 
 def _target(views: TrainingViews, view: int) -> Tensor:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.retrain import known_parts, retrain_on_synthetic_views, teacher_views
+from radiant_core.aggregate.ownership import Claims, claims_of_cells
+from radiant_core.aggregate.retrain import Joined, Teacher, reached_by, retrain_on_synthetic_views, teacher_views
 from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -19,6 +22,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import train_preset
 from radiant_core.train.trainer import FitOptions
+from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
 SITES = np.array([[-2.0, 0.0], [2.0, 0.0]])
@@ -33,19 +37,6 @@ def halves() -> tuple[Splats, Splats]:
         sh0 = np.where((sign * truth.means[:, 0] > -1)[:, None, None], truth.sh0, 0)
         parts.append(Splats(**{**truth.arrays(), "sh0": sh0}))
     return parts[0], parts[1]
-
-
-def known_together(west: Splats, east: Splats) -> Splats:
-    masks = known_parts([west, east], [WEST, EAST])
-    return concatenate_splats([west.select(masks[0]), east.select(masks[1])])
-
-
-def test_a_model_speaks_of_what_it_saw_and_of_what_nobody_else_saw() -> None:
-    model = ground_splats(400)
-    west_knows, east_knows = known_parts([model, model], [WEST, EAST])
-    west_sees, east_sees = WEST.any_sees(model.means), EAST.any_sees(model.means)
-    assert west_knows[west_sees].all() and not west_knows[east_sees & ~west_sees].any()
-    assert (west_knows | east_knows).all() and west_knows[~west_sees & ~east_sees].all()
 
 
 class TestTree:
@@ -91,34 +82,104 @@ def test_synthetic_views_are_the_models_own_pictures_weighted_by_alpha() -> None
         assert np.abs(views.weights[index] / 255 - view.alpha).max() <= 0.5 / 255 + 1e-6
 
 
-def test_retraining_heals_what_a_blind_neighbour_covers() -> None:
+TRAIN = replace(train_preset("draft"), long_side_px=48)
+CELLS = claims_of_cells(SITES, np.zeros(2))
+
+
+def teachers(models: list[Splats], cameras: list[Cameras]) -> list[Teacher]:
+    return [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
+
+
+def joined(models: list[Splats], cameras: list[Cameras], **settings: Any) -> Joined:
+    return retrain_on_synthetic_views(teachers(models, cameras), TRAIN, AggregateConfig(**settings), FitOptions(), CELLS)
+
+
+def mean_psnr_db(splats: Splats, views: TrainingViews) -> float:
+    pairs = zip(render_views(splats, views.cameras), views.images, strict=True)
+    return float(np.mean([psnr_db(view.image, image / 255) for view, image in pairs]))
+
+
+@pytest.mark.parametrize("claims", [CELLS, None])
+def test_joining_heals_what_a_blind_neighbour_covers(claims: Claims | None) -> None:
     west, east = halves()
-    train = replace(train_preset("draft"), long_side_px=48)
-    views = teacher_views([west, east], [WEST, EAST], 48)
-
-    def mean_psnr_db(splats: Splats) -> float:
-        pairs = zip(render_views(splats, views.cameras), views.images, strict=True)
-        return float(np.mean([psnr_db(view.image, image / 255) for view, image in pairs]))
-
-    before = mean_psnr_db(concatenate_splats([west, east]))
-    result = retrain_on_synthetic_views([west, east], [WEST, EAST], train, AggregateConfig(num_epochs=10), FitOptions())
-    assert result.num_steps == 40
-    assert mean_psnr_db(result.splats) > before + 3
-    np.testing.assert_array_equal(result.splats.means, known_together(west, east).means)
+    views = teacher_views(teachers([west, east], [WEST, EAST]), 48)
+    before = mean_psnr_db(concatenate_splats([west, east]), views)
+    result = retrain_on_synthetic_views(teachers([west, east], [WEST, EAST]), TRAIN, AggregateConfig(), FitOptions(), claims)
+    assert (result.trained.num_steps, result.num_shown, result.num_views) == (8, 4, 4)
+    assert result.agreement_db is not None and before + 3 < result.agreement_db < 40
+    assert mean_psnr_db(result.splats, views) > before + 3
 
 
-def test_paper_preset_moves_the_centres() -> None:
+def test_models_that_agree_are_cut_and_not_retrained() -> None:
+    model = ground_splats(400)
+    result = joined([model, model], [WEST, EAST], foreign_opacity=1e-3)
+    assert result.trained.num_steps == 0 and result.agreement_db is not None and result.agreement_db >= 40
+    assert len(result.splats) == len(model)
+    np.testing.assert_array_equal(np.unique(result.splats.means, axis=0), np.unique(model.means, axis=0))
+    assert joined([model, model], [WEST, EAST], foreign_opacity=1e-3, agreement_db=None).trained.num_steps == 8
+
+
+def test_what_no_second_model_knows_keeps_its_bits() -> None:
+    """Two places far apart, each with two models; the second place's models share no view."""
+    ground = ground_splats(400)
+    far = replace(ground, means=ground.means + np.float32([1000, 0, 0]))
     west, east = halves()
-    config = AggregateConfig(preset="paper", max_num_steps=3)
-    result = retrain_on_synthetic_views([west, east], [WEST, EAST], replace(train_preset("draft"), long_side_px=48), config, FitOptions())
-    assert result.num_steps == 3
-    assert (result.splats.means != known_together(west, east).means).any()
+    alone = cameras_above([(998, -1), (998, 1)])
+    alone = replace(alone, names=tuple(f"far-{name}" for name in alone.names))
+    models = [west, concatenate_splats([east, far])]
+    result = joined(models, [WEST, concatenate_cameras([EAST, alone])])
+    assert (result.num_shown, result.num_views) == (4, 6)
+    kept = result.splats.select(result.splats.means[:, 0] > 500)
+    order = np.lexsort(far.means.T)
+    for name, array in kept.arrays().items():
+        np.testing.assert_array_equal(array[np.lexsort(kept.means.T)], far.arrays()[name][order])
+
+
+def test_nothing_contested_is_a_plain_cut() -> None:
+    ground = ground_splats(100)
+    far = replace(ground, means=ground.means + np.float32([1000, 0, 0]))
+    alone = replace(cameras_above([(1002, 0)]), names=("far",))
+    result = joined([ground, far], [WEST, alone])
+    assert (result.num_shown, result.trained.num_steps) == (0, 0)
+    # In the eastern cell the western model keeps what it saw, and nothing that nobody saw.
+    kept = (ground.means[:, 0] < 0) | WEST.any_sees(ground.means)
+    np.testing.assert_array_equal(result.splats.means, np.concatenate([ground.means[kept], far.means]))
+
+
+def test_paper_preset_concatenates_and_retrains_everything() -> None:
+    west, east = halves()
+    both = concatenate_splats([west, east])
+    result = joined([west, east], [WEST, EAST], preset="paper", max_num_steps=3)
+    assert result.trained.num_steps == 3 and len(result.splats) == len(both)
+    assert (result.splats.means != both.means).any()
 
 
 def test_a_single_model_comes_back_unchanged() -> None:
     model = ground_splats(50)
-    result = retrain_on_synthetic_views([model], [WEST], train_preset("draft"), AggregateConfig(), FitOptions())
+    result = joined([model], [WEST])
     np.testing.assert_array_equal(result.splats.sh0, model.sh0)
+    assert result.trained.num_steps == 0
+
+
+def test_a_gaussian_reaches_an_image_as_far_as_three_deviations() -> None:
+    camera = cameras_above([(0, 0)])
+    (view,) = render_views(ground_splats(1), camera)
+    rng = np.random.default_rng(0)
+    count = 4000
+    places = replace(ground_splats(count), means=(rng.uniform(-12, 12, (count, 3))).astype(np.float32))
+    places = replace(places, log_scales=np.log(rng.uniform(0.01, 2, (count, 1)).repeat(3, 1)).astype(np.float32))
+    reached = reached_by(places, camera)
+    height, width = view.alpha.shape
+    pixels = np.stack(np.meshgrid(np.linspace(0, width, 25), np.linspace(0, height, 25)), -1).reshape(-1, 2)
+    rays = np.c_[pixels, np.ones(len(pixels))] @ np.linalg.inv(camera.Ks[0]).T
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    in_camera = places.means.astype(np.float64) @ camera.cam_from_world[0, :3, :3].T + camera.cam_from_world[0, :3, 3]
+    along = np.maximum(0, in_camera @ rays.T)
+    nearest = np.sqrt(np.maximum(0, (in_camera**2).sum(1)[:, None] - 2 * along * (in_camera @ rays.T) + along**2)).min(axis=1)
+    radii = 3 * np.exp(places.log_scales[:, 0].astype(np.float64))
+    assert reached[nearest < radii].all()
+    # The test by planes keeps a few more, near the pyramid's edges and tip.
+    assert 0.3 < reached.mean() < 0.9 and (reached & (nearest > 1.6 * radii + 0.1)).mean() < 0.02
 
 
 class TestCropMerge:

@@ -10,7 +10,7 @@ import pytest
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs, retrain_memory_bytes
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
 from radiant_core.aggregate.virtual_cameras import MAX_MOVE, MAX_TURN_DEG, virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
@@ -130,7 +130,7 @@ class TestPaperAggregation:
     def test_the_preset_turns_every_skip_off(self) -> None:
         paper = aggregate_preset("paper")
         assert (paper.preset, paper.num_epochs, paper.max_num_steps, paper.cloud) == ("paper", 10, None, "retrain")
-        assert (paper.retrain_single, paper.drop_unseen, paper.weight_by_alpha, paper.fill_blind_spots) == (True, False, False, False)
+        assert (paper.num_epochs, paper.retrain_single, paper.weight_by_alpha, paper.fill_blind_spots) == (10, True, False, False)
         assert aggregate_preset("default") == AggregateConfig()
         with pytest.raises(BadInput, match="default, paper"):
             aggregate_preset("papers")
@@ -139,9 +139,14 @@ class TestPaperAggregation:
         train = replace(train_preset("paper"), long_side_px=48, densify_from_step=0, densify_every=1)
         paper = replace(aggregate_preset("paper"), num_epochs=1)
         west, east = MODEL.select(MODEL.means[:, 0] < 1), MODEL.select(MODEL.means[:, 0] > -1)
-        both = retrain_on_synthetic_views([west, east], [CAMERAS.select([0, 1]), CAMERAS.select([13])], train, paper, FitOptions())
+        both = retrain_on_synthetic_views(
+            [Teacher(splats=west, cameras=CAMERAS.select([0, 1])), Teacher(splats=east, cameras=CAMERAS.select([13]))],
+            train,
+            paper,
+            FitOptions(),
+        ).trained
         assert both.num_steps == 3 and len(both.splats) == len(west) + len(east)
-        lone = retrain_on_synthetic_views([west], [CAMERAS.select([0, 1])], train, paper, FitOptions())
+        lone = retrain_on_synthetic_views([Teacher(splats=west, cameras=CAMERAS.select([0, 1]))], train, paper, FitOptions()).trained
         assert lone.num_steps == 2 and (lone.splats.means != west.means).any()
 
     def test_transparent_pixels_teach_black_without_weights(self) -> None:
@@ -150,7 +155,9 @@ class TestPaperAggregation:
         losses = []
         for weigh in (True, False):
             config = replace(aggregate_preset("paper"), num_epochs=1, weight_by_alpha=weigh)
-            losses.append(retrain_on_synthetic_views([thin], [CAMERAS], train, config, FitOptions()).first_loss)
+            losses.append(
+                retrain_on_synthetic_views([Teacher(splats=thin, cameras=CAMERAS)], train, config, FitOptions()).trained.first_loss
+            )
         assert losses[0] != losses[1]
 
     def test_a_plain_cut_keeps_nothing_outside_its_region(self) -> None:

@@ -1,0 +1,241 @@
+"""What `radiant bench methods` compares on: one scene, dealt by one plan to edges and devices, with one seed. Once per cell.
+
+Device models are what costs, so each is trained once per (photographs, settings, seed) and kept in the cache under the hash of them; all
+methods share them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_app.nodes import load_images
+from radiant_app.sources import images_of_scene, load_scene_of
+from radiant_core import __version__
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.records import load_splats, save_splats
+from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.region_plan import PlanInfeasible, PlanMethod, plan_regions
+from radiant_core.plan.system import Device, Edge, System
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.initialize import first_splats
+from radiant_core.train.needs import fit_to_scene
+from radiant_core.train.trainer import FitOptions, fit_splats
+from radiant_core.train.views import TrainingViews
+from radiant_core.train.worth import worth_training
+
+DEVICE_SPEEDS = (1.0, 0.6)
+"""Relative speeds of an edge's devices, in turn: unequal, so that plans by time and by count differ."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Edges × devices per edge."""
+
+    num_edges: int
+    num_devices: int
+
+    def __str__(self) -> str:
+        return f"{self.num_edges}x{self.num_devices}"
+
+    def system(self) -> System:
+        """Edges of devices whose seconds per camera are 1 over their speed."""
+
+        def device(edge: int, index: int) -> Device:
+            speed = DEVICE_SPEEDS[index % len(DEVICE_SPEEDS)]
+            return Device(
+                id=f"e{edge}d{index}",
+                init_s=CostCurve(),
+                train_s=CostCurve(linear=1 / speed),
+                model_bytes=CostCurve(linear=1e5),
+                uplink_bytes_per_s=1e6,
+            )
+
+        return System(
+            edges=tuple(
+                Edge(
+                    id=f"e{edge}",
+                    position=None,
+                    aggregate_s=CostCurve(linear=0.1),
+                    uplink_bytes_per_s=1e6,
+                    devices=tuple(device(edge, index) for index in range(self.num_devices)),
+                )
+                for edge in range(self.num_edges)
+            )
+        )
+
+
+def layout_of(text: str) -> Layout:
+    """A layout such as 2x2; BadInput for anything else."""
+    parts = text.split("x")
+    if len(parts) != 2 or not all(part.isdigit() and int(part) > 0 for part in parts):
+        raise BadInput(f"layout {text!r} is not edges x devices per edge: write 2x2, for instance.")
+    return Layout(num_edges=int(parts[0]), num_devices=int(parts[1]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BenchScene:
+    """A scene at the size of the comparison: training part and held-out part; photographs are read once."""
+
+    name: str
+    training: SfmScene
+    held_out: SfmScene
+    images: Path
+    long_side_px: int
+
+    @cached_property
+    def views(self) -> TrainingViews:
+        """All training photographs."""
+        cameras = self.training.cameras.scaled(self.long_side_px)
+        return TrainingViews(cameras=cameras, images=load_images(self.images, cameras))
+
+    @cached_property
+    def held_out_views(self) -> TrainingViews:
+        """The photographs that score."""
+        cameras = self.held_out.cameras.scaled(self.long_side_px)
+        return TrainingViews(cameras=cameras, images=load_images(self.images, cameras))
+
+
+def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
+    """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput where nothing can be held out."""
+    scene = load_scene_of(source)
+    held = held_out_mask(scene.cameras.names)
+    if held.sum() < 2 or (~held).sum() < 8:
+        raise BadInput(f"{source} has {len(scene.cameras)} placed photographs: at least 2 are held out and 8 trained on.")
+    resolved = source.resolve()
+    return BenchScene(
+        name=resolved.parent.name if resolved.name in ("images", "sfm") else resolved.name,
+        training=scene.restricted_to(np.flatnonzero(~held)),
+        held_out=scene.restricted_to(np.flatnonzero(held)),
+        images=images_of_scene(source),
+        long_side_px=long_side_px,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained:
+    """A model, how it was made and what that took."""
+
+    splats: Splats
+    cpu_s: float
+    training_px: float
+    """Pixels of all the photographs that its steps rendered."""
+    num_views: int
+    num_steps: int
+
+
+@dataclass(kw_only=True)
+class ModelCache:
+    """Models by the hash of what they were trained from."""
+
+    folder: Path
+    num_trained: int = field(default=0)
+
+    def trained(self, scene: BenchScene, rows: Sequence[int], config: TrainConfig) -> Trained:
+        """The model of the training photographs `rows` of a scene."""
+        names = [scene.training.cameras.names[row] for row in rows]
+        poses = scene.training.cameras.cam_from_world[list(rows)].tolist()
+        key = content_key(__version__, {"scene": scene.name, "names": names, "poses": poses, "train": asdict(config)})
+        model, record = self.folder / f"{key}.safetensors", self.folder / f"{key}.json"
+        if not (model.is_file() and record.is_file()):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            made = _train(scene, np.asarray(rows, np.int64), config)
+            save_splats(model, made.splats)
+            figures = {name: getattr(made, name) for name in ("cpu_s", "training_px", "num_views", "num_steps")}
+            write_json(record, figures)
+            self.num_trained += 1
+        return Trained(splats=load_splats(model), **read_json(record))
+
+
+def _train(scene: BenchScene, rows: NDArray[np.int64], config: TrainConfig) -> Trained:
+    begun_s = time.process_time()
+    part, views, _ = worth_training(scene.training.restricted_to(rows), scene.views.select(rows), config)
+    config, _ = fit_to_scene(config, part, views)
+    initial, _ = first_splats(part, views, config)
+    result = fit_splats(initial, views, config, FitOptions(clock=time.process_time))
+    return Trained(
+        splats=result.splats,
+        cpu_s=time.process_time() - begun_s,
+        training_px=training_pixels(views.cameras, result.num_steps, config),
+        num_views=len(views),
+        num_steps=result.num_steps,
+    )
+
+
+def training_pixels(cameras: Cameras, num_steps: int, config: TrainConfig) -> float:
+    """Pixels that so many steps render, the first of them smaller where the configuration begins so."""
+    share = config.full_size_from * config.start_scale**2 + 1 - config.full_size_from if config.start_scale < 1 else 1.0
+    return float(num_steps * share * np.prod(cameras.sizes_wh, axis=1).mean())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cell:
+    """One scene under one plan and one seed, with the models of its devices, edge by edge."""
+
+    scene: BenchScene
+    layout: Layout
+    placement: int
+    seed: int
+    train: TrainConfig
+    """Of a device."""
+    cache: ModelCache
+
+    @property
+    def name(self) -> str:
+        """Names the cell's files."""
+        return f"{self.scene.name}-{self.layout}-p{self.placement}-s{self.seed}"
+
+    @cached_property
+    def plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+        """Regions of the edges and the devices' cameras, exactly planned."""
+        return self.planned("exact")
+
+    def planned(self, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+        """The same by another method."""
+        positions = self.scene.training.cameras.centers[:, :2]
+        system = place_edges(self.layout.system(), positions, None, self.placement)
+        plan = plan_regions(positions, system, method=method)
+        if isinstance(plan, PlanInfeasible):
+            raise BadInput(f"{self.name}: {plan.reason}")
+        return plan, split_edges(positions, plan, system)
+
+    @cached_property
+    def devices(self) -> list[list[Trained]]:
+        """Models per edge of its devices with cameras."""
+        return self.device_models(self.plan[1])
+
+    def device_models(self, plans: Sequence[EdgePlan]) -> list[list[Trained]]:
+        """The same for another deal."""
+        config = replace(self.train, seed=self.seed)
+        return [[self.cache.trained(self.scene, rows.tolist(), config) for rows in device_rows(plan)] for plan in plans]
+
+    @cached_property
+    def centralised(self) -> Trained:
+        """One model of all photographs, with the steps of all devices together."""
+        num_devices = sum(len(edge) for edge in self.devices)
+        config = replace(self.train, seed=self.seed, num_steps=num_devices * self.train.num_steps)
+        return self.cache.trained(self.scene, range(len(self.scene.training.cameras)), config)
+
+    def cameras_of(self, rows: NDArray[np.int64]) -> Cameras:
+        """Training cameras at the size of the comparison."""
+        return self.scene.views.cameras.select(rows)
+
+
+def device_rows(plan: EdgePlan) -> list[NDArray[np.int64]]:
+    """Rows into the training cameras, per device that has some."""
+    rows = [plan.cameras_of(device) for device in plan.device_ids]
+    return [own for own in rows if len(own)]
