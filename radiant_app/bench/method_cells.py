@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -34,7 +34,8 @@ from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import first_splats
 from radiant_core.train.needs import fit_to_scene
-from radiant_core.train.trainer import FitOptions, fit_splats
+from radiant_core.train.trainer import fit_splats
+from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews
 from radiant_core.train.worth import worth_training
 
@@ -52,11 +53,11 @@ class Layout:
     def __str__(self) -> str:
         return f"{self.num_edges}x{self.num_devices}"
 
-    def system(self) -> System:
+    def system(self, speeds: Sequence[float] = DEVICE_SPEEDS) -> System:
         """Edges of devices whose seconds per camera are 1 over their speed."""
 
         def device(edge: int, index: int) -> Device:
-            speed = DEVICE_SPEEDS[index % len(DEVICE_SPEEDS)]
+            speed = speeds[index % len(speeds)]
             return Device(
                 id=f"e{edge}d{index}",
                 init_s=CostCurve(),
@@ -138,48 +139,43 @@ class Trained:
     num_steps: int
 
 
-@dataclass(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelCache:
     """Models by the hash of what they were trained from."""
 
     folder: Path
-    num_trained: int = field(default=0)
 
     def trained(self, scene: BenchScene, rows: Sequence[int], config: TrainConfig) -> Trained:
         """The model of the training photographs `rows` of a scene."""
-        names = [scene.training.cameras.names[row] for row in rows]
-        poses = scene.training.cameras.cam_from_world[list(rows)].tolist()
-        key = content_key(__version__, {"scene": scene.name, "names": names, "poses": poses, "train": asdict(config)})
+        return self.trained_part(scene, scene.training.restricted_to(np.asarray(rows, np.int64)), config)
+
+    def trained_part(self, scene: BenchScene, part: SfmScene, config: TrainConfig) -> Trained:
+        """The model of a part of a scene's training photographs and points."""
+        seen = {"names": part.cameras.names, "poses": part.cameras.cam_from_world, "points": part.points}
+        key = content_key(__version__, {"scene": scene.name, "train": asdict(config), **seen})
         model, record = self.folder / f"{key}.safetensors", self.folder / f"{key}.json"
         if not (model.is_file() and record.is_file()):
             self.folder.mkdir(parents=True, exist_ok=True)
-            made = _train(scene, np.asarray(rows, np.int64), config)
+            made = _train(scene, part, config)
             save_splats(model, made.splats)
-            figures = {name: getattr(made, name) for name in ("cpu_s", "training_px", "num_views", "num_steps")}
-            write_json(record, figures)
-            self.num_trained += 1
+            write_json(record, {name: getattr(made, name) for name in ("cpu_s", "training_px", "num_views", "num_steps")})
         return Trained(splats=load_splats(model), **read_json(record))
 
 
-def _train(scene: BenchScene, rows: NDArray[np.int64], config: TrainConfig) -> Trained:
+def _train(scene: BenchScene, part: SfmScene, config: TrainConfig) -> Trained:
     begun_s = time.process_time()
-    part, views, _ = worth_training(scene.training.restricted_to(rows), scene.views.select(rows), config)
+    rows = [scene.training.cameras.names.index(name) for name in part.cameras.names]
+    part, views, _ = worth_training(part, scene.views.select(rows), config)
     config, _ = fit_to_scene(config, part, views)
     initial, _ = first_splats(part, views, config)
-    result = fit_splats(initial, views, config, FitOptions(clock=time.process_time))
+    result = fit_splats(initial, views, config)
     return Trained(
         splats=result.splats,
         cpu_s=time.process_time() - begun_s,
-        training_px=training_pixels(views.cameras, result.num_steps, config),
+        training_px=training_pixels(views.cameras, config, result.num_steps),
         num_views=len(views),
         num_steps=result.num_steps,
     )
-
-
-def training_pixels(cameras: Cameras, num_steps: int, config: TrainConfig) -> float:
-    """Pixels that so many steps render, the first of them smaller where the configuration begins so."""
-    share = config.full_size_from * config.start_scale**2 + 1 - config.full_size_from if config.start_scale < 1 else 1.0
-    return float(num_steps * share * np.prod(cameras.sizes_wh, axis=1).mean())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -202,16 +198,20 @@ class Cell:
     @cached_property
     def plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
         """Regions of the edges and the devices' cameras, exactly planned."""
-        return self.planned("exact")
+        return self._planned("exact", self.layout.system())
 
-    def planned(self, method: PlanMethod) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-        """The same by another method."""
+    @cached_property
+    def even_plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+        """The same with as many cameras for each device."""
+        return self._planned("even", self.layout.system(speeds=(1.0,)))
+
+    def _planned(self, method: PlanMethod, system: System) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
         positions = self.scene.training.cameras.centers[:, :2]
-        system = place_edges(self.layout.system(), positions, None, self.placement)
-        plan = plan_regions(positions, system, method=method)
+        placed = place_edges(system, positions, None, self.placement)
+        plan = plan_regions(positions, placed, method=method)
         if isinstance(plan, PlanInfeasible):
             raise BadInput(f"{self.name}: {plan.reason}")
-        return plan, split_edges(positions, plan, system)
+        return plan, split_edges(positions, plan, placed)
 
     @cached_property
     def devices(self) -> list[list[Trained]]:

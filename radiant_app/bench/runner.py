@@ -39,6 +39,16 @@ class BenchOptions:
     """Whether one thing at a time is switched off (train)."""
     plot: Path | None = None
     """PNG for the curves (train)."""
+    scenes: tuple[Path, ...] = ()
+    """Scenes to compare on (methods)."""
+    methods: tuple[str, ...] = ()
+    """Methods to compare (methods); empty for all."""
+    layout: str = "2x2"
+    """Edges x devices per edge (methods)."""
+    placements: int = 1
+    """Placements of the edges (methods)."""
+    out: Path | None = None
+    """Folder of models and rows (methods)."""
 
 
 def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:

@@ -1,0 +1,72 @@
+"""`radiant bench methods`: every method on the same devices' models, kept by cell, scored by the same seams."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from radiant_app.bench.method_cells import Layout, layout_of
+from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
+from radiant_app.commands import sfm
+from radiant_app.demo import sample_scenes_folder
+from radiant_app.progress import ProgressDisplay
+from radiant_core.errors import BadInput
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> MethodBench:
+    """The hamlet from its known cameras, very small."""
+    folder = tmp_path_factory.mktemp("methods")
+    shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
+    shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
+    sfm(folder / "hamlet", folder / "scene", "auto", ProgressDisplay(Console(quiet=True)))
+    return MethodBench(
+        scenes=(folder / "scene",), out=folder / "out", long_side_px=64, num_steps=12, layout=Layout(num_edges=2, num_devices=1)
+    )
+
+
+def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
+    rows, metrics = bench_methods(replace(bench, methods=("crop", "paper", "ours", "ours edges", "photographs")))
+    made = {row.method: row for row in rows}
+    assert list(made) == ["centralised", "crop", "paper", "ours", "ours edges", "photographs"]
+    assert all(len(row.psnr_db) == 2 and np.isfinite(row.psnr_db).all() and row.num_gaussians > 100 for row in rows)
+    assert made["crop"].training_px == 0 < made["ours"].training_px < made["paper"].training_px
+    assert made["crop"].num_gaussians < made["paper"].num_gaussians
+    found = {metric.key: metric.value for metric in metrics}
+    key = "methods.scene.ours.over_paper"
+    assert found[f"{key}.low_db"] <= found[f"{key}.mean_db"] <= found[f"{key}.high_db"]
+    assert found[f"{key}.mean_db"] == pytest.approx(np.mean(made["ours"].psnr_db) - np.mean(made["paper"].psnr_db))
+    table = methods_table(rows)
+    assert table.count("\n") == len(rows) + 1 and "| scene | ours |" in table
+    assert set(curves_of(rows)) == set(made)
+    stamps = {path: path.stat().st_mtime_ns for path in (bench.out / "rows").iterdir()}
+    again, _ = bench_methods(replace(bench, methods=("paper",)))
+    assert [row for row in again if row.method == "paper"] == [made["paper"]]
+    assert stamps == {path: path.stat().st_mtime_ns for path in (bench.out / "rows").iterdir()}
+
+
+def test_rivals_train_and_join_on_the_same_work(bench: MethodBench) -> None:
+    rows, _ = bench_methods(replace(bench, methods=("even", "vastgaussian")))
+    made = {row.method: row for row in rows}
+    assert set(made) == {"centralised", "even", "vastgaussian"}
+    assert made["vastgaussian"].training_px > 0 and made["even"].num_gaussians > 100
+
+
+def test_a_layout_is_edges_times_devices() -> None:
+    assert layout_of("3x2") == Layout(num_edges=3, num_devices=2) and str(layout_of("3x2")) == "3x2"
+    assert len(layout_of("3x2").system().devices) == 6
+    for wrong in ("", "2", "2x", "0x2", "2x2x2", "axb", "-1x2"):
+        with pytest.raises(BadInput, match="layout"):
+            layout_of(wrong)
+
+
+def test_unknown_methods_are_named(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=f"'magic' is unknown: use {', '.join(METHODS)}"):
+        MethodBench(scenes=(), out=tmp_path, methods=("ours", "magic"))
+    with pytest.raises(BadInput, match=r"radiant sfm"):
+        bench_methods(MethodBench(scenes=(tmp_path,), out=tmp_path / "out"))
