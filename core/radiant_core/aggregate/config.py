@@ -26,8 +26,8 @@ class AggregateConfig:
     """Whether a lone model is retrained on its own pictures too."""
     foreign_opacity: float = 0.3
     """Factor of a Gaussian's opacity at the start where another model owns the place; default only."""
-    agreement_db: float | None = 40.0
-    """Models are only cut where their pictures agree with those of the cut at least so well, beyond what can be seen; None: they are
+    agreement_db: float | None = 48.0
+    """Models are only cut where their pictures agree with those of the cut at least so well, about one step of 8 bits; None: they are
     always retrained. default only."""
     weight_by_alpha: bool = True
     """Whether a synthetic pixel counts as much as its teacher is opaque there; the paper takes the pictures as they are."""
