@@ -27,7 +27,7 @@ _SAME_ERROR = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class FittedCurve:
-    """A curve and what it rests on. Raises BadInput for an empty range, for samples outside of it, and for errors that the samples belie."""
+    """A curve and what it rests on. Raises BadInput for an empty range, for samples that do not span it, and for errors they belie."""
 
     curve: CostCurve
     smallest_count: int
@@ -51,10 +51,13 @@ class FittedCurve:
         counts, values = np.array(self.samples, dtype=np.float64).T
         _require_costs(counts, values)
         if (counts.min(), counts.max()) != (self.smallest_count, self.largest_count):
-            raise BadInput(f"a curve's samples do not span its range, {self.smallest_count} to {self.largest_count} cameras: profile again.")
+            raise BadInput(
+                f"a curve's samples do not span {self.smallest_count} to {self.largest_count} cameras, its range: profile again."
+            )
         rmse, worst = _errors(self.curve, counts, values)
         if self.rmse is None or self.worst_error is None or max(abs(self.rmse - rmse), abs(self.worst_error - worst)) > _SAME_ERROR:
-            raise BadInput(f"a curve's errors are said to be {self.rmse} and {self.worst_error}, its samples give {rmse:.3g} and {worst:.3g}.")
+            stated = f"rmse {self.rmse} and worst_error {self.worst_error}"
+            raise BadInput(f"a curve states {stated}, its samples give {rmse:.6g} and {worst:.6g}: profile again.")
 
     def extrapolates(self, num_cameras: int) -> bool:
         """Whether so many cameras lie beyond twice the measured range."""

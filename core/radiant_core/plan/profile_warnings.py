@@ -32,7 +32,7 @@ def profile_warnings(system: System, quotas: ArrayLike, training: ProfileKey) ->
         if edge.profile is not None and own.sum():
             joiners.setdefault(edge.profile.name, (edge.profile, []))[1].append((edge.id, int(own.sum())))
     warnings = [sentence for profile, counts in users.values() for sentence in _of_devices(profile, counts, training)]
-    return tuple([*warnings, *(sentence for profile, counts in joiners.values() for sentence in _of_edges(profile, counts, training))])
+    return (*warnings, *(sentence for profile, counts in joiners.values() for sentence in _of_edges(profile, counts, training)))
 
 
 def _of_devices(profile: Profile, counts: Sequence[tuple[str, int]], training: ProfileKey) -> list[str]:
