@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from radiant_app.memory import resident_bytes
 from radiant_core.aggregate.config import AggregatePreset
 from radiant_core.decisions import Decision
 from radiant_core.plan.plans import EdgePlan
@@ -49,14 +48,13 @@ def with_camera_limits(
 ) -> tuple[System, Decision | None, tuple[str, ...]]:
     """The system with `max_cameras` where a device gives memory alone, the decision, and warnings.
 
-    A device holds as many photographs as fit with the Gaussians that its curve H has for them, this process standing in for its libraries;
-    `model_factor`: what H was multiplied by for uploads. Where all together hold too few of the `num_cameras`, devices will train with
+    A device holds as many photographs as fit with the Gaussians that its curve H has for them; `model_factor`: what H was multiplied by
+    for uploads. Where all together hold too few of the `num_cameras`, devices will train with
     fewer Gaussians, and only the photographs themselves are a limit.
     """
     limited = [device for device in system.devices if _is_limited_by_memory(device)]
     if not limited:
         return system, None, ()
-    base_bytes = resident_bytes()
     splat_bytes = 4 * (11 + 3 * SH_BASES[train.sh_degree]) * model_factor
 
     def limits(share: float) -> dict[str, int]:
@@ -67,7 +65,7 @@ def with_camera_limits(
                 return share * float(device.model_bytes(count)) / splat_bytes
 
             assert device.memory_bytes is not None
-            return most_cameras(train, device.memory_bytes, base_bytes, splats_of, num_cameras)
+            return most_cameras(train, device.memory_bytes, splats_of, num_cameras)
 
         return {device.id: held(device) for device in limited}
 

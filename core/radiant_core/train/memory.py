@@ -31,6 +31,8 @@ MAX_STATISTICS_SHARE = 0.25
 """Of what photographs leave free, at most this much keeps statistics: they save time, Gaussians make the picture."""
 VRAM_SHARE = 0.8
 """Of free GPU memory, for Gaussians and a step. Not measured: no CUDA device was at hand."""
+PROCESS_BYTES = 300_000_000
+"""What a device's process holds before its photographs, where nobody can ask it: 296 MB after importing its node and the trainer."""
 MIN_SPLATS = 1_000
 """A limit that leaves room for fewer is refused."""
 
@@ -62,18 +64,18 @@ def _fixed_bytes(config: TrainConfig, all_pixels: float, most_pixels: float, bas
     return base_bytes + BASE_BYTES + IMAGE_BYTES_PER_PX * copies * all_pixels + STEP_BYTES_PER_PX * most_pixels
 
 
-def most_cameras(config: TrainConfig, memory_bytes: float, base_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:
+def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:
     """How many of `num_cameras` photographs fit into memory together with the Gaussians `splats_of` so many photographs (rising).
 
-    The model above without what the loss may keep; photographs of 4:3, since a plan is made before there are any. At least `MIN_SPLATS`
-    Gaussians are counted, at most the configuration's limit. 0 where not even one photograph fits.
+    The model above on `PROCESS_BYTES`, without what the loss may keep; photographs of 4:3, since a plan is made before there are any. At
+    least `MIN_SPLATS` Gaussians are counted, at most the configuration's limit. 0 where not even one photograph fits.
     """
     pixels = 0.75 * config.long_side_px**2
     each = bytes_per_splat(config.sh_degree)
 
     def fits(count: int) -> bool:
         splats = max(MIN_SPLATS, min(splats_of(count), config.max_num_splats))
-        return _fixed_bytes(config, count * pixels, pixels, base_bytes) + splats * each <= memory_bytes
+        return _fixed_bytes(config, count * pixels, pixels, PROCESS_BYTES) + splats * each <= memory_bytes
 
     low, high = 0, num_cameras + 1
     while high - low > 1:
