@@ -207,7 +207,6 @@ def _seconds(stages: dict[str, dict[str, float]], stage: str) -> float:
 
 
 def _written(out: Path, measured: Measured, key: ProfileKey, machine: str, source: str) -> dict[str, Any]:
-    curves = {name: _device_curve(measured.devices, name) for name in _DEVICE_CURVES}
     joined = [sample for sample in measured.edges if sample.num_devices > 1]
     alone = [sample for sample in measured.edges if sample.num_devices == 1]
     made = Profile(
@@ -216,10 +215,12 @@ def _written(out: Path, measured: Measured, key: ProfileKey, machine: str, sourc
         machine="".join(character for character in machine if character.isprintable()).strip(),
         source=source,
         key=key,
+        init_s=_device_curve(measured.devices, "init_s"),
+        train_s=_device_curve(measured.devices, "train_s"),
+        model_bytes=_device_curve(measured.devices, "model_bytes"),
         aggregate_s=_edge_curve(joined) if joined else None,
         aggregate_alone_s=_edge_curve(alone) if alone and joined else None,
         measured_steps=measured.num_steps,
-        **curves,
     )
     save_profile(out, made)
     fitted = {name: curve for name in (*_DEVICE_CURVES, "aggregate_s", "aggregate_alone_s") if (curve := getattr(made, name)) is not None}

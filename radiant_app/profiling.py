@@ -5,7 +5,7 @@
     F_m (c)         an edge node per count with two devices' models    → a + b · views; and with one device's: nothing is retrained
 
 Where the time does not allow all the steps that a run takes, all trainings get the same smaller number and their seconds are multiplied:
-every schedule of a preset follows the share of its steps. The two models of an edge are one model twice, each with half of the cameras.
+every schedule of a preset follows the share of its steps, and density control gets as many rounds. The two models of an edge are one model twice, each with half of the cameras.
 """
 
 from __future__ import annotations
@@ -93,6 +93,12 @@ def chosen_counts(num_photographs: int) -> tuple[list[int], int | None]:
     return counts, None if held_out in counts else held_out
 
 
+def shortened(train: TrainConfig, num_steps: int) -> TrainConfig:
+    """The same training in fewer steps: as many rounds of density control, so that as many Gaussians come as early."""
+    every = max(1, round(train.densify_every * num_steps / train.num_steps))
+    return replace(train, num_steps=num_steps, densify_every=every)
+
+
 @dataclass(kw_only=True)
 class Measuring:
     """Runs nodes in `work` with what is common to all of them."""
@@ -148,8 +154,7 @@ class Measuring:
         own = self.scene.restricted_to(np.sort(self._order[:count]))
         deal_files(self.images, own.cameras.names, folder / "photos")
         save_scene(folder / "scene.safetensors", own)
-        train = asdict(replace(self.train, num_steps=num_steps))
-        seconds = self._run("device", folder, {"train": train, "backend": self.backend, "upload": UPLOAD, "memory_bytes": None})
+        seconds = self._run("device", folder, {"train": asdict(shortened(self.train, num_steps)), "backend": self.backend, "upload": UPLOAD, "memory_bytes": None})
         summary = read_json(folder / "summary.json", ("train_s", "model_bytes"))
         return DeviceSample(
             num_cameras=count,

@@ -103,7 +103,7 @@ def corrected(curve: CostCurve, num_cameras: int, measured: float) -> CostCurve:
 
 
 def _require_costs(counts: FloatArray, values: FloatArray) -> None:
-    if not len(counts) or counts.min() < 1 or values.min() <= 0:
+    if not len(counts) or counts.min() < 1 or not (np.isfinite(values).all() and values.min() > 0):
         raise BadInput("a cost curve needs at least one sample, counts of at least 1 and positive values: measure again.")
     slope = float(np.polyfit(counts, values, 1)[0]) if np.ptp(counts) else 0.0
     if slope * float(np.ptp(counts)) < -0.2 * float(values.mean()):

@@ -88,7 +88,9 @@ def aggregate_times_s(edge: Edge, num_cameras: ArrayLike, num_alone: ArrayLike) 
     """F_m for camera counts of any shape, of which up to `num_alone` go to one device."""
     counts = np.asarray(num_cameras)
     joined_s = edge.aggregate_s(counts)
-    return joined_s if edge.aggregate_alone_s is None else np.where(counts <= num_alone, edge.aggregate_alone_s(counts), joined_s)
+    if edge.aggregate_alone_s is None:
+        return joined_s
+    return np.where(counts <= num_alone, np.minimum(edge.aggregate_alone_s(counts), joined_s), joined_s)
 
 
 def fastest_counts(tables: Sequence[EdgeTable], num_cameras: int) -> tuple[NDArray[np.int64], float]:

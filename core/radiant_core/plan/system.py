@@ -69,14 +69,14 @@ class Edge:
     speed: float | None = None
     """As a device's."""
     aggregate_alone_s: CostCurve | None = None
-    """F_m where one device has all the edge's cameras and nothing is retrained; None: as `aggregate_s`."""
+    """F_m where one device has all the edge's cameras and nothing is retrained, at most `aggregate_s`; None: the same."""
     profile: Profile | None = None
     """What the curves of aggregation come from; None where they were spelt out."""
 
     def aggregation_s(self, num_cameras: int, num_devices: int) -> float:
         """F_m for cameras that so many devices have."""
-        curve = self.aggregate_s if num_devices > 1 or self.aggregate_alone_s is None else self.aggregate_alone_s
-        return float(curve(num_cameras))
+        joined_s = float(self.aggregate_s(num_cameras))
+        return joined_s if num_devices > 1 or self.aggregate_alone_s is None else min(joined_s, float(self.aggregate_alone_s(num_cameras)))
 
     def __post_init__(self) -> None:
         _require_id("edge", self.id)

@@ -134,7 +134,7 @@ class _Fleet:
         if not self.num_alone.any():
             return joined_s
         limits = self.num_alone[rows].reshape(-1, *[1] * (counts.ndim - 1))
-        return np.where(counts <= limits, self.alone(counts, rows), joined_s)
+        return np.where(counts <= limits, np.minimum(self.alone(counts, rows), joined_s), joined_s)
 
     def guessed_quotas(self) -> FloatArray:
         """Quotas (D,) near the optimum, from interpolation; a slope too small to matter shares flat curves evenly."""
