@@ -67,5 +67,5 @@ def profile(
         return
     if result["check"]:
         typer.echo(profile_command.check_table(result["check"]))
-    for name in ("machine", "training", "measured_steps", "largest_count", "profile"):
+    for name in ("machine", "training", "measured_steps", "largest_count", "warnings", "profile"):
         typer.echo(f"{name}: {result[name]}")

@@ -30,7 +30,7 @@ from radiant_app.sources import detect_source, has_scene, images_of_scene, load_
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.plan.curve_fit import FittedCurve, fit_curve
+from radiant_core.plan.curve_fit import FittedCurve, falls, fit_curve
 from radiant_core.plan.profiles import Profile, ProfileKey
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
@@ -231,16 +231,23 @@ def _written(out: Path, measured: Measured, key: ProfileKey, machine: str, sourc
         "largest_count": made.train_s.largest_count,
         "curves": {name: {**vars(curve.curve), "rmse": curve.rmse} for name, curve in fitted.items()},
         "check": _check(measured, joined),
+        "warnings": " ".join(_noise(fitted)) or "none",
         "profile": str(out),
     }
 
 
+def _noise(fitted: dict[str, FittedCurve]) -> list[str]:
+    """What was measured and cannot be: costs do not fall with photographs."""
+    fallen = [name for name, curve in fitted.items() if curve.samples and falls(*zip(*curve.samples, strict=True))]
+    return [f"{name} falls with the number of photographs and was taken as flat: was the machine busy? Profile again." for name in fallen]
+
+
 def _device_curve(samples: Sequence[DeviceSample], name: str) -> FittedCurve:
-    return fit_curve([sample.num_cameras for sample in samples], [getattr(sample, name) for sample in samples])
+    return fit_curve([sample.num_cameras for sample in samples], [getattr(sample, name) for sample in samples], may_fall=True)
 
 
 def _edge_curve(samples: Sequence[EdgeSample]) -> FittedCurve:
-    return fit_curve([sample.num_cameras for sample in samples], [sample.seconds for sample in samples])
+    return fit_curve([sample.num_cameras for sample in samples], [sample.seconds for sample in samples], may_fall=True)
 
 
 def _check(measured: Measured, joined: Sequence[EdgeSample]) -> list[dict[str, Any]]:

@@ -5,7 +5,8 @@
     F_m (c)         an edge node per count with two devices' models    → a + b · views; and with one device's: nothing is retrained
 
 Where the time does not allow all the steps that a run takes, all trainings get the same smaller number and their seconds are multiplied:
-every schedule of a preset follows the share of its steps, and density control gets as many rounds. The two models of an edge are one model twice, each with half of the cameras.
+every schedule of a preset follows the share of its steps, and density control gets as many rounds. The two models of an edge are one model
+twice, each with half of the cameras.
 """
 
 from __future__ import annotations
@@ -138,7 +139,9 @@ class Measuring:
         devices, edges = [], []
         for count in sizes:
             self.note = f"{count} photographs, {num_steps:,} steps"
-            devices.append(self._device(count, num_steps))
+            # What was run in full needs no second run.
+            is_done = (count, num_steps) == (counts[-1], steps)
+            devices.append(pilot if is_done else self._device(count, num_steps))
         for count, num_devices in [*((count, 2) for count in joined), (counts[0], 1), (counts[-1], 1)]:
             self.note = f"joining {num_devices} of {count} photographs"
             edges.append(self._edge(count, num_steps, num_devices, num_epochs))
@@ -154,7 +157,11 @@ class Measuring:
         own = self.scene.restricted_to(np.sort(self._order[:count]))
         deal_files(self.images, own.cameras.names, folder / "photos")
         save_scene(folder / "scene.safetensors", own)
-        seconds = self._run("device", folder, {"train": asdict(shortened(self.train, num_steps)), "backend": self.backend, "upload": UPLOAD, "memory_bytes": None})
+        seconds = self._run(
+            "device",
+            folder,
+            {"train": asdict(shortened(self.train, num_steps)), "backend": self.backend, "upload": UPLOAD, "memory_bytes": None},
+        )
         summary = read_json(folder / "summary.json", ("train_s", "model_bytes"))
         return DeviceSample(
             num_cameras=count,

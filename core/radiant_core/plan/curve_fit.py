@@ -64,14 +64,20 @@ class FittedCurve:
         return num_cameras > EXTRAPOLATION * self.largest_count
 
 
-def fit_curve(counts: ArrayLike, values: ArrayLike) -> FittedCurve:
+def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -> FittedCurve:
     """The curve nearest to values (S,) at camera counts (S,), in relative error.
 
-    Raises BadInput without samples, for counts below 1, for values that are not positive, and where values fall with the count.
+    Raises BadInput without samples, for counts below 1, for values that are not positive, and where values fall with the count, unless they
+    `may_fall`: what a busy machine measured gives a flat curve and a large error.
     """
     counts = checked_array("counts", counts, (None,))
     values = checked_array("values", values, (len(counts),))
     _require_costs(counts, values)
+    if not may_fall and falls(counts, values):
+        raise BadInput(
+            f"the values fall from {values[counts.argmin()]:.4g} at {counts.min():.0f} cameras to {values[counts.argmax()]:.4g} at "
+            f"{counts.max():.0f}: a cost does not fall with cameras, check the measurement."
+        )
     plain = np.stack([np.ones_like(counts), counts], axis=1)
     if len(np.unique(counts)) == 1:
         plain[:, 0] = 0  # One count says nothing about a constant: in proportion.
@@ -105,12 +111,13 @@ def corrected(curve: CostCurve, num_cameras: int, measured: float) -> CostCurve:
 def _require_costs(counts: FloatArray, values: FloatArray) -> None:
     if not len(counts) or counts.min() < 1 or not (np.isfinite(values).all() and values.min() > 0):
         raise BadInput("a cost curve needs at least one sample, counts of at least 1 and positive values: measure again.")
+
+
+def falls(counts: ArrayLike, values: ArrayLike) -> bool:
+    """Whether values (S,) fall with the counts by more than a fifth over their range."""
+    counts, values = np.asarray(counts, np.float64), np.asarray(values, np.float64)
     slope = float(np.polyfit(counts, values, 1)[0]) if np.ptp(counts) else 0.0
-    if slope * float(np.ptp(counts)) < -0.2 * float(values.mean()):
-        raise BadInput(
-            f"the values fall from {values[counts.argmin()]:.4g} at {counts.min():.0f} cameras to {values[counts.argmax()]:.4g} at "
-            f"{counts.max():.0f}: a cost does not fall with cameras, check the measurement."
-        )
+    return slope * float(np.ptp(counts)) < -0.2 * float(values.mean())
 
 
 def _errors(curve: CostCurve, counts: FloatArray, values: FloatArray) -> tuple[float, float]:

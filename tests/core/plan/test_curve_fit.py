@@ -7,7 +7,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.curve_fit import FittedCurve, corrected, fit_curve
+from radiant_core.plan.curve_fit import FittedCurve, corrected, falls, fit_curve
 
 COUNTS = np.array([10, 20, 50, 100, 200, 400])
 
@@ -87,6 +87,12 @@ def test_one_count_measured_often_and_equal_values_are_no_trouble() -> None:
     assert float(fit_curve([5, 10, 20], [3.0, 3.0, 3.0]).curve(1000)) == pytest.approx(3.0)
 
 
+def test_falling_values_of_a_busy_machine_give_a_flat_curve_and_their_error() -> None:
+    fitted = fit_curve([10, 20, 40], [9.0, 5.0, 4.0], may_fall=True)
+    assert falls([10, 20, 40], [9.0, 5.0, 4.0]) and not falls([10, 20, 40], [9.0, 9.0, 8.9]) and not falls([5], [1.0])
+    assert float(fitted.curve(10)) == pytest.approx(float(fitted.curve(1000))) and fitted.rmse is not None and fitted.rmse > 0.2
+
+
 def test_the_errors_are_those_of_the_samples() -> None:
     fitted = fit_curve([10, 20, 40], [11.0, 19.0, 42.0])
     errors = fitted.curve([10, 20, 40]) / [11.0, 19.0, 42.0] - 1
@@ -107,7 +113,7 @@ def test_the_errors_are_those_of_the_samples() -> None:
         ({"rmse": None}, "states rmse None"),
         ({"samples": ((10, 10.0), (40, float("inf")))}, "positive values"),
         ({"samples": ((10, 0.0), (40, 40.0))}, "positive values"),
-        ({"samples": ((10, 40.0), (40, 10.0))}, "does not fall"),
+        ({"samples": ((10, 40.0), (40, 10.0))}, "its samples give"),
     ],
 )
 def test_a_curve_that_its_samples_belie_is_refused(fields: dict, message: str) -> None:

@@ -78,7 +78,11 @@ def test_an_estimate_and_another_training_are_said_once_for_all_their_devices() 
     found = profile_warnings(system(*[estimate] * 6), [10] * 6, KEY)
     assert len(found) == 2
     assert found[0].startswith("the times of devices d0, d1, d2, d3 and 2 more are estimates for some GPU")
-    assert "preset standard, 30,000 steps" in found[1] and "preset default, 1,500 steps at 576 px" in found[1] and "radiant profile" in found[1]
+    assert (
+        "preset standard, 30,000 steps" in found[1]
+        and "preset default, 1,500 steps at 576 px" in found[1]
+        and "radiant profile" in found[1]
+    )
 
 
 def test_steps_that_were_multiplied_are_said() -> None:
