@@ -133,7 +133,11 @@ class Measuring:
         num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
         retrain_s = _RETRAIN_STEP_COST * step_s * sum(joined)
         all_epochs = aggregate_preset("default").num_epochs
-        num_epochs = int(np.clip((1 - _TRAINING_SHARE) * free_s / retrain_s, 1, all_epochs))
+
+        def epochs_in(seconds: float) -> int:
+            return int(np.clip(seconds / retrain_s, 1, all_epochs))
+
+        num_epochs = epochs_in((1 - _TRAINING_SHARE) * free_s)
         self.left_s = [start_s + step_s * num_steps] * len(sizes)
         self.left_s += [start_s + _RETRAIN_STEP_COST * step_s * num_epochs * count for count in joined] + [start_s] * 2
         devices, edges = [], []
@@ -142,6 +146,8 @@ class Measuring:
             # What was run in full needs no second run.
             is_done = (count, num_steps) == (counts[-1], steps)
             devices.append(pilot if is_done else self._device(count, num_steps))
+        # The trainings may have taken longer than the pilot promised, or less.
+        num_epochs = epochs_in(time_s - self._elapsed_s - start_s * (len(joined) + 2))
         for count, num_devices in [*((count, 2) for count in joined), (counts[0], 1), (counts[-1], 1)]:
             self.note = f"joining {num_devices} of {count} photographs"
             edges.append(self._edge(count, num_steps, num_devices, num_epochs))
