@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
+from radiant_app.cli_profile import profile
+from radiant_app.tables import print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
 
 app = typer.Typer(
@@ -174,18 +176,35 @@ def plan(
     system: SystemFile = None,
     plan_method: Annotated[PlanMethod, typer.Option(help=_PLAN_HELP)] = "exact",
     compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
+    train_preset: TrainPresetOption = "default",
+    long_side_px: LongSide = None,
+    steps: NumSteps = None,
+    max_splats: MaxSplats = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
     from radiant_app.plan_command import PlanRequest, method_table
     from radiant_app.plan_command import plan as make_plan
+    from radiant_core.train.needs import Overrides
 
-    request = PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed, compare=compare)
+    request = PlanRequest(
+        source=source,
+        out=out,
+        system=system,
+        method=plan_method,
+        seed=seed,
+        compare=compare,
+        train_preset=train_preset,
+        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
+    )
     result = make_plan(request, _listener())
     if compare and not as_json:
         typer.echo(method_table(result.pop("methods")))
     _finish(result, as_json)
+
+
+app.command()(profile)
 
 
 @app.command()
@@ -296,7 +315,7 @@ def evaluate(
     )
     result = score(request, _listener())
     if not as_json:
-        _print_figures(result)
+        print_figures(result)
     _finish(result, as_json)
 
 
@@ -437,7 +456,7 @@ def _run_batch(context: typer.Context, source: Path, out: Path | None, resume: b
     if as_json:
         typer.echo(json.dumps(result.record))
     else:
-        _print_summary(result)
+        print_summary(result)
     raise typer.Exit(result.exit_code)
 
 
@@ -446,30 +465,6 @@ def _job_display(title: str) -> Iterator[Any]:
     typer.echo(title, err=True)
     with _listener() as listener:
         yield listener
-
-
-def _print_summary(result: Any) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("job", "status", "time (s)", "PSNR (dB)", "Gaussians", "result")
-    for job in result.jobs:
-        figures = [job.seconds, job.figures.get("psnr_db"), job.figures.get("num_gaussians")]
-        texts = ["" if value is None else form.format(value) for form, value in zip(("{:.1f}", "{:.2f}", "{:,}"), figures, strict=True)]
-        table.add_row(job.name, job.status, *texts, job.message or (job.out if job.exit_code == 0 else ""))
-    Console().print(table, markup=False)
-    typer.echo(f"summary: {result.folder / 'summary.html'}")
-
-
-def _print_figures(result: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    forms = {"psnr_db": "{:.2f}", "ssim": "{:.4f}", "psnr_cc_db": "{:.2f}", "ssim_cc": "{:.4f}", "flip": "{:.4f}", "lpips": "{:.4f}"}
-    table = Table("photograph", *forms)
-    for row in (*result["images"], {"name": "mean", **result}, {"name": "median", **result["median"]}):
-        table.add_row(row["name"], *("" if row[figure] is None else form.format(row[figure]) for figure, form in forms.items()))
-    Console().print(table, markup=False)
 
 
 def _finish(result: dict[str, Any], as_json: bool) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 
 from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
+from radiant_app.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.progress import ProgressDisplay
 from radiant_app.sources import load_scene_of
 from radiant_app.system_file import even_system, load_system
@@ -33,6 +34,8 @@ from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
+from radiant_core.train.config import Preset
+from radiant_core.train.needs import Overrides
 
 Report = Callable[[float, float, str], None]
 PHASES = ("reading positions", "planning", "drawing", "writing")
@@ -51,6 +54,10 @@ class PlanRequest:
     seed: int
     compare: bool = False
     """Whether all other methods are measured on the same positions."""
+    train_preset: Preset = "default"
+    """What will be trained: it decides how many photographs memory holds, and whether the machines' curves are of that training."""
+    overrides: Overrides = Overrides()
+    """Sizes and steps of that training."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +65,8 @@ class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
     compared: tuple[Compared, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """What its predictions are to be taken with."""
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -92,7 +101,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     report(3, len(PHASES), PHASES[3])
     with _moved_when_whole(request.out.parent) as folder:
         save_png(folder / _picture(request.out).name, picture)
-        save_plan(folder / request.out.name, made.cloud, made.edges)
+        save_plan(folder / request.out.name, made.cloud, made.edges, warnings=made.warnings)
     return _summary(request.out, made, ())
 
 
@@ -113,7 +122,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
         lists.mkdir()
         save_device_waypoints(lists, made.cloud, made.edges, waypoints)
         save_regions_geojson(folder / _regions(request.out).name, made.cloud, made.edges, waypoints)
-        save_plan(folder / request.out.name, made.cloud, made.edges, waypoints)
+        save_plan(folder / request.out.name, made.cloud, made.edges, waypoints, made.warnings)
     written = {"waypoints": str(_lists(request.out)), "regions": str(_regions(request.out))}
     return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **written}
 
@@ -140,15 +149,24 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
 def _made_plan(positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     system = place_edges(system, positions, origin, request.seed)
+    training, warnings = None, ()
+    if depends_on_training(system):
+        train = planned_training(request.train_preset, request.overrides)
+        training = training_key_of(train, request.train_preset)
+        system, _, warnings = with_camera_limits(system, train, len(positions))
     cloud = plan_regions(positions, system, method=request.method)
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
     compared = compare(positions, system) if request.compare else ()
-    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), compared=compared)
+    edges = split_edges(positions, cloud, system)
+    if training is not None:
+        warnings = (*warnings, *prediction_warnings(system, edges, training))
+    return _Plan(cloud=cloud, edges=edges, compared=compared, warnings=warnings)
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
     cloud = made.cloud
+    warnings = (*warnings, *made.warnings)
     idle = [name for plan in made.edges for name in plan.device_ids if not len(plan.cameras_of(name))]
     if idle:
         warnings = (*warnings, f"Devices without anything to capture: {', '.join(idle)}.")

@@ -6,6 +6,7 @@ Runs once per stage.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -85,13 +86,17 @@ def load_scene(path: Path) -> SfmScene:
         )
 
 
-def save_plan(path: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...], waypoints: Waypoints | None = None) -> None:
+def save_plan(
+    path: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...], waypoints: Waypoints | None = None, warnings: Sequence[str] = ()
+) -> None:
     """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
-    from some; BadInput when their number is another, else raises as `write_atomic`."""
+    from some, and what its predictions are to be taken with; BadInput when their number is another, else raises as `write_atomic`."""
     record: dict[str, Any] = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
     if waypoints is not None:
         require_plan_of(len(waypoints), cloud, edges)
         record["waypoints"] = {"names": list(waypoints.names), "lat_lon_alt": waypoints.lat_lon_alt.tolist()}
+    if warnings:
+        record["warnings"] = list(warnings)
     write_json(path, {"schema": "radiant.plan", "version": VERSION, **record})
 
 

@@ -149,7 +149,8 @@ def _device_times_s(edge: Edge, counts: NDArray[np.int64]) -> FloatArray:
 def _edge_time_s(edge: Edge, plan: EdgePlan) -> float:
     counts = np.bincount(plan.device_of_camera, minlength=len(edge.devices))
     model_bytes = sum(float(device.model_bytes(count)) for device, count in zip(edge.devices, counts, strict=True))
-    return float(plan.device_time_s.max() + edge.aggregate_s(counts.sum()) + model_bytes / edge.uplink_bytes_per_s)
+    joining_s = edge.aggregation_s(int(counts.sum()), int((counts > 0).sum()))
+    return float(plan.device_time_s.max() + joining_s + model_bytes / edge.uplink_bytes_per_s)
 
 
 def _with_bound(

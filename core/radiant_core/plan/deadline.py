@@ -77,9 +77,20 @@ def edge_table(edge: Edge, num_cameras: int) -> EdgeTable:
         growth = np.concatenate([np.diff(size) for size in sizes])
         model_bytes = _from_zero(np.cumsum(growth[_flat_indices(slots, limits)]))
         counts = np.arange(len(slots) + 1)
-        total_s = _from_zero(slot_time_s) + edge.aggregate_s(counts) + model_bytes / edge.uplink_bytes_per_s
+        others = np.flatnonzero(slots != slots[0]) if len(slots) else slots
+        total_s = _from_zero(slot_time_s) + aggregate_times_s(edge, counts, others[0] if len(others) else len(slots))
+        total_s = total_s + model_bytes / edge.uplink_bytes_per_s
     require_finite(f"the time of edge {edge.id!r} against cameras", total_s)
     return EdgeTable(num_devices=len(edge.devices), device_of_slot=slots, edge_time_s=_monotone(total_s))
+
+
+def aggregate_times_s(edge: Edge, num_cameras: ArrayLike, num_alone: ArrayLike) -> FloatArray:
+    """F_m for camera counts of any shape, of which up to `num_alone` go to one device."""
+    counts = np.asarray(num_cameras)
+    joined_s = edge.aggregate_s(counts)
+    if edge.aggregate_alone_s is None:
+        return joined_s
+    return np.where(counts <= num_alone, np.minimum(edge.aggregate_alone_s(counts), joined_s), joined_s)
 
 
 def fastest_counts(tables: Sequence[EdgeTable], num_cameras: int) -> tuple[NDArray[np.int64], float]:

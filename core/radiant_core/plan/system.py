@@ -10,6 +10,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.profiles import Profile
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -34,6 +35,8 @@ class Device:
     """What its training may hold, which limits its Gaussians; None without a limit."""
     speed: float | None = None
     """Share of one core, at most 1, when the system is emulated; what that means for the curves above is theirs to say."""
+    profile: Profile | None = None
+    """What the three curves come from; None where they were spelt out."""
 
     def __post_init__(self) -> None:
         _require_id("device", self.id)
@@ -56,13 +59,24 @@ class Edge:
     lat_lon_deg: tuple[float, float] | None = None
     """Latitude and longitude instead of `position`; turned into metres when the scene's origin is known."""
     aggregate_s: CostCurve
-    """F_m: seconds to aggregate against cameras."""
+    """F_m: seconds to aggregate against cameras. Retraining shows every view of an edge whose cameras several devices share, so that it
+    takes a + b · views whatever the cut; were only views at the borders shown, it would depend on where these run, and makespan over
+    bound could only be reported for this model."""
     uplink_bytes_per_s: float
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]
     """At least one."""
     speed: float | None = None
     """As a device's."""
+    aggregate_alone_s: CostCurve | None = None
+    """F_m where one device has all the edge's cameras and nothing is retrained, at most `aggregate_s`; None: the same."""
+    profile: Profile | None = None
+    """What the curves of aggregation come from; None where they were spelt out."""
+
+    def aggregation_s(self, num_cameras: int, num_devices: int) -> float:
+        """F_m for cameras that so many devices have."""
+        joined_s = float(self.aggregate_s(num_cameras))
+        return joined_s if num_devices > 1 or self.aggregate_alone_s is None else min(joined_s, float(self.aggregate_alone_s(num_cameras)))
 
     def __post_init__(self) -> None:
         _require_id("edge", self.id)
@@ -119,7 +133,7 @@ class System:
         def resized(edge: Edge) -> Edge:
             return replace(edge, devices=tuple(replace(d, model_bytes=d.model_bytes.scaled(factor)) for d in edge.devices))
 
-        return System(edges=tuple(resized(edge) for edge in self.edges))
+        return replace(self, edges=tuple(resized(edge) for edge in self.edges))
 
 
 def _require_id(kind: str, name: str) -> None:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, require_finite
 from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import MAX_TABLE_ENTRIES, edge_table, edge_tables, fastest_counts
-from radiant_core.plan.system import System
+from radiant_core.plan.deadline import MAX_TABLE_ENTRIES, device_time_s, edge_table, edge_tables, fastest_counts
+from radiant_core.plan.system import Edge, System
 
 SMALL_TABLE_ENTRIES = 60_000
 """Cameras × devices up to which whole tables are quicker."""
@@ -72,6 +72,22 @@ def _limits(system: System, num_cameras: int) -> Indices:
     return np.array([num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in system.devices], np.int64)
 
 
+def _num_alone(edge: Edge, num_cameras: int) -> int:
+    """The most cameras of an edge that all go to its fastest device: those it is done with before the next could do one."""
+    limits = [num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in edge.devices]
+    firsts = sorted((float(device_time_s(d, 1)), index) for index, (d, limit) in enumerate(zip(edge.devices, limits, strict=True)) if limit)
+    if not firsts:
+        return 0
+    fastest = firsts[0][1]
+    if len(firsts) == 1:
+        return limits[fastest]
+    low, high = 1, limits[fastest] + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if float(device_time_s(edge.devices[fastest], middle)) < firsts[1][0] else (low, middle)
+    return low
+
+
 class _Curves:
     """Several cost curves at once; the same operations in the same order as `CostCurve`."""
 
@@ -98,7 +114,9 @@ class _Fleet:
         self.edge_of_device = np.repeat(np.arange(len(sizes)), sizes)
         self.init, self.train = _Curves([d.init_s for d in devices]), _Curves([d.train_s for d in devices])
         self.model_bytes = _Curves([d.model_bytes for d in devices])
-        self.aggregate = _Curves([edge.aggregate_s for edge in system.edges])
+        self.joined = _Curves([edge.aggregate_s for edge in system.edges])
+        self.alone = _Curves([edge.aggregate_alone_s or edge.aggregate_s for edge in system.edges])
+        self.num_alone = np.array([_num_alone(edge, num_cameras) if edge.aggregate_alone_s else 0 for edge in system.edges])
         self.uplink = np.array([d.uplink_bytes_per_s for d in devices])
         self.edge_uplink = np.array([edge.uplink_bytes_per_s for edge in system.edges])
 
@@ -109,6 +127,14 @@ class _Fleet:
             times = self.init(counts, rows) + self.train(counts, rows) + self.model_bytes(counts, rows) / uplink
         require_finite("the time of a device against cameras", times)
         return times
+
+    def aggregate(self, counts: NDArray[np.int64] | FloatArray, rows: Indices | slice = slice(None)) -> FloatArray:
+        """F_m of edges `rows` with `counts`, (E,) or (E,J)."""
+        joined_s = self.joined(counts, rows)
+        if not self.num_alone.any():
+            return joined_s
+        limits = self.num_alone[rows].reshape(-1, *[1] * (counts.ndim - 1))
+        return np.where(counts <= limits, np.minimum(self.alone(counts, rows), joined_s), joined_s)
 
     def guessed_quotas(self) -> FloatArray:
         """Quotas (D,) near the optimum, from interpolation; a slope too small to matter shares flat curves evenly."""
