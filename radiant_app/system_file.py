@@ -24,6 +24,14 @@ The planner believes the costs, an emulation plays `speed`: a device that is to 
     time_s = 3600.0
     max_cameras = 2000
 
+For `radiant plan` alone, an edge may be known by its curve instead of devices, uplink_mbit_per_s and aggregate_s; it deals its
+cameras to its devices itself, later, with a system file of its own:
+
+    [[edge]]
+    id = "south"
+    time_s = { constant = 40.0, linear = 0.9 }   # from the first photograph to the model sent
+    max_cameras = 900                    # left out: no limit
+
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
 left out has the value above, except position, memory limit and speed (none) and relative_speed (1).
 """
@@ -97,7 +105,9 @@ class _Edge(Strict):
     uplink_mbit_per_s: _Positive = 100.0
     aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
     speed: _Share | None = None
-    device: Annotated[list[_Device], Field(min_length=1)]
+    device: list[_Device] = []
+    time_s: _Curve | None = None
+    max_cameras: Annotated[int, Field(ge=0)] | None = None
 
     def built(self) -> Edge:
         if self.position_m is not None and self.lat_lon_deg is not None:
@@ -106,14 +116,19 @@ class _Edge(Strict):
             raise BadInput(
                 f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
             )
+        surplus = self.model_fields_set & {"aggregate_s", "uplink_mbit_per_s", "speed"}
+        if self.time_s is not None and surplus:
+            raise BadInput(f"edge {self.id!r} has time_s, its whole time, and {min(surplus)} too: remove one of them.")
         return Edge(
             id=self.id,
             position=None if self.position_m is None else (self.position_m[0], self.position_m[1]),
             lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
-            aggregate_s=self.aggregate_s.scaled(1.0),
+            aggregate_s=self.aggregate_s.scaled(1.0) if self.time_s is None else CostCurve(),
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
             devices=tuple(device.built() for device in self.device),
             speed=self.speed,
+            time_s=None if self.time_s is None else self.time_s.scaled(1.0),
+            max_cameras=self.max_cameras,
         )
 
 
@@ -132,12 +147,19 @@ class _File(Strict):
     cloud: _Cloud = _Cloud()
 
 
-def load_system(path: Path) -> System:
-    """The system in a TOML file; BadInput names the file, the key, what came and what is expected."""
+def load_system(path: Path, *, curves: bool = False) -> System:
+    """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
+
+    Edges that are known by their curve alone are refused unless `curves`: nobody could train there.
+    """
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
-        return System(edges=tuple(edge.built() for edge in file.edge), cloud=file.cloud.built())
+        system = System(edges=tuple(edge.built() for edge in file.edge), cloud=file.cloud.built())
+        unknown = [edge.id for edge in system.edges if not edge.devices]
+        if unknown and not curves:
+            raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
+        return system
     except ValidationError as error:
         raise BadInput(f"{path}: {sentence(error, 'system file')}") from error
     except BadInput as error:
@@ -164,6 +186,9 @@ def _edge_lines(edge: Edge) -> list[str]:
         lines.append(f"position_m = {list(map(float, edge.position))}")
     elif edge.lat_lon_deg is not None:
         lines.append(f"lat_lon_deg = {list(map(float, edge.lat_lon_deg))}")
+    if edge.time_s is not None:
+        limit = [] if edge.max_cameras is None else [f"max_cameras = {edge.max_cameras}"]
+        return [*lines, f"time_s = {_inline(edge.time_s, 1.0)}", *limit]
     lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}", *_speed_lines(edge)]
     return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
 

@@ -6,7 +6,7 @@ Runs once per stage.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -144,19 +144,20 @@ def _plain(value: Any) -> Any:
 
 def _plan_fields(plan_type: type[CloudPlan | EdgePlan], record: Any) -> dict[str, Any]:
     names = {field.name for field in fields(plan_type)}
-    if not isinstance(record, dict) or set(record) != names:
+    needed = {field.name for field in fields(plan_type) if field.default is MISSING}
+    if not isinstance(record, dict) or not needed <= set(record) <= names:
         raise BadInput(f"a part of it is no {plan_type.__name__}, which has exactly {sorted(names)}: plan again.")
     return {name: _parsed(name, value) for name, value in record.items()}
 
 
 def _parsed(name: str, value: Any) -> Any:
     """A field of a plan from JSON; arrays stay lists for the plan's own checks, empty polygons regain their two columns."""
-    if name in ("edge_ids", "device_ids"):
+    if name in ("edge_ids", "device_ids", "constrained"):
         return _texts(value)
     if name in ("borders", "strips"):
         return tuple(np.zeros((0, 2)) if polygon == [] else polygon for polygon in value)
-    if name in ("method", "status", "edge_id", "certified"):
-        wanted = bool if name == "certified" else str
+    if name in ("method", "status", "edge_id", "certified", "dealt"):
+        wanted = bool if name in ("certified", "dealt") else str
         if not isinstance(value, wanted):
             raise BadInput(f"its {name} is {value!r}, expected {wanted.__name__}: plan again.")
         return value
@@ -164,4 +165,6 @@ def _parsed(name: str, value: Any) -> Any:
         return tuple(float(makespan_s) for makespan_s in value)
     if name == "lower_bound_s":
         return float(value)
+    if name in ("slack", "num_outside"):
+        return None if value is None else float(value) if name == "slack" else int(value)
     return np.zeros((0, 2)) if name == "sites" and value == [] else value

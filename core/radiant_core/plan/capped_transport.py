@@ -143,7 +143,7 @@ def _guess(positions: FloatArray, sites: FloatArray, limits: Indices) -> tuple[I
         ridge = 1e-6 * float(np.trace(slopes)) / len(slopes) + 1e-12 * len(positions) / boxes.unit_m2
         step = np.zeros(len(sites))
         step[held] = np.linalg.solve(slopes + ridge * np.eye(len(slopes)), excess[held])
-        weights = np.minimum(weights - step, 0.0)
+        weights = np.clip(weights - step, -2 * float(boxes.squared_m2.max()), 0.0)
     return _within(_cell_counts(positions, sites, best), limits), best
 
 

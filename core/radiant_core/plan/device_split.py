@@ -34,8 +34,18 @@ def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[
 def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], border: FloatArray) -> EdgePlan:
     """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m, to its devices; strips partition `border` (V,2) m.
 
-    BadInput when the devices cannot hold them.
+    An edge that is known by its curve alone has nobody to deal to yet. BadInput when the devices cannot hold the cameras.
     """
+    if not edge.devices:
+        return EdgePlan(
+            edge_id=edge.id,
+            device_ids=(),
+            camera_indices=camera_indices,
+            device_of_camera=np.full(len(camera_indices), -1),
+            strips=(),
+            device_time_s=np.zeros(0),
+            dealt=False,
+        )
     quotas = edge_table(edge, len(camera_indices)).quotas(len(camera_indices))
     own = positions[camera_indices]
     centre = own.mean(axis=0) if len(own) else np.zeros(2)

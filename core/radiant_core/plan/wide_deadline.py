@@ -44,7 +44,7 @@ def system_capacity(system: System, num_cameras: int) -> int:
 
 def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
     """Counts with the smallest makespan for any size; the devices must hold all cameras. BadInput when curves overflow."""
-    if num_cameras * len(system.devices) <= SMALL_TABLE_ENTRIES:
+    if num_cameras * len(system.workers) <= SMALL_TABLE_ENTRIES:
         tables = edge_tables(system, num_cameras)
         counts, _ = fastest_counts(tables, num_cameras)
         return FastestCounts(counts=counts, edge_time_s=np.array([t.edge_time_s[c] for t, c in zip(tables, counts, strict=True)]))
@@ -69,7 +69,7 @@ def times_of_counts(system: System, counts: Indices) -> FloatArray:
 
 
 def _limits(system: System, num_cameras: int) -> Indices:
-    return np.array([num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in system.devices], np.int64)
+    return np.array([num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in system.workers], np.int64)
 
 
 class _Curves:
@@ -90,10 +90,10 @@ class _Curves:
 
 class _Fleet:
     def __init__(self, system: System, num_cameras: int) -> None:
-        devices = system.devices
+        devices = system.workers
         self.num_cameras = num_cameras
         self.limits = _limits(system, num_cameras)
-        sizes = [len(edge.devices) for edge in system.edges]
+        sizes = [len(edge.workers) for edge in system.edges]
         self.starts = np.cumsum([0, *sizes[:-1]])
         self.edge_of_device = np.repeat(np.arange(len(sizes)), sizes)
         self.init, self.train = _Curves([d.init_s for d in devices]), _Curves([d.train_s for d in devices])
