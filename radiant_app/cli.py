@@ -174,17 +174,32 @@ def plan(
     system: SystemFile = None,
     plan_method: Annotated[PlanMethod, typer.Option(help=_PLAN_HELP)] = "exact",
     compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
+    slack: Annotated[float | None, typer.Option(min=1, help="Makespan may be so many times the shortest for shorter ways: 1.1.")] = None,
+    slack_curve: Annotated[bool, typer.Option("--slack-curve", help="Table and picture of what several slacks buy.")] = False,
+    constraints: Annotated[Path | None, typer.Option(help="TOML of fixed weights, locked regions, pinned cameras.")] = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
-    from radiant_app.plan_command import PlanRequest, method_table
+    from radiant_app.plan_command import PlanRequest, method_table, slack_table
     from radiant_app.plan_command import plan as make_plan
 
-    request = PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed, compare=compare)
+    request = PlanRequest(
+        source=source,
+        out=out,
+        system=system,
+        method=plan_method,
+        seed=seed,
+        compare=compare,
+        slack=slack,
+        slack_curve=slack_curve,
+        constraints=constraints,
+    )
     result = make_plan(request, _listener())
     if compare and not as_json:
         typer.echo(method_table(result.pop("methods")))
+    if slack_curve and not as_json:
+        typer.echo(slack_table(result.pop("slack_curve")))
     _finish(result, as_json)
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
+from radiant_app.constraints_file import load_constraints
 from radiant_app.progress import ProgressDisplay
 from radiant_app.sources import load_scene_of
 from radiant_app.system_file import even_system, load_system
@@ -32,6 +33,7 @@ from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.system import System
 
 Report = Callable[[float, float, str], None]
@@ -51,6 +53,12 @@ class PlanRequest:
     seed: int
     compare: bool = False
     """Whether all other methods are measured on the same positions."""
+    slack: float | None = None
+    """Factor on the shortest makespan that the plan may take where that brings cameras nearer to their edges."""
+    slack_curve: bool = False
+    """Whether several slacks are planned, too, for a table and a picture of what each buys."""
+    constraints: Path | None = None
+    """File of what is fixed, locked or pinned."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,6 +66,7 @@ class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
     compared: tuple[Compared, ...] = ()
+    curve: tuple[SlackPoint, ...] = ()
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -65,8 +74,8 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
 
     Raises BadInput with one sentence when the input, the system or the place to write to cannot be used; nothing stays behind.
     """
-    _require_places(request.out)
-    system = even_system(2, 2) if request.system is None else load_system(request.system)
+    _require_places(request)
+    system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
     with stage_bar(display, "plan") as report:
         report(0, len(PHASES), PHASES[0])
         if _is_scene(request.source):
@@ -86,13 +95,14 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
-    made = _made_plan(scene.cameras.centers[:, :2], origin, system, request, report)
+    made = _made_plan(scene.cameras.centers[:, :2], origin, system, request, report, scene.cameras.names)
     report(2, len(PHASES), PHASES[2])
     picture = plan_picture(scene, made.cloud, made.edges)
     report(3, len(PHASES), PHASES[3])
     with _moved_when_whole(request.out.parent) as folder:
         save_png(folder / _picture(request.out).name, picture)
-        save_plan(folder / request.out.name, made.cloud, made.edges)
+        _save_curve(folder, request.out, made.curve)
+        save_plan(folder / request.out.name, made.cloud, made.edges, slack_curve=made.curve)
     return _summary(request.out, made, ())
 
 
@@ -103,7 +113,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
 
     waypoints = found.waypoints
     positions = waypoints.positions_m
-    made = _made_plan(positions[:, :2], waypoints.origin, system, request, report)
+    made = _made_plan(positions[:, :2], waypoints.origin, system, request, report, waypoints.names)
     report(2, len(PHASES), PHASES[2])
     picture = waypoint_plan_picture(positions, made.cloud, made.edges)
     report(3, len(PHASES), PHASES[3])
@@ -113,7 +123,8 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
         lists.mkdir()
         save_device_waypoints(lists, made.cloud, made.edges, waypoints)
         save_regions_geojson(folder / _regions(request.out).name, made.cloud, made.edges, waypoints)
-        save_plan(folder / request.out.name, made.cloud, made.edges, waypoints)
+        _save_curve(folder, request.out, made.curve)
+        save_plan(folder / request.out.name, made.cloud, made.edges, waypoints, slack_curve=made.curve)
     written = {"waypoints": str(_lists(request.out)), "regions": str(_regions(request.out))}
     return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **written}
 
@@ -137,19 +148,41 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
     return replace(found, waypoints=kept, warnings=(*found.warnings, note))
 
 
-def _made_plan(positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report) -> _Plan:
+def _made_plan(  # noqa: PLR0913
+    positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report, names: Sequence[str]
+) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     system = place_edges(system, positions, origin, request.seed)
-    cloud = plan_regions(positions, system, method=request.method)
+    given = None if request.constraints is None else load_constraints(request.constraints, names)
+    start, constraints = (None, None) if given is None else (given.start, given.constraints)
+    cloud = plan_regions(positions, system, method=request.method, slack=request.slack, constraints=constraints, start=start)
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
     compared = compare(positions, system) if request.compare else ()
-    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), compared=compared)
+    curve: tuple[SlackPoint, ...] = ()
+    if request.slack_curve:
+        curve = slack_curve(positions, system, progress=lambda share: report(1 + share, len(PHASES), PHASES[1]))
+    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), compared=compared, curve=curve)
+
+
+def _save_curve(folder: Path, out: Path, curve: tuple[SlackPoint, ...]) -> None:
+    """The picture of the curve in `folder`, where there is one."""
+    if curve:
+        from radiant_viewer.images import save_png
+        from radiant_viewer.slack_chart import slack_picture
+
+        save_png(folder / _curve_picture(out).name, slack_picture(curve))
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
     cloud = made.cloud
     idle = [name for plan in made.edges for name in plan.device_ids if not len(plan.cameras_of(name))]
+    later = [plan.edge_id for plan in made.edges if not plan.dealt]
+    if later:
+        warnings = (*warnings, f"Dealt by the edge itself, later: {', '.join(later)}.")
+    if cloud.constrained:
+        outside = f"{cloud.num_outside} cameras lie outside their region as drawn" if cloud.num_outside else "all cameras in their regions"
+        warnings = (*warnings, f"Planned around constraints: {'; '.join(cloud.constrained)}; {outside}.")
     if idle:
         warnings = (*warnings, f"Devices without anything to capture: {', '.join(idle)}.")
     return {
@@ -162,6 +195,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "plan": str(out),
         "picture": str(_picture(out)),
         **({"methods": [_row(row) for row in made.compared]} if made.compared else {}),
+        **({"slack_curve": [asdict(point) for point in made.curve], "slack_picture": str(_curve_picture(out))} if made.curve else {}),
     }
 
 
@@ -188,6 +222,21 @@ def method_table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def slack_table(rows: list[dict[str, Any]]) -> str:
+    """The rows of `--slack-curve`, aligned."""
+    lines = [f"{'slack':>7} {'makespan':>12} {'mean distance':>14} {'rms distance':>13} {'borders':>11}"]
+    lines += [
+        f"{row['slack']:>7.3f} {row['makespan_s']:>10.1f} s {row['mean_distance_m']:>12.1f} m {row['rms_distance_m']:>11.1f} m "
+        f"{row['border_m']:>9.0f} m"
+        for row in rows
+    ]
+    return "\n".join(lines)
+
+
+def _curve_picture(out: Path) -> Path:
+    return out.with_name(f"{out.stem}_slack.png")
+
+
 def _picture(out: Path) -> Path:
     return out.with_suffix(".png")
 
@@ -200,10 +249,11 @@ def _regions(out: Path) -> Path:
     return out.with_name(f"{out.stem}_regions.geojson")
 
 
-def _require_places(out: Path) -> None:
+def _require_places(request: PlanRequest) -> None:
+    out = request.out
     if out.suffix != ".json":
         raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
-    for path in (out, _picture(out), _lists(out), _regions(out)):
+    for path in (out, _picture(out), _lists(out), _regions(out), *([_curve_picture(out)] if request.slack_curve else [])):
         require_file_to_be(path)
 
 

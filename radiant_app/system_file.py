@@ -24,13 +24,8 @@ The planner believes the costs, an emulation plays `speed`: a device that is to 
     time_s = 3600.0
     max_cameras = 2000
 
-For `radiant plan` alone, an edge may be known by its curve instead of devices, uplink_mbit_per_s and aggregate_s; it deals its
-cameras to its devices itself, later, with a system file of its own:
-
-    [[edge]]
-    id = "south"
-    time_s = { constant = 40.0, linear = 0.9 }   # from the first photograph to the model sent
-    max_cameras = 900                    # left out: no limit
+For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model sent) and `max_cameras` in place of
+devices, uplink and aggregate_s: the cloud plans its region, and it deals its cameras itself, later, with a system file of its own.
 
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
 left out has the value above, except position, memory limit and speed (none) and relative_speed (1).

@@ -6,7 +6,8 @@ Runs once per stage.
 
 from __future__ import annotations
 
-from dataclasses import MISSING, fields
+from collections.abc import Sequence
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from radiant_core.frames import Frame
 from radiant_core.io.array_file import VERSION, load_arrays, naming, require_schema, save_arrays
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
+from radiant_core.plan.slack_curve import SlackPoint
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import TENSORS, Splats
@@ -85,10 +87,19 @@ def load_scene(path: Path) -> SfmScene:
         )
 
 
-def save_plan(path: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...], waypoints: Waypoints | None = None) -> None:
+def save_plan(
+    path: Path,
+    cloud: CloudPlan,
+    edges: tuple[EdgePlan, ...],
+    waypoints: Waypoints | None = None,
+    *,
+    slack_curve: Sequence[SlackPoint] = (),
+) -> None:
     """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
-    from some; BadInput when their number is another, else raises as `write_atomic`."""
+    from some, and what slacks would buy where somebody looked; BadInput when their number is another, else raises as `write_atomic`."""
     record: dict[str, Any] = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
+    if slack_curve:
+        record["slack_curve"] = [asdict(point) for point in slack_curve]
     if waypoints is not None:
         require_plan_of(len(waypoints), cloud, edges)
         record["waypoints"] = {"names": list(waypoints.names), "lat_lon_alt": waypoints.lat_lon_alt.tolist()}

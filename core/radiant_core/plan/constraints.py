@@ -157,7 +157,9 @@ def _given_owners(  # noqa: PLR0913
             raise BadInput(f"camera {camera} is pinned, there are {len(cameras)}: count them from 0.")
         edge = int(np.flatnonzero(_flags(ids, (name,)))[0])
         if owner[camera] not in (NOBODY, edge) and locked[owner[camera]]:
-            raise BadInput(f"camera {camera} is pinned to {name!r} and lies in the locked region of {ids[owner[camera]]!r}: drop one of them.")
+            raise BadInput(
+                f"camera {camera} is pinned to {name!r} and lies in the locked region of {ids[owner[camera]]!r}: drop one of them."
+            )
         owner[camera] = edge
     return owner
 
@@ -170,7 +172,9 @@ def _open_counts(system: System, given: Indices, is_open: Flags, num_free: int) 
         if count and count > (held := system_capacity(System(edges=(edge,)), num_cameras)):
             return f"the constraints give edge {edge.id!r} {count} cameras, it can hold {held}: unlock or unpin some."
     if not is_open.any():
-        return given if not num_free else f"all edges are locked or fixed and {num_free} cameras lie in none of their regions: free an edge."
+        return (
+            given if not num_free else f"all edges are locked or fixed and {num_free} cameras lie in none of their regions: free an edge."
+        )
     part = System(edges=tuple(edge for edge, chosen in zip(system.edges, is_open, strict=True) if chosen))
     wanted = int(given[is_open].sum()) + num_free
     if (capacity := system_capacity(part, num_cameras)) < wanted:
@@ -205,9 +209,7 @@ def _fitted(  # noqa: PLR0913
     return weights
 
 
-def _shift(
-    cameras: FloatArray, sites: FloatArray, weights: FloatArray, ours: tuple[Flags, Flags], theirs: tuple[Flags, Flags]
-) -> float:
+def _shift(cameras: FloatArray, sites: FloatArray, weights: FloatArray, ours: tuple[Flags, Flags], theirs: tuple[Flags, Flags]) -> float:
     """By how much to raise our edges' weights: midway between what our cameras need at least and theirs allow; (cameras, edges) flags."""
     (our_cameras, our_edges), (their_cameras, their_edges) = ours, theirs
     gap = [
@@ -231,7 +233,10 @@ def _least_powers(cameras: FloatArray, sites: FloatArray, weights: FloatArray, e
 def _sentences(constraints: PlanConstraints, counts: Indices, ids: list[str]) -> tuple[str, ...]:
     number = dict(zip(ids, counts.tolist(), strict=True))
     return (
-        *(f"weight of edge {name!r} fixed at {weight:g} m²: {number[name]} cameras" for name, weight in constraints.fixed_weights_m2.items()),
+        *(
+            f"weight of edge {name!r} fixed at {weight:g} m²: {number[name]} cameras"
+            for name, weight in constraints.fixed_weights_m2.items()
+        ),
         *(f"region of edge {name!r} locked: {number[name]} cameras" for name in constraints.locked),
         *([f"cameras pinned: {len(constraints.pinned)}"] if constraints.pinned else []),
     )

@@ -97,7 +97,9 @@ def _cuts(along: FloatArray) -> FloatArray:
     return np.concatenate([along[:1], (along[:-1] + along[1:]) / 2, along[-1:]])
 
 
-def _strips(border: FloatArray, axis: FloatArray, cuts: FloatArray, quotas: NDArray[np.int64], dealt: NDArray[np.int64]) -> list[FloatArray]:
+def _strips(
+    border: FloatArray, axis: FloatArray, cuts: FloatArray, quotas: NDArray[np.int64], dealt: NDArray[np.int64]
+) -> list[FloatArray]:
     """Per device its part of the border (V,2), which is cut across `axis` at `cuts` (K+1,) between devices in the order `dealt`."""
     strips = [np.empty((0, 2))] * len(quotas)
     rest = border

@@ -230,9 +230,7 @@ def _constrained_partition(
         return dealt
     free = "hold" if dealt.free_violation_m2 <= CERTIFICATE_TOLERANCE * _largest_m2(plane) else "do not hold"
     sentence = f"the certificate's conditions {free} among the cameras and edges that are free"
-    return _Partition(
-        edge_of_camera=dealt.edge_of_camera, weights=dealt.weights, aim="constrained", sentences=(*dealt.sentences, sentence)
-    )
+    return _Partition(edge_of_camera=dealt.edge_of_camera, weights=dealt.weights, aim="constrained", sentences=(*dealt.sentences, sentence))
 
 
 def _largest_m2(plane: _Plane) -> float:
