@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from radiant_app.toml_file import Strict, load_toml, sentence
 from radiant_core.errors import BadInput
@@ -35,9 +35,9 @@ class GivenConstraints:
 
 class _File(Strict):
     plan: str | None = None
-    locked: list[str] = []
-    fixed_weights_m2: dict[str, float] = {}
-    pinned: dict[str, list[str]] = {}
+    locked: list[str] = Field(default_factory=list[str])
+    fixed_weights_m2: dict[str, float] = Field(default_factory=dict[str, float])
+    pinned: dict[str, list[str]] = Field(default_factory=dict[str, list[str]])
 
 
 def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:

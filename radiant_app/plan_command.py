@@ -148,7 +148,7 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
     return replace(found, waypoints=kept, warnings=(*found.warnings, note))
 
 
-def _made_plan(  # noqa: PLR0913
+def _made_plan(
     positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report, names: Sequence[str]
 ) -> _Plan:
     report(1, len(PHASES), PHASES[1])

@@ -100,7 +100,7 @@ class _Edge(Strict):
     uplink_mbit_per_s: _Positive = 100.0
     aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
     speed: _Share | None = None
-    device: list[_Device] = []
+    device: list[_Device] = Field(default_factory=list[_Device])
     time_s: _Curve | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
 

@@ -89,6 +89,7 @@ def deal_around(
     fixed, locked = _flags(ids, tuple(constraints.fixed_weights_m2)), _flags(ids, constraints.locked)
     weights = reference.weights.copy()
     weights[fixed] = [constraints.fixed_weights_m2[name] for name, is_fixed in zip(ids, fixed, strict=True) if is_fixed]
+    before = weights.copy()
     owner = _given_owners(cameras, sites, weights, ids, fixed, locked, constraints, reference)
     is_open = ~(fixed | locked)
     given = np.bincount(owner[owner >= 0], minlength=len(ids))
@@ -103,6 +104,8 @@ def deal_around(
     has_free = np.zeros(len(ids), bool)
     has_free[edges] = (counts - given)[edges] > 0
     weights = _fitted(cameras, sites, weights, owner, free, (has_free, is_open, fixed, locked))
+    # Dealing among fewer edges ties the weights less: where nothing changed, those of the reference fit better.
+    weights = min((weights, before), key=lambda tried: _worst_violation(cameras, sites, tried, owner))
     words = _sentences(constraints, np.bincount(owner, minlength=len(ids)), ids)
     return ConstrainedDealing(edge_of_camera=owner, weights=weights, free_violation_m2=dealt.violation_m2, sentences=words)
 
@@ -184,7 +187,7 @@ def _open_counts(system: System, given: Indices, is_open: Flags, num_free: int) 
     return counts
 
 
-def _fitted(  # noqa: PLR0913
+def _fitted(
     cameras: FloatArray, sites: FloatArray, weights: FloatArray, owner: Indices, free: Indices, groups: tuple[Flags, Flags, Flags, Flags]
 ) -> FloatArray:
     """Weights (E,) in which open edges stand to fixed ones, and locked edges to all, so that the worst camera misses least."""
@@ -220,6 +223,11 @@ def _shift(cameras: FloatArray, sites: FloatArray, weights: FloatArray, ours: tu
     if np.isfinite(least) and np.isfinite(most):
         return (least + most) / 2
     return least if np.isfinite(least) else most if np.isfinite(most) else 0.0
+
+
+def _worst_violation(cameras: FloatArray, sites: FloatArray, weights: FloatArray, owner: Indices) -> float:
+    own = np.sum((cameras - sites[owner]) ** 2, axis=1) - weights[owner]
+    return float((own - _least_powers(cameras, sites, weights, np.ones(len(sites), bool))).max())
 
 
 def _least_powers(cameras: FloatArray, sites: FloatArray, weights: FloatArray, edges: Flags) -> FloatArray:

@@ -85,7 +85,7 @@ class _Partition:
     sentences: tuple[str, ...] = ()
 
 
-def plan_regions(
+def plan_regions(  # noqa: PLR0913
     positions: ArrayLike,
     system: System,
     *,
