@@ -22,7 +22,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.power_diagram import assign
 from radiant_core.plan.system import System
 from radiant_core.plan.transport import deal_with_counts
-from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, system_capacity
+from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, system_capacity, times_of_counts
 
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -69,10 +69,11 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConstrainedDealing:
-    """Who has which camera (C,), weights (E,) m², the largest violation among the free cameras and edges, what holds as sentences."""
+    """Who has which camera (C,), weights (E,) m², times (E,) s, the worst violation among what is free, the constraints in words."""
 
     edge_of_camera: Indices
     weights: FloatArray
+    edge_time_s: FloatArray
     free_violation_m2: float
     sentences: tuple[str, ...]
 
@@ -94,9 +95,10 @@ def deal_around(
     is_open = ~(fixed | locked)
     given = np.bincount(owner[owner >= 0], minlength=len(ids))
     free = np.flatnonzero(owner == NOBODY)
-    counts = _open_counts(system, given, is_open, len(free))
-    if isinstance(counts, str):
-        return counts
+    found = _open_counts(system, given, is_open, len(free))
+    if isinstance(found, str):
+        return found
+    counts = found.counts
     edges = np.flatnonzero(is_open)
     dealt = deal_with_counts(cameras[free], sites[edges], (counts - given)[edges], weights=weights[edges])
     owner[free] = edges[dealt.edge_of_position] if len(free) else owner[free]
@@ -107,7 +109,13 @@ def deal_around(
     # Dealing among fewer edges ties the weights less: where nothing changed, those of the reference fit better.
     weights = min((weights, before), key=lambda tried: _worst_violation(cameras, sites, tried, owner))
     words = _sentences(constraints, np.bincount(owner, minlength=len(ids)), ids)
-    return ConstrainedDealing(edge_of_camera=owner, weights=weights, free_violation_m2=dealt.violation_m2, sentences=words)
+    return ConstrainedDealing(
+        edge_of_camera=owner,
+        weights=weights,
+        edge_time_s=found.edge_time_s,
+        free_violation_m2=dealt.violation_m2,
+        sentences=words,
+    )
 
 
 def counts_at_least(system: System, num_cameras: int, least: Indices) -> FastestCounts:
@@ -115,17 +123,21 @@ def counts_at_least(system: System, num_cameras: int, least: Indices) -> Fastest
 
     An edge that would get fewer keeps its least at any earlier deadline, so it can be taken out and the others planned anew.
     """
-    counts = least.copy()
+    counts, times_s = least.copy(), np.zeros(len(least))
     active = np.ones(len(least), bool)
     while active.any():
         part = replace(system, edges=tuple(edge for edge, is_active in zip(system.edges, active, strict=True) if is_active))
-        found = fastest_edge_counts(part, num_cameras - int(least[~active].sum())).counts
+        found = fastest_edge_counts(part, num_cameras - int(least[~active].sum()))
         rows = np.flatnonzero(active)
-        counts[rows] = np.maximum(found, least[rows])
-        if (found >= least[rows]).all():
+        counts[rows] = np.maximum(found.counts, least[rows])
+        if (found.counts >= least[rows]).all():
+            times_s[rows] = found.edge_time_s
             break
-        active[rows[found < least[rows]]] = False
-    return FastestCounts(counts=counts, edge_time_s=np.zeros(len(least)))
+        active[rows[found.counts < least[rows]]] = False
+    slow = np.flatnonzero(~active)
+    if len(slow):
+        times_s[slow] = times_of_counts(System(edges=tuple(system.edges[index] for index in slow)), least[slow])
+    return FastestCounts(counts=counts, edge_time_s=times_s)
 
 
 def _flags(ids: list[str], chosen: tuple[str, ...]) -> Flags:
@@ -167,24 +179,28 @@ def _given_owners(  # noqa: PLR0913
     return owner
 
 
-def _open_counts(system: System, given: Indices, is_open: Flags, num_free: int) -> Indices | str:
-    """Cameras (E,) of every edge, or why there is no room."""
+def _open_counts(system: System, given: Indices, is_open: Flags, num_free: int) -> FastestCounts | str:
+    """Cameras and time of every edge, or why there is no room."""
     num_cameras = int(given.sum()) + num_free
     for edge, count in zip(system.edges, given, strict=True):
         # A limit is at least as large as the cameras where the devices' own limits together are.
         if count and count > (held := system_capacity(System(edges=(edge,)), num_cameras)):
             return f"the constraints give edge {edge.id!r} {count} cameras, it can hold {held}: unlock or unpin some."
+    closed, times_s = np.flatnonzero(~is_open), np.zeros(len(given))
+    if len(closed):
+        times_s[closed] = times_of_counts(System(edges=tuple(system.edges[index] for index in closed)), given[closed])
     if not is_open.any():
-        return (
-            given if not num_free else f"all edges are locked or fixed and {num_free} cameras lie in none of their regions: free an edge."
-        )
+        if num_free:
+            return f"all edges are locked or fixed and {num_free} cameras lie in none of their regions: free an edge."
+        return FastestCounts(counts=given, edge_time_s=times_s)
     part = System(edges=tuple(edge for edge, chosen in zip(system.edges, is_open, strict=True) if chosen))
     wanted = int(given[is_open].sum()) + num_free
     if (capacity := system_capacity(part, num_cameras)) < wanted:
         return f"the edges that are neither locked nor fixed can hold {capacity} of the {wanted} cameras left to them: free more edges."
     counts = given.copy()
-    counts[is_open] = counts_at_least(part, wanted, given[is_open]).counts
-    return counts
+    found = counts_at_least(part, wanted, given[is_open])
+    counts[is_open], times_s[is_open] = found.counts, found.edge_time_s
+    return FastestCounts(counts=counts, edge_time_s=times_s)
 
 
 def _fitted(

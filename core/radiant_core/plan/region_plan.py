@@ -33,7 +33,7 @@ from radiant_core.plan.power_diagram import assign, cell_polygons, rectangle
 from radiant_core.plan.slack import capacities_within
 from radiant_core.plan.system import System
 from radiant_core.plan.transport import deal_with_counts, violations
-from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, system_capacity, times_of_counts
+from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, remembered_edge_counts, system_capacity, times_of_counts
 
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
@@ -83,6 +83,8 @@ class _Partition:
     """By how much the worst camera misses its cell, None where nobody looked."""
     aim: Literal["bound", "slack", "constrained"] = "bound"
     sentences: tuple[str, ...] = ()
+    edge_time_s: FloatArray | None = None
+    """Where it is known already."""
 
 
 def plan_regions(  # noqa: PLR0913
@@ -112,7 +114,7 @@ def plan_regions(  # noqa: PLR0913
         reason = f"the devices can hold {capacity} of {num_cameras} cameras: raise max_cameras or add devices."
         return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     paper = paper or PaperConfig()
-    fastest = fastest_edge_counts(system, num_cameras)
+    fastest = (remembered_edge_counts if constraints else fastest_edge_counts)(system, num_cameras)
     nearest = _nearest_if_good(plane, system, fastest, tolerance) if method == "exact" and tolerance > 0 else None
     if constraints:
         dealt = _constrained_partition(plane, system, fastest, constraints, start)
@@ -230,7 +232,13 @@ def _constrained_partition(
         return dealt
     free = "hold" if dealt.free_violation_m2 <= CERTIFICATE_TOLERANCE * _largest_m2(plane) else "do not hold"
     sentence = f"the certificate's conditions {free} among the cameras and edges that are free"
-    return _Partition(edge_of_camera=dealt.edge_of_camera, weights=dealt.weights, aim="constrained", sentences=(*dealt.sentences, sentence))
+    return _Partition(
+        edge_of_camera=dealt.edge_of_camera,
+        weights=dealt.weights,
+        aim="constrained",
+        sentences=(*dealt.sentences, sentence),
+        edge_time_s=dealt.edge_time_s,
+    )
 
 
 def _largest_m2(plane: _Plane) -> float:
@@ -281,7 +289,9 @@ def _cloud_plan(
     method: PlanMethod, system: System, plane: _Plane, partition: _Partition, fastest: FastestCounts, threshold: float
 ) -> CloudPlan:
     counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
-    edge_time_s = fastest.edge_time_s if np.array_equal(counts, fastest.counts) else times_of_counts(system, counts)
+    edge_time_s = fastest.edge_time_s if np.array_equal(counts, fastest.counts) else partition.edge_time_s
+    if edge_time_s is None:
+        edge_time_s = times_of_counts(system, counts)
     lower_bound_s = float(fastest.edge_time_s.max())
     makespan_s = float(edge_time_s.max())
     weights = _closed_where_unused(partition.weights, counts, plane)

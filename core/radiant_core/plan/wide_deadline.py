@@ -9,6 +9,7 @@ Runs once per plan, O(D log C) for the guess and C · window entries, some 1 % o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -31,10 +32,14 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FastestCounts:
-    """counts (E,) with the smallest makespan and the time (E,) s of each edge with them."""
+    """counts (E,) with the smallest makespan and the time (E,) s of each edge with them; read-only, as they are remembered for a drag."""
 
     counts: Indices
     edge_time_s: FloatArray
+
+    def __post_init__(self) -> None:
+        self.counts.flags.writeable = False
+        self.edge_time_s.flags.writeable = False
 
 
 def system_capacity(system: System, num_cameras: int) -> int:
@@ -61,6 +66,12 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
         if found is not None:
             return found
         window *= 3
+
+
+@lru_cache(maxsize=8)
+def remembered_edge_counts(system: System, num_cameras: int) -> FastestCounts:
+    """`fastest_edge_counts`, once for all frames of a drag, in which neither the system nor the number of cameras changes."""
+    return fastest_edge_counts(system, num_cameras)
 
 
 def times_of_counts(system: System, counts: Indices) -> FloatArray:

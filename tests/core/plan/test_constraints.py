@@ -17,7 +17,7 @@ from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from .instances import LAYOUTS, linear_system, random_system
 
 
-def planned(*args, **kwargs) -> CloudPlan:  # noqa: ANN002, ANN003
+def planned(*args, **kwargs) -> CloudPlan:
     plan = plan_regions(*args, **kwargs)
     assert isinstance(plan, CloudPlan)
     return plan

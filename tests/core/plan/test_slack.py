@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_the_curve_falls_in_distance_and_never_exceeds_its_slack() -> None:
     assert heard == sorted(heard) and len(heard) == len(points)
     assert all(point.certified and point.makespan_s <= point.slack * plan.lower_bound_s * (1 + 1e-12) for point in points)
     distances = [point.rms_distance_m for point in points]
-    assert all(later <= earlier + 1e-9 for earlier, later in zip(distances, distances[1:], strict=False))
+    assert all(later <= earlier + 1e-9 for earlier, later in pairwise(distances))
     counted = np.sqrt(np.mean(np.sum((positions - plan.sites[plan.edge_of_camera]) ** 2, axis=1)))
     assert distances[0] <= counted + 1e-9  # same makespan, freer counts
 
