@@ -181,25 +181,13 @@ def plan(
     as_json: AsJson = False,
 ) -> None:
     """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
-    from radiant_app.plan_command import PlanRequest, method_table, slack_table
+    from radiant_app.plan_command import PlanRequest, tables_taken_from
     from radiant_app.plan_command import plan as make_plan
 
-    request = PlanRequest(
-        source=source,
-        out=out,
-        system=system,
-        method=plan_method,
-        seed=seed,
-        compare=compare,
-        slack=slack,
-        slack_curve=slack_curve,
-        constraints=constraints,
-    )
-    result = make_plan(request, _listener())
-    if compare and not as_json:
-        typer.echo(method_table(result.pop("methods")))
-    if slack_curve and not as_json:
-        typer.echo(slack_table(result.pop("slack_curve")))
+    more = {"compare": compare, "slack": slack, "slack_curve": slack_curve, "constraints": constraints}
+    result = make_plan(PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed, **more), _listener())
+    for table in [] if as_json else tables_taken_from(result):
+        typer.echo(table)
     _finish(result, as_json)
 
 

@@ -211,6 +211,12 @@ def _row(row: Compared) -> dict[str, Any]:
     }
 
 
+def tables_taken_from(result: dict[str, Any]) -> list[str]:
+    """The tables of `--compare` and `--slack-curve` as text, for a terminal; they are removed from the result."""
+    tables = (("methods", method_table), ("slack_curve", slack_table))
+    return [aligned(result.pop(name)) for name, aligned in tables if name in result]
+
+
 def method_table(rows: list[dict[str, Any]]) -> str:
     """The rows of `--compare`, aligned."""
     lines = [f"{'method':<14} {'makespan':>12} {'/ bound':>9} {'no region':>9} {'Σ distance²':>13} {'iterations':>10} {'imbalance':>9}"]
