@@ -12,8 +12,9 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
+from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
-from radiant_app.tables import print_figures, print_summary
+from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
 
 app = typer.Typer(
@@ -164,46 +165,10 @@ def sfm(
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
 
-    _finish(commands.sfm(source, out, matching, _listener(), masks), as_json)
+    finish(commands.sfm(source, out, matching, _listener(), masks), as_json)
 
 
-@app.command()
-def plan(
-    source: Annotated[
-        Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, or a run.", show_default=False)
-    ],
-    out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
-    system: SystemFile = None,
-    plan_method: Annotated[PlanMethod, typer.Option(help=_PLAN_HELP)] = "exact",
-    compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
-    train_preset: TrainPresetOption = "default",
-    long_side_px: LongSide = None,
-    steps: NumSteps = None,
-    max_splats: MaxSplats = None,
-    seed: Seed = 0,
-    as_json: AsJson = False,
-) -> None:
-    """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
-    from radiant_app.plan_command import PlanRequest, method_table
-    from radiant_app.plan_command import plan as make_plan
-    from radiant_core.train.needs import Overrides
-
-    request = PlanRequest(
-        source=source,
-        out=out,
-        system=system,
-        method=plan_method,
-        seed=seed,
-        compare=compare,
-        train_preset=train_preset,
-        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
-    )
-    result = make_plan(request, _listener())
-    if compare and not as_json:
-        typer.echo(method_table(result.pop("methods")))
-    _finish(result, as_json)
-
-
+app.command()(plan)
 app.command()(profile)
 
 
@@ -254,7 +219,7 @@ def train(
     with _listener() as listener:
         result = run_training(request, listener, resume=resume)
     if as_json or "psnr_db" not in result:
-        _finish(result, as_json)
+        finish(result, as_json)
         return
     typer.echo(f"held-out {result['psnr_db']:.2f} dB, {result['num_gaussians']:,} Gaussians")
     typer.echo(f"model: {out / 'scene.ply'}")
@@ -271,7 +236,7 @@ def aggregate(
     """Join the device models of a run once more, in another way."""
     from radiant_app import commands
 
-    _finish(commands.aggregate(run_folder, out, aggregate_preset, epochs, _listener()), as_json)
+    finish(commands.aggregate(run_folder, out, aggregate_preset, epochs, _listener()), as_json)
 
 
 @app.command()
@@ -285,7 +250,7 @@ def render(
     """Pictures of a model from given cameras."""
     from radiant_app import commands
 
-    _finish(commands.render(model, out, cameras, long_side_px, _listener()), as_json)
+    finish(commands.render(model, out, cameras, long_side_px, _listener()), as_json)
 
 
 @app.command()
@@ -316,7 +281,7 @@ def evaluate(
     result = score(request, _listener())
     if not as_json:
         print_figures(result)
-    _finish(result, as_json)
+    finish(result, as_json)
 
 
 @app.command()
@@ -465,15 +430,6 @@ def _job_display(title: str) -> Iterator[Any]:
     typer.echo(title, err=True)
     with _listener() as listener:
         yield listener
-
-
-def _finish(result: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        typer.echo(json.dumps(result))
-        return
-    for key, value in result.items():
-        if not isinstance(value, list | dict):
-            typer.echo(f"{key}: {value}")
 
 
 def _listener() -> Any:

@@ -14,6 +14,7 @@ from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.profile_warnings import profile_warnings
 from radiant_core.plan.profiles import ProfileKey
 from radiant_core.plan.system import Device, Edge, System
+from radiant_core.plan.wide_deadline import system_capacity
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend
@@ -69,16 +70,18 @@ def with_camera_limits(
 
         return {device.id: held(device) for device in limited}
 
+    def limited_to(found: dict[str, int]) -> System:
+        edges = (replace(e, devices=tuple(replace(d, max_cameras=found.get(d.id, d.max_cameras)) for d in e.devices)) for e in system.edges)
+        return replace(system, edges=tuple(edges))
+
     found, warnings = limits(1.0), ()
-    capacity = sum(found.get(d.id, num_cameras if d.max_cameras is None else d.max_cameras) for d in system.devices)
+    capacity = system_capacity(limited_to(found), num_cameras)
     if capacity < num_cameras:
         warnings = (
             f"memory holds {capacity} of {num_cameras} photographs with all the Gaussians they call for: devices will train with fewer; "
             "give more memory_gb, or add devices.",
         )
         found = limits(0.0)
-    devices = {device.id: replace(device, max_cameras=found[device.id]) for device in limited}
-    edges = tuple(replace(edge, devices=tuple(devices.get(d.id, d) for d in edge.devices)) for edge in system.edges)
     least = min(limited, key=lambda device: found[device.id])
     assert least.memory_bytes is not None
     decision = Decision(
@@ -89,7 +92,7 @@ def with_camera_limits(
         unit=f"GB at {least.id}",
         reason="photographs, Gaussians, one step and the libraries must fit; max_cameras in the system file says it by count",
     )
-    return replace(system, edges=edges), decision, warnings
+    return limited_to(found), decision, warnings
 
 
 def prediction_warnings(system: System, edge_plans: Sequence[EdgePlan], training: ProfileKey) -> tuple[str, ...]:

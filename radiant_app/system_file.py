@@ -28,6 +28,9 @@ In place of costs, a device or edge may have profile = "rtx-3090" of the library
 curve file of `radiant profile` relative to this one: its costs and, where the file says none, its memory come from there. An edge may also
 have aggregate_alone_s: what it costs where one device has all its cameras, so that nothing is retrained.
 
+For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model sent) and `max_cameras` in place of
+devices, uplink and aggregate_s: the cloud plans its region, and it deals its cameras itself, later, with a system file of its own.
+
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
 left out has the value above, except position, memory limits, aggregate_alone_s and speed (none) and relative_speed (1).
 """
@@ -114,7 +117,9 @@ class _Edge(Strict):
     aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
     aggregate_alone_s: _Curve | None = None
     speed: _Share | None = None
-    device: Annotated[list[_Device], Field(min_length=1)]
+    device: list[_Device] = Field(default_factory=list[_Device])
+    time_s: _Curve | None = None
+    max_cameras: Annotated[int, Field(ge=0)] | None = None
 
     def built(self, folder: Path) -> Edge:
         if self.position_m is not None and self.lat_lon_deg is not None:
@@ -123,8 +128,12 @@ class _Edge(Strict):
             raise BadInput(
                 f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
             )
+        surplus = self.model_fields_set & {"profile", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed"}
+        if self.time_s is not None and surplus:
+            raise BadInput(f"edge {self.id!r} has time_s, its whole time, and {min(surplus)} too: remove one of them.")
         profile = _profile_of(self, f"edge {self.id!r}", ("aggregate_s", "aggregate_alone_s"), folder)
-        joined, alone = self.aggregate_s.scaled(1.0), None if self.aggregate_alone_s is None else self.aggregate_alone_s.scaled(1.0)
+        joined = self.aggregate_s.scaled(1.0) if self.time_s is None else CostCurve()
+        alone = None if self.aggregate_alone_s is None else self.aggregate_alone_s.scaled(1.0)
         if profile is not None:
             if profile.aggregate_s is None:
                 raise BadInput(f"edge {self.id!r}: profile {self.profile!r} has no aggregate_s: measure it, or give aggregate_s here.")
@@ -139,6 +148,8 @@ class _Edge(Strict):
             speed=self.speed,
             aggregate_alone_s=alone,
             profile=profile,
+            time_s=None if self.time_s is None else self.time_s.scaled(1.0),
+            max_cameras=self.max_cameras,
         )
 
 
@@ -170,12 +181,19 @@ class _File(Strict):
     cloud: _Cloud = _Cloud()
 
 
-def load_system(path: Path) -> System:
-    """The system in a TOML file; BadInput names the file, the key, what came and what is expected."""
+def load_system(path: Path, *, curves: bool = False) -> System:
+    """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
+
+    Edges that are known by their curve alone are refused unless `curves`: nobody could train there.
+    """
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
-        return System(edges=tuple(edge.built(path.parent) for edge in file.edge), cloud=file.cloud.built())
+        system = System(edges=tuple(edge.built(path.parent) for edge in file.edge), cloud=file.cloud.built())
+        unknown = [edge.id for edge in system.edges if not edge.devices]
+        if unknown and not curves:
+            raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
+        return system
     except ValidationError as error:
         raise BadInput(f"{path}: {sentence(error, 'system file')}") from error
     except BadInput as error:
@@ -202,6 +220,9 @@ def _edge_lines(edge: Edge) -> list[str]:
         lines.append(f"position_m = {list(map(float, edge.position))}")
     elif edge.lat_lon_deg is not None:
         lines.append(f"lat_lon_deg = {list(map(float, edge.lat_lon_deg))}")
+    if edge.time_s is not None:
+        limit = [] if edge.max_cameras is None else [f"max_cameras = {edge.max_cameras}"]
+        return [*lines, f"time_s = {_inline(edge.time_s, 1.0)}", *limit]
     lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}", *_speed_lines(edge)]
     if edge.aggregate_alone_s is not None:
         lines.append(f"aggregate_alone_s = {_inline(edge.aggregate_alone_s, 1.0)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import typer
@@ -31,3 +32,13 @@ def print_figures(result: dict[str, Any]) -> None:
     for row in (*result["images"], {"name": "mean", **result}, {"name": "median", **result["median"]}):
         table.add_row(row["name"], *("" if row[figure] is None else form.format(row[figure]) for figure, form in forms.items()))
     Console().print(table, markup=False)
+
+
+def finish(result: dict[str, Any], as_json: bool) -> None:
+    """What a command prints: one JSON object, or a line per figure."""
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    for key, value in result.items():
+        if not isinstance(value, list | dict):
+            typer.echo(f"{key}: {value}")

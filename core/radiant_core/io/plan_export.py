@@ -35,6 +35,7 @@ _LINES_AT_ONCE = 10_000
 def save_device_waypoints(folder: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints) -> tuple[Path, ...]:
     """One `<device>.csv` per device in the existing `folder`, its waypoints in the order they came in; without any, the header alone.
 
+    Of an edge that deals its waypoints itself, later, `edges/<edge>.csv` for a plan of its own.
     Degrees have 9 decimals (0.1 mm), metres 3. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
@@ -43,6 +44,10 @@ def save_device_waypoints(folder: Path, cloud_plan: CloudPlan, edge_plans: Seque
         for device_id in plan.device_ids:
             written.append(folder / f"{device_id}.csv")
             write_atomic(written[-1], _device_csv(waypoints, np.sort(plan.cameras_of(device_id))).encode())
+        if not plan.dealt:
+            (folder / "edges").mkdir(exist_ok=True)
+            written.append(folder / "edges" / f"{plan.edge_id}.csv")
+            write_atomic(written[-1], _device_csv(waypoints, np.sort(plan.camera_indices)).encode())
     return tuple(written)
 
 
@@ -82,14 +87,16 @@ def _features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: 
         about = {"kind": "region", "name": edge_id, "edge": edge_id, "cameras": cameras, "planned_s": planned_s}
         yield from _polygon_feature(border, origin, about)
     for plan in edge_plans:
-        counts = np.bincount(plan.device_of_camera, minlength=len(plan.device_ids)).tolist()
+        counts = [len(plan.cameras_of(device_id)) for device_id in plan.device_ids]
         for device_id, strip, count, time_s in zip(plan.device_ids, plan.strips, counts, plan.device_time_s.tolist(), strict=True):
             about = {"kind": "strip", "name": device_id, "edge": plan.edge_id, "device": device_id, "cameras": count, "planned_s": time_s}
             yield from _polygon_feature(strip, origin, about)
     for plan in edge_plans:
         for camera, device in zip(plan.camera_indices.tolist(), plan.device_of_camera.tolist(), strict=True):
             lat, lon, alt = waypoints.lat_lon_alt[camera].tolist()
-            about = {"kind": "waypoint", "name": waypoints.names[camera], "edge": plan.edge_id, "device": plan.device_ids[device]}
+            about = {"kind": "waypoint", "name": waypoints.names[camera], "edge": plan.edge_id}
+            if plan.dealt:
+                about["device"] = plan.device_ids[device]
             yield _feature({"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), round(alt, 3)]}, about)
 
 

@@ -9,6 +9,7 @@ Runs once per plan, O(D log C) for the guess and C · window entries, some 1 % o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -31,10 +32,14 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FastestCounts:
-    """counts (E,) with the smallest makespan and the time (E,) s of each edge with them."""
+    """counts (E,) with the smallest makespan and the time (E,) s of each edge with them; read-only, as they are remembered for a drag."""
 
     counts: Indices
     edge_time_s: FloatArray
+
+    def __post_init__(self) -> None:
+        self.counts.flags.writeable = False
+        self.edge_time_s.flags.writeable = False
 
 
 def system_capacity(system: System, num_cameras: int) -> int:
@@ -44,7 +49,7 @@ def system_capacity(system: System, num_cameras: int) -> int:
 
 def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
     """Counts with the smallest makespan for any size; the devices must hold all cameras. BadInput when curves overflow."""
-    if num_cameras * len(system.devices) <= SMALL_TABLE_ENTRIES:
+    if num_cameras * len(system.workers) <= SMALL_TABLE_ENTRIES:
         tables = edge_tables(system, num_cameras)
         counts, _ = fastest_counts(tables, num_cameras)
         return FastestCounts(counts=counts, edge_time_s=np.array([t.edge_time_s[c] for t, c in zip(tables, counts, strict=True)]))
@@ -63,13 +68,19 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
         window *= 3
 
 
+@lru_cache(maxsize=8)
+def remembered_edge_counts(system: System, num_cameras: int) -> FastestCounts:
+    """`fastest_edge_counts`, once for all frames of a drag, in which neither the system nor the number of cameras changes."""
+    return fastest_edge_counts(system, num_cameras)
+
+
 def times_of_counts(system: System, counts: Indices) -> FloatArray:
     """T^m (E,) s of each edge with its count, which it must be able to hold."""
     return np.array([edge_table(edge, int(count)).edge_time_s[count] for edge, count in zip(system.edges, counts, strict=True)])
 
 
 def _limits(system: System, num_cameras: int) -> Indices:
-    return np.array([num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in system.devices], np.int64)
+    return np.array([num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in system.workers], np.int64)
 
 
 def _num_alone(edge: Edge, num_cameras: int) -> int:
@@ -106,10 +117,10 @@ class _Curves:
 
 class _Fleet:
     def __init__(self, system: System, num_cameras: int) -> None:
-        devices = system.devices
+        devices = system.workers
         self.num_cameras = num_cameras
         self.limits = _limits(system, num_cameras)
-        sizes = [len(edge.devices) for edge in system.edges]
+        sizes = [len(edge.workers) for edge in system.edges]
         self.starts = np.cumsum([0, *sizes[:-1]])
         self.edge_of_device = np.repeat(np.arange(len(sizes)), sizes)
         self.init, self.train = _Curves([d.init_s for d in devices]), _Curves([d.train_s for d in devices])
