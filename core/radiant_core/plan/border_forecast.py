@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +90,7 @@ def forecast_borders(
     borders = shared_borders(plan)
     seen = _Seen(footprints, plan.edge_of_camera)
     interiors = [_interior_support(plan, seen, edge, borders, half_band_m) for edge in range(len(plan.edge_ids))]
-    tree = KDTree(views.positions) if borders else None
+    tree: Any = KDTree(views.positions) if borders else None
     made: list[BorderForecast] = []
     for border in borders:
         spots = _band_spots(border, half_band_m)
@@ -117,11 +117,12 @@ def forecast_borders(
 
 def band_of(plan: CloudPlan) -> float:
     """Half the width of the band beside a border: a twentieth of the smallest distance between two edges, 1 m where there is none."""
-    if len(plan.sites) < 2:
+    sites: FloatArray = np.unique(plan.sites, axis=0)
+    if len(sites) < 2:
         return 1.0
-    distances, _ = KDTree(np.unique(plan.sites, axis=0)).query(np.unique(plan.sites, axis=0), k=2)
-    apart = distances[:, 1][np.isfinite(distances[:, 1])]
-    return float(apart.min()) / 20 if len(apart) else 1.0
+    tree: Any = KDTree(sites)
+    distances: FloatArray = tree.query(sites, k=2)[0]
+    return float(distances[:, 1].min()) / 20
 
 
 class _Seen:
@@ -167,10 +168,9 @@ def _supports(seen: _Seen, spots: FloatArray, edges: tuple[int, int]) -> tuple[t
     owners = seen.edge_of_image[images]
     used = sees.any(axis=0)
     half = len(spots) // 2
-    supports = [
-        _mean(sees[owners == edge][:, part].sum(axis=0)[used[part]])
-        for edge, part in zip(edges, (slice(half), slice(half, None)), strict=True)
-    ]
+    halves = (slice(half), slice(half, None))
+    own = (sees & (owners == edge)[:, None] for edge in edges)
+    supports = [_mean(seeing[:, part].sum(axis=0)[used[part]]) for seeing, part in zip(own, halves, strict=True)]
     return (supports[0], supports[1]), images[sees.any(axis=1) & np.isin(owners, edges)]
 
 
@@ -185,18 +185,19 @@ def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence
     if not len(spots):
         return 0.0
     images, sees = seen(spots)
-    return _mean(sees[seen.edge_of_image[images] == edge].sum(axis=0))
+    mine = (seen.edge_of_image[images] == edge)[:, None]
+    return _mean((sees & mine).sum(axis=0))
 
 
-def _overlaps(views: Views, footprints: Footprints, tree: KDTree | None, images: NDArray[np.int64]) -> tuple[float | None, float | None]:
+def _overlaps(views: Views, footprints: Footprints, tree: Any, images: NDArray[np.int64]) -> tuple[float | None, float | None]:
     """Median over images of the share that the best neighbour along, and the best beside, sees as well."""
     best: tuple[list[float], list[float]] = ([], [])
-    if tree is None or not len(images):
+    if not len(images):
         return None, None
-    _, near = tree.query(views.positions[images], k=min(NEIGHBOURS, len(views)))
+    near: NDArray[np.int64] = tree.query(views.positions[images], k=min(NEIGHBOURS, len(views)))[1]
     rays = views.corner_rays[images]
     tops = (rays[:, 0] + rays[:, 1] - rays[:, 2] - rays[:, 3])[:, :2]
-    for image, others, top in zip(images.tolist(), np.asarray(near).reshape(len(images), -1), tops, strict=True):
+    for image, others, top in zip(images.tolist(), near.reshape(len(images), -1), tops, strict=True):
         steps = views.positions[others] - views.positions[image]
         moved = np.linalg.norm(steps, axis=1) > 0
         along = np.abs(steps @ top) >= np.abs(steps @ np.array([top[1], -top[0]]))
@@ -214,9 +215,8 @@ def _without_repeats(polygon: FloatArray) -> FloatArray:
 
 
 def _worst(model: RiskModel, supports: tuple[float, float], interiors: tuple[float, float]) -> Risk:
-    order: tuple[Risk, ...] = ("low", "medium", "high")
-    risks = [model.risk(here, _share(here, there)) for here, there in zip(supports, interiors, strict=True)]
-    return max(risks, key=order.index)
+    risks = {model.risk(here, _share(here, there)) for here, there in zip(supports, interiors, strict=True)}
+    return "high" if "high" in risks else "medium" if "medium" in risks else "low"
 
 
 def _share(here: float, there: float) -> float:

@@ -32,9 +32,7 @@ class Border:
 
     def distances_m(self, points: FloatArray) -> FloatArray:
         """Distances (K,) of points (K,2) from the border as a line segment."""
-        along = self.ends[1] - self.ends[0]
-        share = np.clip((points - self.ends[0]) @ along / max(float(along @ along), 1e-300), 0, 1)
-        return np.linalg.norm(points - self.ends[0] - share[:, None] * along, axis=1)
+        return _segment_distances_m(points, self.ends[0], self.ends[1])
 
 
 def shared_borders(plan: CloudPlan) -> tuple[Border, ...]:
@@ -66,3 +64,22 @@ def neighbours_across(plan: CloudPlan, edge: int, points: FloatArray) -> NDArray
     tolerance = 1e-6 * float((np.ptp(corners, axis=0) ** 2).sum())
     shared = np.abs(distances[np.arange(len(points)), nearest] - own) <= tolerance
     return np.where(shared, nearest, -1)
+
+
+def outside_by_m(points: FloatArray, polygon: FloatArray) -> FloatArray:
+    """Distances (K,) of points (K,2) from a convex counter-clockwise polygon (V,2), 0 inside."""
+    sides = np.roll(polygon, -1, axis=0) - polygon
+    inside = np.ones(len(points), bool)
+    away_m = np.full(len(points), np.inf)
+    for corner, side in zip(polygon, sides, strict=True):
+        local = points - corner
+        inside &= side[0] * local[:, 1] - side[1] * local[:, 0] >= 0
+        away_m = np.minimum(away_m, _segment_distances_m(points, corner, corner + side))
+    return np.where(inside, 0.0, away_m)
+
+
+def _segment_distances_m(points: FloatArray, start: FloatArray, stop: FloatArray) -> FloatArray:
+    along = stop - start
+    local = points - start
+    share = np.clip(local @ along / max(float(along @ along), 1e-300), 0, 1)
+    return np.linalg.norm(local - share[:, None] * along, axis=1)

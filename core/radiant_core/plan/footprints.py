@@ -11,11 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array  # pyright: ignore[reportMissingTypeStubs]
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -82,6 +80,42 @@ class Footprints:
         return len(self.areas_m2)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RegionShares:
+    """A sparse (P,E) matrix of shares: shares (K,) above 0 of images (K,) in regions (K,), by region, then image."""
+
+    images: NDArray[np.int64]
+    regions: NDArray[np.int64]
+    shares: FloatArray
+    num_images: int
+    num_regions: int
+
+    def __post_init__(self) -> None:
+        size = (len(self.shares),)
+        for name, limit in (("images", self.num_images), ("regions", self.num_regions)):
+            indices = checked_array(name, getattr(self, name), size, np.int64)
+            if len(indices) and not 0 <= indices.min() <= indices.max() < limit:
+                raise BadInput(f"{name} of shares run from {indices.min()} to {indices.max()}, expected 0 to {limit - 1}.")
+            object.__setattr__(self, name, indices)
+        shares = checked_array("shares", self.shares, size)
+        if len(shares) and not 0 < shares.min() <= shares.max() <= 1:
+            raise BadInput(f"shares run from {shares.min()} to {shares.max()}, expected above 0 and at most 1.")
+        if (np.diff(self.regions * self.num_images + self.images) <= 0).any():
+            raise BadInput("shares must come by region, then image, each pair once: sort them.")
+        object.__setattr__(self, "shares", shares)
+
+    def of_region(self, region: int) -> tuple[NDArray[np.int64], FloatArray]:
+        """Images (K,) that see into one region, and their shares (K,)."""
+        part = slice(*np.searchsorted(self.regions, [region, region + 1]))
+        return self.images[part], self.shares[part]
+
+    def dense(self) -> FloatArray:
+        """The whole matrix (P,E): 8 bytes an entry."""
+        matrix = np.zeros((self.num_images, self.num_regions))
+        matrix[self.images, self.regions] = self.shares
+        return matrix
+
+
 def views_before_capture(positions: ArrayLike, heights_m: ArrayLike, optics: Optics, heading_pitch_deg: ArrayLike | None = None) -> Views:
     """Views from positions (P,2) m at heights (P,) m above the ground.
 
@@ -132,7 +166,7 @@ def ground_footprints(views: Views, horizon: float = HORIZON_HEIGHTS) -> Footpri
     return Footprints(polygons=polygons, areas_m2=np.abs(areas))
 
 
-def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> csr_array:
+def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> RegionShares:
     """Share (P,E) of each footprint's area that lies in each of E convex counter-clockwise polygons (V,2) m.
 
     Rows sum to less than 1 where land belongs to nobody, to 0 where no ground is seen.
@@ -150,14 +184,18 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> csr
         near = slice(*np.searchsorted(lows[:, 0], [low[0] - widest_m, high[0]]))
         near_rows = np.arange(len(order))[near]
         met = (highs[near] >= low).all(axis=1) & (lows[near] <= high).all(axis=1)
-        images = order[near_rows[met]]
+        images = np.sort(order[near_rows[met]])
         areas = common_areas_m2(footprints.polygons[images], polygon)
         some = areas > 0
         found.append((np.minimum(1.0, areas[some] / footprints.areas_m2[images[some]]), images[some], region))
-    rows = np.concatenate([np.zeros(0, np.int64), *(images for _, images, _ in found)])
-    columns = np.repeat([region for _, _, region in found], [len(images) for _, images, _ in found])
-    values = np.concatenate([np.zeros(0), *(shares for shares, _, _ in found)])
-    return _sparse(values, rows, columns.astype(np.int64), (len(footprints), len(polygons)))
+    columns = np.repeat(np.array([region for _, _, region in found], np.int64), [len(images) for _, images, _ in found])
+    return RegionShares(
+        images=np.concatenate([np.zeros(0, np.int64), *(images for _, images, _ in found)]),
+        regions=columns,
+        shares=np.concatenate([np.zeros(0), *(shares for shares, _, _ in found)]),
+        num_images=len(footprints),
+        num_regions=len(polygons),
+    )
 
 
 def by_west_end(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
@@ -197,21 +235,15 @@ def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
     return areas
 
 
-def observed_shares(scene: SfmScene, plan: CloudPlan) -> csr_array:
+def observed_shares(scene: SfmScene, plan: CloudPlan) -> RegionShares:
     """Share (C,E) of the sparse points each camera observes that lie in each region; 0 for a camera that observes none."""
-    shape = (len(scene.cameras), len(plan.edge_ids))
-    if not len(scene.observations):
-        return csr_array(shape)
-    region_of_point = assign(scene.points[:, :2], plan.sites, plan.weights)
+    num_images, num_regions = len(scene.cameras), len(plan.edge_ids)
     point, camera = scene.observations.T
-    seen = np.bincount(camera, minlength=shape[0])
-    return _sparse(1 / seen[camera], camera, region_of_point[point], shape)
-
-
-def _sparse(values: FloatArray, rows: NDArray[Any], columns: NDArray[Any], shape: tuple[int, int]) -> csr_array:
-    made = csr_array((values, (rows, columns)), shape=shape)
-    made.sum_duplicates()
-    return made
+    region_of_point = assign(scene.points[:, :2], plan.sites, plan.weights) if len(scene.points) else np.zeros(0, np.int64)
+    pairs, counts = np.unique(region_of_point[point] * num_images + camera, return_counts=True)
+    regions, images = np.divmod(pairs, num_images)
+    seen = np.bincount(camera, minlength=num_images)
+    return RegionShares(images=images, regions=regions, shares=counts / seen[images], num_images=num_images, num_regions=num_regions)
 
 
 def _flown_deg(positions: FloatArray) -> FloatArray:
@@ -256,5 +288,5 @@ def _clipped(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -
 
 def signed_areas_m2(polygons: FloatArray) -> FloatArray:
     """Areas (P,) of polygons (P,V,2), positive counter-clockwise."""
-    x, y = np.moveaxis(polygons, -1, 0)
+    x, y = polygons[..., 0], polygons[..., 1]
     return (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1) / 2
