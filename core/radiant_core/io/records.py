@@ -6,6 +6,7 @@ Runs once per stage.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -85,13 +86,24 @@ def load_scene(path: Path) -> SfmScene:
         )
 
 
-def save_plan(path: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...], waypoints: Waypoints | None = None) -> None:
+def save_plan(
+    path: Path,
+    cloud: CloudPlan,
+    edges: tuple[EdgePlan, ...],
+    waypoints: Waypoints | None = None,
+    *,
+    content: Mapping[str, Any] | None = None,
+) -> None:
     """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
-    from some; BadInput when their number is another, else raises as `write_atomic`."""
+    from some, and what `content_record` says of footprints; BadInput when their number is another, else raises as `write_atomic`."""
     record: dict[str, Any] = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
     if waypoints is not None:
         require_plan_of(len(waypoints), cloud, edges)
         record["waypoints"] = {"names": list(waypoints.names), "lat_lon_alt": waypoints.lat_lon_alt.tolist()}
+        if waypoints.heading_pitch_deg is not None:
+            angles = waypoints.heading_pitch_deg.tolist()
+            record["waypoints"]["heading_pitch_deg"] = [[None if np.isnan(angle) else angle for angle in pair] for pair in angles]
+    record |= content or {}
     write_json(path, {"schema": "radiant.plan", "version": VERSION, **record})
 
 
@@ -117,7 +129,9 @@ def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypo
         stored = record.get("waypoints")
         if stored is None:
             return cloud, edges, None
-        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"])
+        looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None
+        angles = None if looks is None else np.array(looks, dtype=np.float64)
+        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"], heading_pitch_deg=angles)
         require_plan_of(len(waypoints), cloud, edges)
     return cloud, edges, waypoints
 

@@ -169,8 +169,7 @@ def _supports(seen: _Seen, spots: FloatArray, edges: tuple[int, int]) -> tuple[t
     used = sees.any(axis=0)
     half = len(spots) // 2
     halves = (slice(half), slice(half, None))
-    own = (sees & (owners == edge)[:, None] for edge in edges)
-    supports = [_mean(seeing[:, part].sum(axis=0)[used[part]]) for seeing, part in zip(own, halves, strict=True)]
+    supports = [_mean(_numbers(sees, owners == edge)[part][used[part]]) for edge, part in zip(edges, halves, strict=True)]
     return (supports[0], supports[1]), images[sees.any(axis=1) & np.isin(owners, edges)]
 
 
@@ -185,8 +184,7 @@ def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence
     if not len(spots):
         return 0.0
     images, sees = seen(spots)
-    mine = (seen.edge_of_image[images] == edge)[:, None]
-    return _mean((sees & mine).sum(axis=0))
+    return _mean(_numbers(sees, seen.edge_of_image[images] == edge))
 
 
 def _overlaps(views: Views, footprints: Footprints, tree: Any, images: NDArray[np.int64]) -> tuple[float | None, float | None]:
@@ -221,6 +219,11 @@ def _worst(model: RiskModel, supports: tuple[float, float], interiors: tuple[flo
 
 def _share(here: float, there: float) -> float:
     return here / there if there > 0 else 0.0
+
+
+def _numbers(sees: NDArray[np.bool_], own: NDArray[np.bool_] | np.bool_) -> NDArray[np.int64]:
+    """How many of the own images (K,) see each spot (S,)."""
+    return np.asarray(np.count_nonzero(sees & np.asarray(own)[:, None], axis=0), np.int64)
 
 
 def _mean(values: NDArray[np.int64]) -> float:

@@ -208,8 +208,8 @@ def by_west_end(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArray, 
 
 def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
     """Areas (K,) that footprints (K,8,2) have in common with one convex counter-clockwise polygon (V,2)."""
-    origin = polygon[0]
-    sides = np.roll(polygon, -1, axis=0) - polygon
+    origin: FloatArray = polygon[0]
+    sides: FloatArray = np.roll(polygon, -1, axis=0) - polygon
     normals = np.stack([sides[:, 1], -sides[:, 0]], axis=1)  # outward
     offsets = ((polygon - origin) * normals).sum(axis=1)
     local = footprints - origin
@@ -288,5 +288,6 @@ def _clipped(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -
 
 def signed_areas_m2(polygons: FloatArray) -> FloatArray:
     """Areas (P,) of polygons (P,V,2), positive counter-clockwise."""
-    x, y = polygons[..., 0], polygons[..., 1]
+    x: FloatArray = polygons[..., 0]
+    y: FloatArray = polygons[..., 1]
     return (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1) / 2
