@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
+from radiant_app.plan_options import BufferOption, DeadlineOption, FieldOfViewOption, GroundOption
 from radiant_core.errors import BadInput, RadiantError
 
 app = typer.Typer(
@@ -174,17 +175,24 @@ def plan(
     system: SystemFile = None,
     plan_method: Annotated[PlanMethod, typer.Option(help=_PLAN_HELP)] = "exact",
     compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
+    ground: GroundOption = None,
+    field_of_view: FieldOfViewOption = 73.7,
+    buffer: BufferOption = None,
+    deadline: DeadlineOption = None,
     seed: Seed = 0,
     as_json: AsJson = False,
 ) -> None:
     """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
-    from radiant_app.plan_command import PlanRequest, method_table
+    from radiant_app.plan_command import PlanRequest, plan_tables
     from radiant_app.plan_command import plan as make_plan
+    from radiant_app.plan_content import content_request
 
-    request = PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed, compare=compare)
+    content = content_request(ground, field_of_view, buffer, deadline)
+    request = PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed, compare=compare, content=content)
     result = make_plan(request, _listener())
-    if compare and not as_json:
-        typer.echo(method_table(result.pop("methods")))
+    if not as_json:
+        for text in plan_tables(result):
+            typer.echo(text)
     _finish(result, as_json)
 
 

@@ -10,7 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
+from radiant_app.plan_content import ContentRequest, border_table, content_of_scene, content_of_waypoints
 from radiant_app.progress import ProgressDisplay
 from radiant_app.sources import load_scene_of
 from radiant_app.system_file import even_system, load_system
@@ -33,6 +34,8 @@ from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
+from radiant_viewer.images import Image
+from radiant_viewer.region_layer import duration_text
 
 Report = Callable[[float, float, str], None]
 PHASES = ("reading positions", "planning", "drawing", "writing")
@@ -51,12 +54,16 @@ class PlanRequest:
     seed: int
     compare: bool = False
     """Whether all other methods are measured on the same positions."""
+    content: ContentRequest = field(default_factory=ContentRequest)
+    """What is known of cameras and ground, and which buffer captures are wanted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
+    system: System
+    """As planned, its edges placed."""
     compared: tuple[Compared, ...] = ()
 
 
@@ -87,13 +94,17 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
     made = _made_plan(scene.cameras.centers[:, :2], origin, system, request, report)
+    content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    picture = plan_picture(scene, made.cloud, made.edges)
+    picture = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
+    compared = _compared_picture(scene.cameras.centers[:, :2], made, scene.frame.unit)
     report(3, len(PHASES), PHASES[3])
     with _moved_when_whole(request.out.parent) as folder:
         save_png(folder / _picture(request.out).name, picture)
-        save_plan(folder / request.out.name, made.cloud, made.edges)
-    return _summary(request.out, made, ())
+        if compared is not None:
+            save_png(folder / _comparison(request.out).name, compared)
+        save_plan(folder / request.out.name, made.cloud, made.edges, content=content.record())
+    return {**_summary(request.out, made, ()), **content.summary()}
 
 
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
@@ -104,18 +115,22 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     waypoints = found.waypoints
     positions = waypoints.positions_m
     made = _made_plan(positions[:, :2], waypoints.origin, system, request, report)
+    content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    picture = waypoint_plan_picture(positions, made.cloud, made.edges)
+    picture = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
+    compared = _compared_picture(positions[:, :2], made, "m")
     report(3, len(PHASES), PHASES[3])
     with _moved_when_whole(request.out.parent) as folder:
         save_png(folder / _picture(request.out).name, picture)
+        if compared is not None:
+            save_png(folder / _comparison(request.out).name, compared)
         lists = folder / _lists(request.out).name
         lists.mkdir()
-        save_device_waypoints(lists, made.cloud, made.edges, waypoints)
-        save_regions_geojson(folder / _regions(request.out).name, made.cloud, made.edges, waypoints)
-        save_plan(folder / request.out.name, made.cloud, made.edges, waypoints)
+        save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
+        save_regions_geojson(folder / _regions(request.out).name, made.cloud, made.edges, waypoints, content.buffers)
+        save_plan(folder / request.out.name, made.cloud, made.edges, waypoints, content=content.record())
     written = {"waypoints": str(_lists(request.out)), "regions": str(_regions(request.out))}
-    return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **written}
+    return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **content.summary(), **written}
 
 
 def _positions_of(source: Path, report: Report) -> FoundWaypoints:
@@ -144,7 +159,7 @@ def _made_plan(positions: FloatArray, origin: FloatArray | None, system: System,
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
     compared = compare(positions, system) if request.compare else ()
-    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), compared=compared)
+    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), system=system, compared=compared)
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
@@ -161,7 +176,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
         "picture": str(_picture(out)),
-        **({"methods": [_row(row) for row in made.compared]} if made.compared else {}),
+        **({"methods": [_row(row) for row in made.compared], "comparison": str(_comparison(out))} if made.compared else {}),
     }
 
 
@@ -188,8 +203,31 @@ def method_table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def plan_tables(result: dict[str, Any]) -> list[str]:
+    """The tables of `--compare` and of the borders, where there are any."""
+    methods, borders = result.get("methods"), result.get("borders")
+    return [*([method_table(methods)] if methods else []), *([border_table(borders)] if borders else [])]
+
+
 def _picture(out: Path) -> Path:
     return out.with_suffix(".png")
+
+
+def _comparison(out: Path) -> Path:
+    return out.with_name(f"{out.stem}_methods.png")
+
+
+def _compared_picture(positions: FloatArray, made: _Plan, unit: str) -> Image | None:
+    if not made.compared:
+        return None
+    from radiant_viewer.partition_chart import Partition, partitions_picture
+
+    partitions = [
+        Partition(name=row.method, edge_of_camera=row.edge_of_camera, edge_time_s=row.edge_time_s, note=f"{row.over_bound:.3g} × the bound")
+        for row in made.compared
+    ]
+    bound = f"geography-free bound {duration_text(made.cloud.lower_bound_s)}"
+    return partitions_picture(positions, partitions, made.cloud.edge_ids, f"Methods compared   ·   {bound}", unit)
 
 
 def _lists(out: Path) -> Path:
@@ -203,7 +241,7 @@ def _regions(out: Path) -> Path:
 def _require_places(out: Path) -> None:
     if out.suffix != ".json":
         raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
-    for path in (out, _picture(out), _lists(out), _regions(out)):
+    for path in (out, _picture(out), _lists(out), _regions(out), _comparison(out)):
         require_file_to_be(path)
 
 

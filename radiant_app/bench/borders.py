@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,8 @@ class MeasuredBorder:
     num_pixels: int
     baseline_loss_db: float = 0.0
     """Interior less band of the baseline at the same pixels, 0 without one."""
+    baseline_band_psnr_db: float | None = None
+    """PSNR of the baseline in the band."""
 
     @property
     def loss_db(self) -> float:
@@ -91,26 +94,32 @@ def measured_borders(run: Path, baseline: Path | None = None) -> list[MeasuredBo
                 interior_psnr_db=inner_db[0],
                 num_pixels=int(band[-1]),
                 baseline_loss_db=inner_db[1] - band_db[1] if baseline is not None else 0.0,
+                baseline_band_psnr_db=band_db[1] if baseline is not None else None,
             )
         )
     return rows
 
 
 def correlations(rows: Sequence[MeasuredBorder]) -> list[Metric]:
-    """Spearman's rank correlation of each term of the forecast with the measured loss, over all borders; −1 is a perfect forecast."""
+    """Spearman's rank correlation of each term of the forecast with what was measured, over all borders; −1 is a perfect forecast.
+
+    Measured: the loss, and with a baseline how far the run is behind it in the band.
+    """
     metrics = [Metric(key="borders.all.num_borders", value=len(rows), unit="1", direction="info")]
     if len(rows) < 4:
         return metrics
-    losses = [row.loss_db for row in rows]
+    measured = {"loss": [row.loss_db for row in rows]}
+    behind = [row.baseline_band_psnr_db - row.band_psnr_db for row in rows if row.baseline_band_psnr_db is not None]
+    if len(behind) == len(rows):
+        measured["behind_baseline"] = behind
     terms = {
         "coverage": [row.forecast.coverage for row in rows],
         "support": [min(row.forecast.support) for row in rows],
         "images": [min(row.forecast.num_images) for row in rows],
     }
-    for name, values in terms.items():
-        metrics.append(
-            Metric(key=f"borders.all.rank_correlation_{name}", value=_rank_correlation(values, losses), unit="1", direction="info")
-        )
+    for (name, values), (what, losses) in product(terms.items(), measured.items()):
+        value = _rank_correlation(values, losses)
+        metrics.append(Metric(key=f"borders.all.rank_correlation_of_{name}_with_{what}", value=value, unit="1", direction="info"))
     return metrics
 
 
@@ -120,7 +129,7 @@ def _rank_correlation(one: Sequence[float], other: Sequence[float]) -> float:
 
 
 def _squared_errors(run: Path, models: Sequence[Path], plan: CloudPlan, borders: Sequence[Border], half_band_m: float) -> FloatArray:
-    """(E + B, M + 1): squared error of each model and pixels of each region's interior and each border's band, over the held-out photographs.
+    """(E + B, M + 1): squared error of each model and pixels of each region's interior and each border's band, over held-out photographs.
 
     The last model says where the ground is.
     """

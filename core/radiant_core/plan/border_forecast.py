@@ -3,14 +3,14 @@
     support of a side = own images that see a spot of its half of the band, on average over spots that any image sees
     coverage          = support / the same average over the rest of that region
 
-"Own" are the images dealt to that side's edge: only they train what the scene keeps of that half. The worse side decides. Overlaps are
+"Own" are the images that the devices of that side's edge take: only they train what the scene keeps of that half. The worse side decides. Overlaps are
 shares of an image's footprint that the best neighbour sees as well, along the flight (forward) and beside it (side), the median over
 images that see the band. Once per plan; spots and images are sampled, about 0.1 s for ten borders.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -21,6 +21,7 @@ from scipy.spatial import KDTree  # pyright: ignore[reportMissingTypeStubs]
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders import Border, shared_borders
+from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.footprints import MAX_CORNERS, Footprints, Views, by_west_end, common_areas_m2
 from radiant_core.plan.plans import CloudPlan
 
@@ -75,11 +76,18 @@ class BorderForecast:
 
 
 def forecast_borders(
-    plan: CloudPlan, views: Views, footprints: Footprints, *, half_band_m: float | None = None, model: RiskModel | None = None
+    plan: CloudPlan,
+    views: Views,
+    footprints: Footprints,
+    *,
+    half_band_m: float | None = None,
+    model: RiskModel | None = None,
+    buffers: Sequence[EdgeBuffer] = (),
 ) -> tuple[BorderForecast, ...]:
     """A forecast for every border of a plan whose cameras have these views and footprints, P of each.
 
-    half_band_m: half the width of the band, by default a twentieth of the smallest distance between two edges, as seams are measured.
+    half_band_m: half the width of the band, by default a twentieth of the smallest distance between two edges, as seams are measured. An edge's
+    `buffers` count as its own images.
     Raises BadInput when their numbers differ or the band has no width.
     """
     if not len(plan.edge_of_camera) == len(views) == len(footprints):
@@ -88,7 +96,8 @@ def forecast_borders(
     if not (np.isfinite(half_band_m) and half_band_m > 0):
         raise BadInput(f"half_band_m is {half_band_m}, expected a positive width of the band beside a border.")
     borders = shared_borders(plan)
-    seen = _Seen(footprints, plan.edge_of_camera)
+    taken = {plan.edge_ids.index(buffer.edge_id): buffer.camera_indices for buffer in buffers}
+    seen = _Seen(footprints, plan.edge_of_camera, taken)
     interiors = [_interior_support(plan, seen, edge, borders, half_band_m) for edge in range(len(plan.edge_ids))]
     tree: Any = KDTree(views.positions) if borders else None
     made: list[BorderForecast] = []
@@ -98,13 +107,12 @@ def forecast_borders(
         sampled = images[_evenly(len(images), int(np.clip(OVERLAP_IMAGES // len(borders), 4, 24)))]
         forward, side = _overlaps(views, footprints, tree, sampled)
         interior = (interiors[border.first], interiors[border.second])
-        owners = plan.edge_of_camera[images]
         made.append(
             BorderForecast(
                 edge_ids=(plan.edge_ids[border.first], plan.edge_ids[border.second]),
                 ends=border.ends,
                 half_band_m=half_band_m,
-                num_images=(int((owners == border.first).sum()), int((owners == border.second).sum())),
+                num_images=(int(seen.own(images, border.first).sum()), int(seen.own(images, border.second).sum())),
                 support=supports,
                 interior_support=interior,
                 forward_overlap=forward,
@@ -128,8 +136,8 @@ def band_of(plan: CloudPlan) -> float:
 class _Seen:
     """Which images see a spot: footprints sorted from west to east, so that few are asked."""
 
-    def __init__(self, footprints: Footprints, edge_of_image: NDArray[np.int64]) -> None:
-        self.footprints, self.edge_of_image = footprints, edge_of_image
+    def __init__(self, footprints: Footprints, edge_of_image: NDArray[np.int64], taken: Mapping[int, NDArray[np.int64]]) -> None:
+        self.footprints, self.edge_of_image, self.taken = footprints, edge_of_image, taken
         self.order, self.lows, self.highs = by_west_end(footprints)
         self.widest_m = float((self.highs[:, 0] - self.lows[:, 0]).max(initial=0.0))
 
@@ -141,6 +149,11 @@ class _Seen:
         images = np.sort(self.order[near][met])
         parts = [self._sees(images[start : start + _BLOCK], spots) for start in range(0, len(images), _BLOCK)]
         return images, np.concatenate([np.zeros((0, len(spots)), bool), *parts])
+
+    def own(self, images: NDArray[np.int64], edge: int) -> NDArray[np.bool_]:
+        """Which of the images (K,) the devices of an edge take."""
+        mine = self.edge_of_image[images] == edge
+        return np.logical_or(mine, np.isin(images, self.taken[edge])) if edge in self.taken else mine
 
     def _sees(self, images: NDArray[np.int64], spots: FloatArray) -> NDArray[np.bool_]:
         corners = self.footprints.polygons[images] - spots[0]
@@ -165,12 +178,12 @@ def _band_spots(border: Border, half_band_m: float) -> FloatArray:
 def _supports(seen: _Seen, spots: FloatArray, edges: tuple[int, int]) -> tuple[tuple[float, float], NDArray[np.int64]]:
     """Own images per spot of each half, and the images of both edges that see any spot."""
     images, sees = seen(spots)
-    owners = seen.edge_of_image[images]
-    used = sees.any(axis=0)
+    used: NDArray[np.bool_] = np.any(sees, axis=0)
     half = len(spots) // 2
     halves = (slice(half), slice(half, None))
-    supports = [_mean(_numbers(sees, owners == edge)[part][used[part]]) for edge, part in zip(edges, halves, strict=True)]
-    return (supports[0], supports[1]), images[sees.any(axis=1) & np.isin(owners, edges)]
+    supports = [_mean(_numbers(sees, seen.own(images, edge))[part][used[part]]) for edge, part in zip(edges, halves, strict=True)]
+    taken = seen.own(images, edges[0]) | seen.own(images, edges[1])
+    return (supports[0], supports[1]), images[np.any(sees, axis=1) & taken]
 
 
 def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence[Border], half_band_m: float) -> float:
@@ -184,7 +197,7 @@ def _interior_support(plan: CloudPlan, seen: _Seen, edge: int, borders: Sequence
     if not len(spots):
         return 0.0
     images, sees = seen(spots)
-    return _mean(_numbers(sees, seen.edge_of_image[images] == edge))
+    return _mean(_numbers(sees, seen.own(images, edge)))
 
 
 def _overlaps(views: Views, footprints: Footprints, tree: Any, images: NDArray[np.int64]) -> tuple[float | None, float | None]:
@@ -221,9 +234,9 @@ def _share(here: float, there: float) -> float:
     return here / there if there > 0 else 0.0
 
 
-def _numbers(sees: NDArray[np.bool_], own: NDArray[np.bool_] | np.bool_) -> NDArray[np.int64]:
+def _numbers(sees: NDArray[np.bool_], own: NDArray[np.bool_]) -> NDArray[np.int64]:
     """How many of the own images (K,) see each spot (S,)."""
-    return np.asarray(np.count_nonzero(sees & np.asarray(own)[:, None], axis=0), np.int64)
+    return np.asarray(np.count_nonzero(sees & own[:, None], axis=0), np.int64)
 
 
 def _mean(values: NDArray[np.int64]) -> float:

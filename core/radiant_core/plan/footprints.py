@@ -288,6 +288,5 @@ def _clipped(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -
 
 def signed_areas_m2(polygons: FloatArray) -> FloatArray:
     """Areas (P,) of polygons (P,V,2), positive counter-clockwise."""
-    x: FloatArray = polygons[..., 0]
-    y: FloatArray = polygons[..., 1]
-    return (x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1)).sum(axis=1) / 2
+    following: FloatArray = np.roll(polygons, -1, axis=1)
+    return np.sum(polygons[..., 0] * following[..., 1] - polygons[..., 1] * following[..., 0], axis=1) / 2
