@@ -1,7 +1,8 @@
 """Benchmark of the borders' forecast: what it said of each border of finished runs, beside what came out there.
 
 A border's measured loss is the PSNR of its regions' interior less that of the border's band, over all held-out photographs. Content differs
-between the two by more than seams do, so with a `baseline`, a model of all photographs in the same frame, the loss is that of the run less
+between the two by more than seams do, so with a `baseline`, a model of all photographs in the same frame
+(`baseline.ply` beside the runs), the loss is that of the run less
 that of the baseline at the same pixels. Band pixels are those whose ground, by the baseline's depth, else the run's own, lies in the
 band, each given to the nearest border. The rank correlation over all borders says what the forecast is worth. Runs with shared frames only;
 seconds a run, for its held-out views are rendered anew.

@@ -11,9 +11,9 @@ from radiant_core.plan.border_forecast import BorderForecast
 from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.layers import Label, Layer, LegendEntry, at_height
-from radiant_viewer.palette import BLACK, SKY, VERMILLION, WHITE, YELLOW, category_colors, tinted
+from radiant_viewer.palette import BLACK, VERMILLION, WHITE, YELLOW, category_colors, tinted
 
-RISK_COLORS = {"low": SKY, "medium": YELLOW, "high": VERMILLION}
+RISK_COLORS = {"low": WHITE, "medium": YELLOW, "high": VERMILLION}
 """Colours of borders; a dark line lies under them, so that the light ones show."""
 MAX_LABELS = 12
 """With more borders none is labelled; the colours stay."""
@@ -53,7 +53,7 @@ def buffer_layer(positions: FloatArray, cloud_plan: CloudPlan, buffers: Sequence
     cameras = np.concatenate([np.zeros(0, np.int64), *(buffer.camera_indices for buffer in buffers)])
     shown = slice(None, None, max(1, -(-len(cameras) // MAX_DOTS)))
     colors = category_colors(len(cloud_plan.edge_ids))
-    text = f"Buffer: {len(cameras)} taken by a neighbour too, in its colour"
+    text = f"Buffer: {len(cameras)}, ring of who takes it"
     return Layer(
         name="Buffer captures",
         points=positions[cameras[shown]],

@@ -55,7 +55,7 @@ def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH) 
     return comparisons(run)
 
 
-def plan_picture(
+def plan_picture(  # noqa: PLR0913
     scene: SfmScene,
     cloud_plan: CloudPlan,
     edge_plans: Sequence[EdgePlan],

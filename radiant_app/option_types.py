@@ -1,7 +1,8 @@
-"""Options of `radiant plan` about cameras, ground and buffer captures, as the command line names them."""
+"""Options of `radiant plan` about cameras, ground and buffer captures, and of `radiant bench`, as the command line names them."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,3 +14,11 @@ BufferOption = Annotated[
     typer.Option("--buffer", help="Capture what a neighbour has too where it sees 20% of this region, or stands within 15m of it."),
 ]
 DeadlineOption = Annotated[float | None, typer.Option("--deadline", min=0, help="Seconds within which an edge takes buffer captures.")]
+BenchScene = Annotated[
+    Path | None,
+    typer.Option(
+        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; upload, teachers: a finished run; borders: that "
+        "or a folder of runs."
+    ),
+]
+BenchPlot = Annotated[Path | None, typer.Option(help="train: PNG of the curves; plan: folder of its figures, alone.")]
