@@ -57,11 +57,8 @@ def test_support_is_what_brute_force_counts() -> None:
     shapes = [shapely.Polygon(polygon) for polygon in footprints.polygons]
     shares = (np.arange(16) + 0.5) / 16
     for side, sign in enumerate((-1, 1)):
-        spots = [
-            (50 + sign * offset, *(forecast.ends[0] + share * (forecast.ends[1] - forecast.ends[0]))[1:])
-            for offset in (1, 3)
-            for share in shares
-        ]
+        along = forecast.ends[0, 1] + shares * (forecast.ends[1, 1] - forecast.ends[0, 1])
+        spots = [(50 + sign * offset, north) for offset in (1, 3) for north in along]
         seen = [[shape.covers(shapely.Point(spot)) for shape in shapes] for spot in spots]
         used = [row for row in seen if any(row)]
         own = [sum(np.array(row) & (plan.edge_of_camera == side)) for row in used]
@@ -70,7 +67,7 @@ def test_support_is_what_brute_force_counts() -> None:
     assert forecast.forward_overlap == pytest.approx(0.5)
     assert forecast.side_overlap == pytest.approx(0.5)
     assert 0.4 < forecast.coverage < 0.85
-    assert forecast.num_images == (20, 20) or min(forecast.num_images) >= 10
+    assert forecast.num_images == (10, 10)
 
 
 def test_one_region_has_no_border_and_wrong_sizes_are_refused() -> None:
@@ -112,9 +109,10 @@ def test_buffers_by_share_and_by_distance_are_those_counted_by_hand() -> None:
             assert sorted(buffer.camera_indices) == np.flatnonzero(others & seeing).tolist()
             assert buffer.edge_time_s == pytest.approx(plan.edge_time_s[index] + len(buffer.camera_indices))
             assert len(buffer.camera_indices) == 10 and buffer.num_refused == 0
-    before, after = (forecast_borders(plan, v := views_before_capture(positions, np.full(100, 10.0), OPTICS), ground_footprints(v), buffers=b)[0]
-                     for b in ((), made))  # fmt: skip
-    assert min(after.support) > min(before.support)
+        views = views_before_capture(positions, np.full(100, 10.0), OPTICS)
+        before = forecast_borders(plan, views, ground_footprints(views))[0]
+        after = forecast_borders(plan, views, ground_footprints(views), buffers=made)[0]
+        assert min(after.support) > min(before.support)
 
 
 def test_buffers_keep_to_memory_and_deadline() -> None:
@@ -142,6 +140,5 @@ def test_distances_from_a_polygon_equal_shapelys() -> None:
     rng = np.random.default_rng(0)
     polygon = np.array([[0.0, 0], [4, 0], [5, 3], [1, 4]])
     points = rng.uniform(-5, 9, (500, 2))
-    np.testing.assert_allclose(
-        outside_by_m(points, polygon), shapely.distance(shapely.points(points), shapely.Polygon(polygon)), atol=1e-12
-    )
+    expected = shapely.distance(shapely.points(points), shapely.Polygon(polygon))
+    np.testing.assert_allclose(outside_by_m(points, polygon), expected, atol=1e-12)

@@ -48,7 +48,7 @@ def test_shares_equal_shapelys_areas_far_from_the_origin() -> None:
     positions = rng.random((300, 2)) * [500, 300] + offset
     angles = np.column_stack([rng.uniform(0, 360, 300), rng.uniform(-90, -20, 300)])
     made = ground_footprints(views_before_capture(positions, rng.uniform(20, 120, 300), Optics(), angles))
-    outline = rectangle(offset, offset + [500, 300])
+    outline = rectangle(offset, offset + np.array([500.0, 300.0]))
     cells = (*cell_polygons(rng.random((9, 2)) * [500, 300] + offset, rng.normal(scale=500, size=9), outline), np.zeros((0, 2)))
     shares = region_shares(made, cells).dense()
     polygons = [shapely.Polygon(polygon - offset) for polygon in made.polygons]
