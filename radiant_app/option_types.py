@@ -17,8 +17,8 @@ DeadlineOption = Annotated[float | None, typer.Option("--deadline", min=0, help=
 BenchScene = Annotated[
     Path | None,
     typer.Option(
-        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; upload, teachers: a finished run; borders: that or "
-        "a folder of runs."
+        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; upload, teachers: a finished run; "
+        "borders: that or a folder of runs."
     ),
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train: PNG of the curves; plan: folder of its figures, alone.")]

@@ -53,8 +53,11 @@ def line_picture(panels: Sequence[Panel], title: str, detail: str = "") -> Image
         axes = axes_at(figure, (LEFT_PX + index * (LEFT_PX + PANEL_WH[0] + GAP_PX), FOOT_PX, *PANEL_WH))
         for number, line in enumerate(panel.lines):
             color = tuple(channel / 255 for channel in CATEGORIES[number % len(CATEGORIES)])
-            style = {"marker": "o", "linestyle": "none", "markersize": 6} if line.dotted or len(line.x) == 1 else {"linewidth": 1.8}
-            axes.plot(line.x, line.y, color=color, label=line.name, **style)
+            dots = line.dotted or len(line.x) == 1
+            # Wider below, so that lines which run together all show.
+            width = 1.8 + 1.6 * (len(panel.lines) - 1 - number)
+            marker, style = ("o", "none") if dots else ("", "-")
+            axes.plot(line.x, line.y, color=color, label=line.name, marker=marker, linestyle=style, linewidth=width)
         axes.set_xlabel(panel.x_label, color=SOFT_COLOR)
         axes.set_ylabel(panel.y_label, color=SOFT_COLOR)
         axes.set_ylim(0, 1.08 * max(float(np.max(line.y, initial=0.0)) for line in panel.lines) or 1.0)

@@ -19,7 +19,7 @@ from radiant_viewer.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, ne
 from radiant_viewer.palette import category_colors
 from radiant_viewer.region_layer import duration_text
 
-COLUMNS, CELL_PX, GAP_PX, BARS_PX, HEAD_PX, TITLE_PX, FOOT_PX = 4, 300, 24, 92, 46, 76, 24
+COLUMNS, CELL_PX, GAP_PX, BARS_PX, HEAD_PX, TITLE_PX, FOOT_PX = 4, 300, 24, 124, 46, 76, 30
 MAX_DOTS = 6000
 MAX_NAMED = 8
 """With more regions bars carry no names and no figures."""

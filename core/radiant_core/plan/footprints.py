@@ -288,5 +288,6 @@ def _clipped(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -
 
 def signed_areas_m2(polygons: FloatArray) -> FloatArray:
     """Areas (P,) of polygons (P,V,2), positive counter-clockwise."""
-    following: FloatArray = np.roll(polygons, -1, axis=1)
-    return np.sum(polygons[..., 0] * following[..., 1] - polygons[..., 1] * following[..., 0], axis=1) / 2
+    following = np.concatenate([polygons[:, 1:], polygons[:, :1]], axis=1)
+    doubled: FloatArray = polygons[..., 0] * following[..., 1] - polygons[..., 1] * following[..., 0]
+    return doubled.sum(axis=1) / 2
