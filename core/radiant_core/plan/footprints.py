@@ -279,7 +279,7 @@ def _clipped(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -
     slots = np.stack([rays, rays + share[..., None] * (following - rays)], axis=2).reshape(len(rays), -1, 3)
     kept = np.stack([heights <= 0, crossing], axis=2).reshape(len(rays), -1) & (counts > 0)[:, None]
     # Repeated last rays stay repeated: only the first of them opens a side.
-    size = rays.shape[1] + 1
+    size = int(rays.shape[1]) + 1
     order = np.argsort(~kept, axis=1, kind="stable")[:, :size]
     numbers = np.minimum(kept.sum(axis=1), size)
     filled = np.minimum(np.arange(size), np.maximum(numbers, 1)[:, None] - 1)
