@@ -136,7 +136,7 @@ def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) ->
 def test_a_disk_that_fails_in_the_middle_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = grid_csv(tmp_path, 4, 3)
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise BadInput("cannot write: no space left.")
 
     monkeypatch.setattr("radiant_app.plan_command.save_plan", refuse)  # the last of the files
