@@ -14,6 +14,7 @@ import typer
 
 from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
+from radiant_app.option_types import BenchPlot, BenchScene
 from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
 
@@ -313,22 +314,17 @@ def export(
 
 @app.command()
 def bench(
-    name: Annotated[Literal["sfm", "plan", "raster", "train", "upload", "teachers"], typer.Argument(help="What to measure.")],
+    name: Annotated[Literal["sfm", "plan", "borders", "raster", "train", "upload", "teachers"], typer.Argument(help="What to measure.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
-    scene: Annotated[
-        Path | None,
-        typer.Option(
-            help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; upload, teachers: a finished run."
-        ),
-    ] = None,
+    scene: BenchScene = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of the rasterizer; all cores without it.")] = None,
     preset: Annotated[list[str] | None, typer.Option(help="train: presets to compare, else default and standard.")] = None,
     budget: Annotated[list[float] | None, typer.Option(min=0.1, help="train: CPU seconds, else 60, 180 and 600.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train: models per preset and budget.")] = None,
     long_side_px: LongSide = None,
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="train: PNG of the curves.")] = None,
+    plot: BenchPlot = None,
 ) -> None:
     """Run time beside error."""
     from radiant_app.bench.runner import BenchOptions, run_bench

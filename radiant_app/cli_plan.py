@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from radiant_app.option_types import BufferOption, DeadlineOption, FieldOfViewOption, GroundOption
 from radiant_app.tables import finish
 
 
@@ -23,6 +24,10 @@ def plan(
     slack: Annotated[float | None, typer.Option(min=1, help="Makespan may be so many times the shortest for shorter ways: 1.1.")] = None,
     slack_curve: Annotated[bool, typer.Option("--slack-curve", help="Table and picture of what several slacks buy.")] = False,
     constraints: Annotated[Path | None, typer.Option(help="TOML of fixed weights, locked regions, pinned cameras.")] = None,
+    ground: GroundOption = None,
+    field_of_view: FieldOfViewOption = 73.7,
+    buffer: BufferOption = None,
+    deadline: DeadlineOption = None,
     train_preset: Annotated[
         Literal["draft", "default", "standard", "paper"],
         typer.Option(help="What will be trained: how many photographs memory holds, and whether measured curves are of it."),
@@ -38,6 +43,7 @@ def plan(
 
     from radiant_app.plan_command import PlanRequest
     from radiant_app.plan_command import plan as make_plan
+    from radiant_app.plan_content import content_request
     from radiant_app.plan_tables import plan_tables
     from radiant_app.progress import ProgressDisplay
     from radiant_core.train.needs import Overrides
@@ -52,6 +58,7 @@ def plan(
         slack=slack,
         slack_curve=slack_curve,
         constraints=constraints,
+        content=content_request(ground, field_of_view, buffer, deadline),
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
     )

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
 from radiant_app.constraints_file import load_constraints
+from radiant_app.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
+from radiant_app.plan_pictures import ENDINGS, LISTS, MAP, METHODS, REGIONS, SLACKS, beside, side_pictures
 from radiant_app.plan_tables import method_row
 from radiant_app.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.progress import ProgressDisplay
@@ -37,8 +39,12 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.system import System
+from radiant_core.plan.waypoints import Waypoints
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
+
+if TYPE_CHECKING:
+    from radiant_viewer.images import Image
 
 Report = Callable[[float, float, str], None]
 PHASES = ("reading positions", "planning", "drawing", "writing")
@@ -67,12 +73,16 @@ class PlanRequest:
     """Whether several slacks are planned, too, for a table and a picture of what each buys."""
     constraints: Path | None = None
     """File of what is fixed, locked or pinned."""
+    content: ContentRequest = field(default_factory=ContentRequest)
+    """What is known of cameras and ground, and which buffer captures are wanted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
+    system: System
+    """As planned, its edges placed."""
     compared: tuple[Compared, ...] = ()
     warnings: tuple[str, ...] = ()
     """What its predictions are to be taken with."""
@@ -84,7 +94,7 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
 
     Raises BadInput with one sentence when the input, the system or the place to write to cannot be used; nothing stays behind.
     """
-    _require_places(request)
+    _require_places(request.out)
     system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
     with stage_bar(display, "plan") as report:
         report(0, len(PHASES), PHASES[0])
@@ -100,43 +110,58 @@ def _is_scene(source: Path) -> bool:
 
 def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[str, Any]:
     """Plan the training cameras of a scene; the plan and its picture."""
-    from radiant_viewer.images import save_png
     from radiant_viewer.views import plan_picture
 
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
-    made = _made_plan(scene.cameras.centers[:, :2], origin, system, request, report, scene.cameras.names)
+    positions = scene.cameras.centers[:, :2]
+    made = _made_plan(positions, origin, system, request, report, scene.cameras.names)
+    content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    picture = plan_picture(scene, made.cloud, made.edges)
+    pictures = side_pictures(positions, scene.frame.unit, made.cloud, made.compared, made.curve)
+    pictures[MAP] = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    with _moved_when_whole(request.out.parent) as folder:
-        save_png(folder / _picture(request.out).name, picture)
-        _save_curve(folder, request.out, made.curve)
-        save_plan(folder / request.out.name, made.cloud, made.edges, slack_curve=made.curve, warnings=made.warnings)
-    return _summary(request.out, made, ())
+    _write(request.out, made, content, pictures)
+    return {**_summary(request.out, made, ()), **content.summary()}
 
 
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
     """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
-    from radiant_viewer.images import save_png
     from radiant_viewer.views import waypoint_plan_picture
 
     waypoints = found.waypoints
     positions = waypoints.positions_m
     made = _made_plan(positions[:, :2], waypoints.origin, system, request, report, waypoints.names)
+    content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    picture = waypoint_plan_picture(positions, made.cloud, made.edges)
+    pictures = side_pictures(positions[:, :2], "m", made.cloud, made.compared, made.curve)
+    pictures[MAP] = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    with _moved_when_whole(request.out.parent) as folder:
-        save_png(folder / _picture(request.out).name, picture)
-        lists = folder / _lists(request.out).name
-        lists.mkdir()
-        save_device_waypoints(lists, made.cloud, made.edges, waypoints)
-        save_regions_geojson(folder / _regions(request.out).name, made.cloud, made.edges, waypoints)
-        _save_curve(folder, request.out, made.curve)
-        save_plan(folder / request.out.name, made.cloud, made.edges, waypoints, slack_curve=made.curve, warnings=made.warnings)
-    written = {"waypoints": str(_lists(request.out)), "regions": str(_regions(request.out))}
-    return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **written}
+    _write(request.out, made, content, pictures, waypoints)
+    written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
+    return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **content.summary(), **written}
+
+
+def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:
+    from radiant_viewer.images import save_png
+
+    with _moved_when_whole(out.parent) as folder:
+        for ending, picture in pictures.items():
+            save_png(beside(folder / out.name, ending), picture)
+        if waypoints is not None:
+            lists = beside(folder / out.name, LISTS)
+            lists.mkdir()
+            save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
+            save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers)
+        save_plan(
+            folder / out.name,
+            made.cloud,
+            made.edges,
+            waypoints,
+            slack_curve=made.curve,
+            warnings=made.warnings,
+            content=content.record(),
+        )
 
 
 def _positions_of(source: Path, report: Report) -> FoundWaypoints:
@@ -180,16 +205,7 @@ def _made_plan(
     edges = split_edges(positions, cloud, system)
     if training is not None:
         warnings = (*warnings, *prediction_warnings(system, edges, training))
-    return _Plan(cloud=cloud, edges=edges, compared=compared, warnings=warnings, curve=curve)
-
-
-def _save_curve(folder: Path, out: Path, curve: tuple[SlackPoint, ...]) -> None:
-    """The picture of the curve in `folder`, where there is one."""
-    if curve:
-        from radiant_viewer.images import save_png
-        from radiant_viewer.slack_chart import slack_picture
-
-        save_png(folder / _curve_picture(out).name, slack_picture(curve))
+    return _Plan(cloud=cloud, edges=edges, system=system, compared=compared, warnings=warnings, curve=curve)
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
@@ -212,33 +228,16 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
-        "picture": str(_picture(out)),
-        **({"methods": [method_row(row) for row in made.compared]} if made.compared else {}),
-        **({"slack_curve": [asdict(point) for point in made.curve], "slack_picture": str(_curve_picture(out))} if made.curve else {}),
+        "picture": str(beside(out, MAP)),
+        **({"methods": [method_row(row) for row in made.compared], "comparison": str(beside(out, METHODS))} if made.compared else {}),
+        **({"slack_curve": [asdict(point) for point in made.curve], "slack_picture": str(beside(out, SLACKS))} if made.curve else {}),
     }
 
 
-def _curve_picture(out: Path) -> Path:
-    return out.with_name(f"{out.stem}_slack.png")
-
-
-def _picture(out: Path) -> Path:
-    return out.with_suffix(".png")
-
-
-def _lists(out: Path) -> Path:
-    return out.with_name(f"{out.stem}_waypoints")
-
-
-def _regions(out: Path) -> Path:
-    return out.with_name(f"{out.stem}_regions.geojson")
-
-
-def _require_places(request: PlanRequest) -> None:
-    out = request.out
+def _require_places(out: Path) -> None:
     if out.suffix != ".json":
         raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
-    for path in (out, _picture(out), _lists(out), _regions(out), *([_curve_picture(out)] if request.slack_curve else [])):
+    for path in (out, *(beside(out, ending) for ending in ENDINGS)):
         require_file_to_be(path)
 
 

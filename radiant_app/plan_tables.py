@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from radiant_app.plan_content import border_table
 from radiant_core.plan.comparators import Compared
 
 
@@ -21,8 +22,8 @@ def method_row(row: Compared) -> dict[str, Any]:
 
 
 def plan_tables(result: dict[str, Any]) -> list[str]:
-    """The tables of `--compare` and `--slack-curve`, where there are any, as text for a terminal."""
-    tables = (("methods", method_table), ("slack_curve", slack_table))
+    """The tables of `--compare`, `--slack-curve` and of the borders, where there are any, as text for a terminal."""
+    tables = (("methods", method_table), ("slack_curve", slack_table), ("borders", border_table))
     return [aligned(result[name]) for name, aligned in tables if result.get(name)]
 
 

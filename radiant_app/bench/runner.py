@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric, metrics_to_json
 from radiant_core.io.run_store import write_json
 
-_OF_A_RUN = ("upload", "teachers")
+_OF_A_RUN = ("upload", "teachers", "borders")
 """Benchmarks whose --scene is the folder of a finished run."""
 
 
@@ -38,7 +38,7 @@ class BenchOptions:
     ablations: bool = False
     """Whether one thing at a time is switched off (train)."""
     plot: Path | None = None
-    """PNG for the curves (train)."""
+    """PNG for the curves (train), or the folder of the figures (plan)."""
 
 
 def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
@@ -47,8 +47,10 @@ def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
         raise BadInput(f"there is no folder {json_file.parent} to write {json_file.name} into: make it first.")
     if options.scene is not None and name not in ("sfm", "train", *_OF_A_RUN):
         raise BadInput(f"--scene is for the benchmarks sfm, train, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
-    if name != "train" and (options.presets or options.budgets_s or options.num_seeds or options.ablations or options.plot):
-        raise BadInput(f"--preset, --budget, --seeds, --ablations and --plot are for the benchmark train, not for {name}: leave them out.")
+    if name != "train" and (options.presets or options.budgets_s or options.num_seeds or options.ablations):
+        raise BadInput(f"--preset, --budget, --seeds and --ablations are for the benchmark train, not for {name}: leave them out.")
+    if options.plot is not None and name not in ("train", "plan"):
+        raise BadInput(f"--plot is for the benchmarks train and plan, not for {name}: leave it out.")
     if options.plot is not None and not options.plot.parent.is_dir():
         raise BadInput(f"there is no folder {options.plot.parent} to write {options.plot.name} into: make it first.")
     if options.scene is None and name in _OF_A_RUN:
@@ -70,7 +72,16 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         from radiant_app.bench.plan import bench_plan
         from radiant_app.bench.plan_scale import bench_plan_scale
 
+        if options.plot is not None:
+            from radiant_app.bench.plan_figures import bench_plan_figures
+
+            return bench_plan_figures(options.plot, options.quick)
         return [*bench_plan(options.quick), *bench_plan_scale(options.quick)]
+    if name == "borders" and options.scene is not None:
+        from radiant_app.bench.borders import bench_borders
+
+        baseline = options.scene / "baseline.ply"
+        return bench_borders(options.scene, baseline if baseline.is_file() else None)
     if name == "raster":
         from radiant_app.bench.raster import bench_raster, build_description
 
@@ -86,7 +97,7 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         from radiant_app.bench.teachers import bench_teachers
 
         return bench_teachers(options.scene, options.quick)
-    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, raster, train, upload or teachers.")
+    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, borders, raster, train, upload or teachers.")
 
 
 def _measure_training(options: BenchOptions) -> Sequence[Metric]:

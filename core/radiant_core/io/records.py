@@ -6,7 +6,7 @@ Runs once per stage.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,7 @@ def load_scene(path: Path) -> SfmScene:
         )
 
 
-def save_plan(
+def save_plan(  # noqa: PLR0913
     path: Path,
     cloud: CloudPlan,
     edges: tuple[EdgePlan, ...],
@@ -95,18 +95,23 @@ def save_plan(
     *,
     slack_curve: Sequence[SlackPoint] = (),
     warnings: Sequence[str] = (),
+    content: Mapping[str, Any] | None = None,
 ) -> None:
     """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
-    from some, what slacks would buy where somebody looked, and what its predictions are to be taken with; BadInput when their number is
-    another, else raises as `write_atomic`."""
+    from some, what slacks would buy where somebody looked, what its predictions are to be taken with, and what `content_record` says of
+    footprints; BadInput when their number is another, else raises as `write_atomic`."""
     record: dict[str, Any] = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
     if slack_curve:
         record["slack_curve"] = [asdict(point) for point in slack_curve]
     if waypoints is not None:
         require_plan_of(len(waypoints), cloud, edges)
         record["waypoints"] = {"names": list(waypoints.names), "lat_lon_alt": waypoints.lat_lon_alt.tolist()}
+        if waypoints.heading_pitch_deg is not None:
+            angles = waypoints.heading_pitch_deg.tolist()
+            record["waypoints"]["heading_pitch_deg"] = [[None if np.isnan(angle) else angle for angle in pair] for pair in angles]
     if warnings:
         record["warnings"] = list(warnings)
+    record |= content or {}
     write_json(path, {"schema": "radiant.plan", "version": VERSION, **record})
 
 
@@ -132,7 +137,9 @@ def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypo
         stored = record.get("waypoints")
         if stored is None:
             return cloud, edges, None
-        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"])
+        looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None
+        angles = None if looks is None else np.array(looks, dtype=np.float64)
+        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"], heading_pitch_deg=angles)
         require_plan_of(len(waypoints), cloud, edges)
     return cloud, edges, waypoints
 
