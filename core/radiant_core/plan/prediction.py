@@ -135,7 +135,9 @@ def corrected_system(system: System, planned: Iterable[PlannedStage], measured: 
     BadInput as `stage_errors`. A stage predicted or measured at 0 s teaches nothing either.
     """
     errors = stage_errors(planned, measured)
-    ratio_of = {row.node: row.measured_s / row.predicted_s for row in errors if row.stage != "send" and min(row.predicted_s, row.measured_s) > 0}
+    ratio_of = {
+        row.node: row.measured_s / row.predicted_s for row in errors if row.stage != "send" and min(row.predicted_s, row.measured_s) > 0
+    }
     devices = {f"devices/{device.id}": (device.init_s, device.train_s) for device in system.devices}
     edges = {f"edges/{edge.id}": (edge.aggregate_s,) for edge in system.edges}
     factor_of = {**_factors(devices, ratio_of), **_factors(edges, ratio_of)}

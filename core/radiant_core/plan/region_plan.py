@@ -149,6 +149,28 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
     )
 
 
+def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
+    """Regions for cameras (C,2) m that belong to edges (C,): the power diagram of the edges' positions with as many cameras in each cell.
+
+    Which cameras lie in a cell may differ from `edge_of_camera`. Times and the lower bound are left at 0.
+    """
+    plane = _plane(positions, system)
+    counts = np.bincount(edge_of_camera, minlength=len(system.edges))
+    weights = _closed_where_unused(_exact_partition(plane, counts, None).weights, counts, plane)
+    return CloudPlan(
+        method="captured",
+        edge_ids=tuple(edge.id for edge in system.edges),
+        sites=plane.sites + plane.centre,
+        weights=weights,
+        borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
+        edge_of_camera=edge_of_camera,
+        edge_time_s=np.zeros(len(counts)),
+        lower_bound_s=0.0,
+        status="stopped",
+        certified=False,
+    )
+
+
 def _plane(positions: ArrayLike, system: System) -> _Plane:
     positions = checked_array("positions", positions, (None, 2))
     if not len(positions):
