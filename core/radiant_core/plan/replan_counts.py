@@ -170,7 +170,8 @@ class _Choices:
 
     def quotas(self, count: int) -> list[int]:
         """Quotas of `count` positions with the fewest leaving; ties go to the device named first."""
-        load, caps = self.table.load, [int(cap) for cap in self.caps[:, int(count) - int(self.counts[0])]]
+        load = self.table.load
+        caps: list[int] = self.caps[:, int(count) - int(self.counts[0])].tolist()
         if not load.machines:
             return []
         quotas = [min(m.now, cap) for m, cap in zip(load.machines, caps, strict=True)]
@@ -197,7 +198,7 @@ def _dealt(choices: Sequence[_Choices], num_positions: int, fastest: Indices) ->
     firsts = [int(choice.counts[choice.first]) for choice in choices]
     left = num_positions - sum(firsts)
     free = [int(np.searchsorted(choice.extra_cost, 0, side="right")) - 1 for choice in choices]
-    nearest = np.argsort([choice.table.load.distance_m for choice in choices], kind="stable").tolist()
+    nearest = sorted(range(len(choices)), key=lambda index: choices[index].table.load.distance_m)
     if sum(free) >= left:
         for index in nearest:
             step = min(left, free[index])

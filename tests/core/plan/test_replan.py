@@ -201,10 +201,8 @@ def best_by_search(plan: Made, system: System, situation: Situation, captured: n
         owners = before.copy()
         owners[free] = choice
         held = np.bincount(owners[~lost], minlength=len(names))
-        if any(
-            d.max_cameras is not None and h > d.max_cameras and names[i] in {names[t] for t in takers}
-            for i, (d, h) in enumerate(zip(devices, held, strict=True))
-        ):
+        limits = [(int(held[i]), devices[i].max_cameras) for i in takers]
+        if any(limit is not None and count > limit for count, limit in limits):
             continue
         worst = 0.0
         for index, e in enumerate(system.edges):
@@ -226,11 +224,11 @@ def best_by_search(plan: Made, system: System, situation: Situation, captured: n
 
 
 def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
-    """150 fleets of 2 to 4 devices at 1 or 2 edges with up to 6 positions: dead, done, slow, busy, captured, joining and full devices."""
+    """100 fleets of 2 to 4 devices at 1 or 2 edges with up to 5 positions: dead, done, slow, busy, captured, joining and full devices."""
     checked = 0
-    for seed in range(150):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
-        num = int(rng.integers(2, 7))
+        num = int(rng.integers(2, 6))
         speeds = rng.uniform(0.5, 2.0, 4)
         most = [None if rng.random() < 0.7 else num for _ in range(4)]
         first = edge("a", (20.0, 50.0), *(device(f"a{i}", speeds[i], most[i]) for i in range(rng.integers(1, 3))))
@@ -256,7 +254,7 @@ def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
         assert result.moved.sum() == fewest, seed
         assert result.fewest_proved
         checked += 1
-    assert checked > 120
+    assert checked > 80
 
 
 def test_those_that_move_are_the_nearest_for_one_and_for_several_that_lose() -> None:
@@ -264,21 +262,21 @@ def test_those_that_move_are_the_nearest_for_one_and_for_several_that_lose() -> 
     for seed, situation in enumerate(
         [Situation(slow={"w1": 3.0}), Situation(slow={"w1": 4.0, "e1": 4.0}), Situation(dead=frozenset({"w2"}))] * 4
     ):
-        plan = made(town().system, 7, seed)
+        plan = made(town().system, 6, seed)
         result = solved(plan.replanned(situation))
         centres = np.array([[0.0, 0.0]] * 4)
         for index in range(4):
             own = plan.positions[result.device_before == index]
             centres[index] = own.mean(axis=0) if len(own) else np.array(plan.system.edges[index // 2].position)
         squared = np.sum((plan.positions[:, None] - centres) ** 2, axis=-1)
-        gains = squared - squared[np.arange(7), result.device_before][:, None]
+        gains = squared - squared[np.arange(6), result.device_before][:, None]
         held = np.bincount(result.device_after, minlength=4)
         best = min(
             sum(gains[i, o] for i, o in enumerate(owners))
-            for owners in product(range(4), repeat=7)
+            for owners in product(range(4), repeat=6)
             if (np.bincount(owners, minlength=4) == held).all() and (np.array(owners) != result.device_before).sum() == result.moved.sum()
         )
-        cost = float(gains[np.arange(7), result.device_after].sum())
+        cost = float(gains[np.arange(6), result.device_after].sum())
         assert cost == pytest.approx(best, rel=1e-9, abs=1e-9), (seed, situation)
 
 
