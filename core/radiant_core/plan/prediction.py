@@ -1,6 +1,6 @@
 """What a plan says will happen when, how far off it was, and what the first finished machines teach about the rest.
 
-    device n: train G + F_n from 0 on, then send H / B^n
+    device n: initialise G from 0 on, train F_n, send H / B^n
     edge m:   aggregate F_m once its last device has sent, then send Σ_n H_n / B^m            (paper Eqn. 5-8, 12-15)
     error = predicted / measured − 1, in %: negative where a stage took longer than predicted
 
@@ -22,7 +22,7 @@ from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import System
 
-Stage = Literal["train", "send", "aggregate"]
+Stage = Literal["initialise", "train", "send", "aggregate"]
 Seconds = Mapping[tuple[str, str], float]
 """(node, stage) → seconds; nodes are `devices/<id>` and `edges/<id>`."""
 
@@ -71,8 +71,11 @@ def planned_stages(system: System, edge_plans: Sequence[EdgePlan]) -> tuple[Plan
         for device, count in zip(edge.devices, counts, strict=True):
             if count:
                 model_bytes = float(device.model_bytes(count))
-                trained_s = float(device.init_s(count) + device.train_s(count))
-                spans: tuple[tuple[Stage, float], ...] = (("train", trained_s), ("send", model_bytes / device.uplink_bytes_per_s))
+                spans: tuple[tuple[Stage, float], ...] = (
+                    ("initialise", float(device.init_s(count))),
+                    ("train", float(device.train_s(count))),
+                    ("send", model_bytes / device.uplink_bytes_per_s),
+                )
                 stages += _after(0.0, f"devices/{device.id}", count, spans)
                 ready_s, sent_bytes = max(ready_s, stages[-1].stop_s), sent_bytes + model_bytes
         joining: tuple[tuple[Stage, float], ...] = (
@@ -132,7 +135,7 @@ def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan])
 def corrected_system(system: System, planned: Iterable[PlannedStage], measured: Seconds) -> System:
     """The system with G, F_n and F_m scaled by what was measured so far; stages that were not measured teach nothing.
 
-    BadInput as `stage_errors`. A stage predicted or measured at 0 s teaches nothing either.
+    BadInput as `stage_errors`. A machine predicted or measured at 0 s teaches nothing either.
     """
     errors = stage_errors(planned, measured)
     ratio_of = {
@@ -202,13 +205,13 @@ def _factors(curves_of: Mapping[str, tuple[CostCurve, ...]], ratio_of: Mapping[s
         if node in ratio_of:
             alike = [ratio_of[node]]
         elif not alike:
-            shape = _shape(curves)
-            alike = [ratio_of[other] for other, theirs in curves_of.items() if other in ratio_of and _shape(theirs) == shape]
+            shape = curve_shape(curves)
+            alike = [ratio_of[other] for other, theirs in curves_of.items() if other in ratio_of and curve_shape(theirs) == shape]
         factors[node] = float(np.median(alike)) if alike else 1.0
     return factors
 
 
-def _shape(curves: Sequence[CostCurve]) -> tuple[float, ...]:
+def curve_shape(curves: Sequence[CostCurve]) -> tuple[float, ...]:
     """Equal for proportional curves: coefficients over their sum, rounded; an exponent counts where its term does."""
     terms = [term for curve in curves for term in (curve.constant, curve.linear, curve.power_coefficient)]
     whole = sum(terms) or 1.0

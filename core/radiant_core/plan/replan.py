@@ -4,8 +4,8 @@ First the least makespan, then the fewest positions that change their device, th
     minimise Σ_moved ‖x − centre of the new device‖² − ‖x − centre of the old one‖²
 with the quotas of `replan_counts`: a transport problem, solved by the native module where one device loses or all that lose give up
 everything, as a linear program (HiGHS; the constraints are a network, so its corners are whole numbers) for up to 40,000 arcs, and else
-device by device, those that give up everything together. Positions that are captured or lie with a device that is done never move; on a dead
-device captured ones are lost.
+device by device, those that give up everything together. Positions that are captured or lie with a device that is done never move; on a
+dead device captured ones are lost.
 Regions stay as they were where no position changed its edge, else they are the power diagram with the new counts. Runs once per re-plan.
 """
 

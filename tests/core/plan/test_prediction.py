@@ -51,7 +51,7 @@ def test_planned_stages_end_when_the_planner_says() -> None:
     for index, plan in enumerate(edges):
         for name, time_s in zip(plan.device_ids, plan.device_time_s, strict=True):
             rows = [row for row in stages if row.node == f"devices/{name}"]
-            assert [row.stage for row in rows] == ["train", "send"] and rows[0].start_s == 0.0
+            assert [row.stage for row in rows] == ["initialise", "train", "send"] and rows[0].start_s == 0.0
             assert rows[-1].stop_s == pytest.approx(time_s, rel=1e-12)
         own = [row for row in stages if row.node == f"edges/{plan.edge_id}"]
         assert own[0].start_s == pytest.approx(max(plan.device_time_s), rel=1e-12)
@@ -63,18 +63,18 @@ def test_machines_without_cameras_have_no_stage() -> None:
     assert {row.node for row in stages} == {f"devices/{n}" for e in edges for n in e.device_ids if len(e.cameras_of(n))} | {
         f"edges/{e.edge_id}" for e in edges if len(e.camera_indices)
     }
-    assert len(stages) == 4
+    assert len(stages) == 5
 
 
 def test_errors_compare_what_was_measured_and_the_makespan_of_equal_stages() -> None:
     _, edges, stages = planned()
     twice = {key: 2 * seconds for key, seconds in seconds_of(stages).items() if key[1] != "send"}
     errors = stage_errors(stages, twice)
-    assert {row.stage for row in errors} == {"train", "aggregate"}
+    assert {row.stage for row in errors} == {"initialise", "train", "aggregate"}
     assert all(row.error_percent == pytest.approx(-50.0) for row in errors)
     whole = makespan_error(errors, edges)
     assert whole is not None and whole.error_percent == pytest.approx(-50.0)
-    assert makespan_error(errors[1:], edges) is None, "without one device nobody knows the makespan"
+    assert makespan_error(errors[2:], edges) is None, "without one device nobody knows the makespan"
     assert stage_errors(stages, {}) == () and makespan_error((), edges) is None
     for poison in (np.nan, np.inf, -1.0):
         with pytest.raises(BadInput, match=r"devices/a1 took .* s to train, expected a finite time"):
