@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
+from radiant_app.prediction_error import curves_note, gantt_rows
 from radiant_app.progress import ProgressDisplay
 from radiant_app.sources import load_scene_of
 from radiant_app.system_file import even_system, load_system
@@ -33,6 +34,9 @@ from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
+
+if TYPE_CHECKING:
+    from radiant_viewer.images import Image
 
 Report = Callable[[float, float, str], None]
 PHASES = ("reading positions", "planning", "drawing", "writing")
@@ -57,7 +61,14 @@ class PlanRequest:
 class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
+    system: System
     compared: tuple[Compared, ...] = ()
+
+    def gantt(self) -> Image:
+        """What each machine will do when."""
+        from radiant_viewer.gantt_chart import gantt_picture
+
+        return gantt_picture(gantt_rows(self.system, self.edges), "Predicted stages", curves_note(self.system))
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -92,6 +103,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     report(3, len(PHASES), PHASES[3])
     with _moved_when_whole(request.out.parent) as folder:
         save_png(folder / _picture(request.out).name, picture)
+        save_png(folder / _gantt(request.out).name, made.gantt())
         save_plan(folder / request.out.name, made.cloud, made.edges)
     return _summary(request.out, made, ())
 
@@ -109,6 +121,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     report(3, len(PHASES), PHASES[3])
     with _moved_when_whole(request.out.parent) as folder:
         save_png(folder / _picture(request.out).name, picture)
+        save_png(folder / _gantt(request.out).name, made.gantt())
         lists = folder / _lists(request.out).name
         lists.mkdir()
         save_device_waypoints(lists, made.cloud, made.edges, waypoints)
@@ -144,7 +157,7 @@ def _made_plan(positions: FloatArray, origin: FloatArray | None, system: System,
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
     compared = compare(positions, system) if request.compare else ()
-    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), compared=compared)
+    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), system=system, compared=compared)
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
@@ -161,6 +174,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
         "picture": str(_picture(out)),
+        "gantt": str(_gantt(out)),
         **({"methods": [_row(row) for row in made.compared]} if made.compared else {}),
     }
 
@@ -192,6 +206,10 @@ def _picture(out: Path) -> Path:
     return out.with_suffix(".png")
 
 
+def _gantt(out: Path) -> Path:
+    return out.with_name(f"{out.stem}_gantt.png")
+
+
 def _lists(out: Path) -> Path:
     return out.with_name(f"{out.stem}_waypoints")
 
@@ -203,7 +221,7 @@ def _regions(out: Path) -> Path:
 def _require_places(out: Path) -> None:
     if out.suffix != ".json":
         raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
-    for path in (out, _picture(out), _lists(out), _regions(out)):
+    for path in (out, _picture(out), _gantt(out), _lists(out), _regions(out)):
         require_file_to_be(path)
 
 

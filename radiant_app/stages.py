@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,9 @@ from radiant_app.executors.emulated import EmulatedExecutor
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.nodes import read_notes
+from radiant_app.prediction_error import save_system
 from radiant_app.run_folder import Manifest
+from radiant_app.time_left import TimeLeftListener
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
@@ -62,12 +64,14 @@ def plan_stage(
     if config.plan is not None:
         cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan, origin), positions, system=system)
         save_plan(config.out / "plan.json", cloud_plan, edge_plans)
+        save_system(config.out, system)
         return system, cloud_plan, edge_plans
     cloud_plan = plan_regions(positions, system, method=config.plan_method)
     if isinstance(cloud_plan, PlanInfeasible):
         raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system} and add --resume.")
     edge_plans = split_edges(positions, cloud_plan, system)
     save_plan(config.out / "plan.json", cloud_plan, edge_plans)
+    save_system(config.out, system)
     return system, cloud_plan, edge_plans
 
 
@@ -114,6 +118,18 @@ def executor_of(config: RunConfig, system: System, progress: Progress, may_fail:
         progress.listen(Decided(decision=decision))
     local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=may_fail)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
+
+
+def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> Listener:
+    """`progress.listen` that also says after each device and edge how long the others will take."""
+    return TimeLeftListener(
+        listen=progress.listen,
+        system=system,
+        edge_plans=edge_plans,
+        num_workers=config.num_workers,
+        emulated=config.emulated,
+        clock=progress.clock,
+    )
 
 
 def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> System:
