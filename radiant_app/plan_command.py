@@ -101,7 +101,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     report(2, len(PHASES), PHASES[2])
     picture = plan_picture(scene, made.cloud, made.edges)
     report(3, len(PHASES), PHASES[3])
-    with _moved_when_whole(request.out.parent) as folder:
+    with moved_when_whole(request.out.parent) as folder:
         save_png(folder / _picture(request.out).name, picture)
         save_png(folder / _gantt(request.out).name, made.gantt())
         save_plan(folder / request.out.name, made.cloud, made.edges)
@@ -119,7 +119,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     report(2, len(PHASES), PHASES[2])
     picture = waypoint_plan_picture(positions, made.cloud, made.edges)
     report(3, len(PHASES), PHASES[3])
-    with _moved_when_whole(request.out.parent) as folder:
+    with moved_when_whole(request.out.parent) as folder:
         save_png(folder / _picture(request.out).name, picture)
         save_png(folder / _gantt(request.out).name, made.gantt())
         lists = folder / _lists(request.out).name
@@ -226,7 +226,7 @@ def _require_places(out: Path) -> None:
 
 
 @contextmanager
-def _moved_when_whole(target: Path) -> Iterator[Path]:
+def moved_when_whole(target: Path) -> Iterator[Path]:
     """A hidden folder inside `target` whose content moves there when the block ends well, and vanishes when it does not."""
     folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
     try:
