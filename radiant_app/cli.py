@@ -363,7 +363,7 @@ def export(
 
 @app.command()
 def bench(
-    name: Annotated[Literal["sfm", "plan", "raster", "train", "upload", "teachers"], typer.Argument(help="What to measure.")],
+    name: Annotated[Literal["sfm", "plan", "fed3dgs", "raster", "train", "upload", "teachers"], typer.Argument(help="What to measure.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
     scene: Annotated[
@@ -378,7 +378,7 @@ def bench(
     seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train: models per preset and budget.")] = None,
     long_side_px: LongSide = None,
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="train: PNG of the curves.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="train, fed3dgs: PNG of the curves.")] = None,
 ) -> None:
     """Run time beside error."""
     from radiant_app.bench.runner import BenchOptions, run_bench
