@@ -2,15 +2,15 @@
 
 A plan file: positions are its waypoints, captured are those that `--captured` names; its system is `--system`. A run: its training
 cameras, its own system with curves corrected by what has finished. There, finished nodes are done; a device that has begun keeps exactly
-what it has; and with `--frames gps` or `known` every position is captured where it is. Beside the new plan stand its picture, a Gantt chart,
-the system it is for, what moved (CSV) and, for waypoints, lists per device and GeoJSON as of `radiant plan`.
+what it has; and with `--frames gps` or `known` every position is captured where it is. Beside the new plan stand its picture, a Gantt
+chart, the system it is for, what moved (CSV) and, for waypoints, lists per device and GeoJSON as of `radiant plan`.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -101,15 +101,10 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
     before = _of_run(request) if request.source.is_dir() else _of_plan(request)
     joining = None if request.join is None else load_system(request.join)
     placed = place_edges(_grown(before, joining), before.positions[:, :2], before.origin, request.seed)
-    old = replace(placed, edges=tuple(_only(edge, before.system) for edge in placed.edges if edge.id in before.cloud.edge_ids))
+    old, joined = _parted(placed, before.system)
     positions = before.positions[:, :2]
     with stage_bar(display, "replan") as report:
         report(0, 2, "planning")
-        joined = (
-            None if joining is None else replace(joining, edges=tuple(e for e in placed.edges if e.id in {j.id for j in joining.edges}))
-        )
-        if joined is not None:
-            joined = replace(joined, edges=tuple(_without(edge, before.system) for edge in joined.edges))
         new = replan(
             before.cloud,
             before.edges,
@@ -135,14 +130,14 @@ def _grown(before: _Before, joining: System | None) -> System:
     return system if joining is None else joined_system(system, joining)
 
 
-def _only(edge: Any, system: System) -> Any:
-    known = {device.id for device in system.devices}
-    return replace(edge, devices=tuple(device for device in edge.devices if device.id in known))
-
-
-def _without(edge: Any, system: System) -> Any:
-    known = {device.id for device in system.devices}
-    return replace(edge, devices=tuple(device for device in edge.devices if device.id not in known))
+def _parted(grown: System, known: System) -> tuple[System, System | None]:
+    """A grown system, edges placed, as what was known and what joins."""
+    devices = {device.id for device in known.devices}
+    old, new = (
+        [replace(edge, devices=own) for edge in grown.edges if (own := tuple(d for d in edge.devices if (d.id in devices) == is_old))]
+        for is_old in (True, False)
+    )
+    return replace(grown, edges=tuple(old)), System(edges=tuple(new)) if new else None
 
 
 def _of_plan(request: ReplanRequest) -> _Before:
@@ -208,18 +203,14 @@ def _of_run(request: ReplanRequest) -> _Before:
 def _progress_of(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: Situation) -> Situation:
     """What is given, and what the run's folder says: sealed nodes are done, devices that have begun are at work until their time."""
     sealed = {path.parent.name for kind in ("devices", "edges") for path in run.glob(f"{kind}/*/done.json")}
-    done = (frozenset(sealed) | given.done) - given.dead
-    expected: Mapping[str, float] = {}
-    for row in planned_stages(system, edges):
-        expected = {**expected, row.node: row.stop_s}
-    begun = {
-        node.removeprefix("devices/")
-        for node in (*manifest.stages, *manifest.emulated)
-        if node.startswith("devices/") and node.count("/") == 1
-    }
-    working = frozenset(begun) - done - given.dead
+    delivered = {device.id for edge in system.edges if edge.id in sealed for device in edge.devices} | sealed
+    dead = given.dead - delivered  # what a dead machine has delivered is not lost
+    done = (given.done | sealed) - dead
+    expected = {row.node: row.stop_s for row in planned_stages(system, edges)}
+    nodes = [node for node in (*manifest.stages, *manifest.emulated) if node.startswith("devices/") and node.count("/") == 1]
+    working = frozenset(node.removeprefix("devices/") for node in nodes) - done - dead
     busy_s = {name: expected.get(f"devices/{name}", 0.0) * given.slow.get(name, 1.0) for name in working}
-    return replace(given, done=done, closed=given.closed | working, busy_s={**busy_s, **given.busy_s})
+    return replace(given, dead=dead, done=done, closed=given.closed | working, busy_s={**busy_s, **given.busy_s})
 
 
 def _write(out: Path, before: _Before, new: Replan) -> None:
@@ -228,7 +219,10 @@ def _write(out: Path, before: _Before, new: Replan) -> None:
     from radiant_viewer.replan_picture import replan_picture
 
     picture = replan_picture(before.positions, new)
-    gantt = gantt_picture(gantt_rows(new.system, new.edges), "Predicted stages of the new plan, from now", curves_note(new.system))
+    rows = _gantt_rows(new)
+    to_come = any(row.predicted for row in rows)
+    title = "What is still to come, predicted" if to_come else "As it was planned: all is done"
+    gantt = gantt_picture(rows if to_come else gantt_rows(new.system, new.edges), title, curves_note(new.system))
     with moved_when_whole(out.parent) as folder:
         save_png(folder / _beside(out, ".png").name, picture)
         save_png(folder / _beside(out, "_gantt.png").name, gantt)
@@ -240,6 +234,23 @@ def _write(out: Path, before: _Before, new: Replan) -> None:
             save_device_waypoints(lists, new.cloud, new.edges, before.waypoints)
             save_regions_geojson(folder / _beside(out, "_regions.geojson").name, new.cloud, new.edges, before.waypoints)
         save_plan(folder / out.name, new.cloud, new.edges, before.waypoints)
+
+
+def _gantt_rows(new: Replan) -> list[Any]:
+    """Rows of what is still to come: machines that are done have no bars, those that are busy begin later."""
+    from radiant_viewer.charts import TimelineSpan
+
+    ends = {f"devices/{d.id}": float(time_s) for d, time_s in zip(new.system.devices, new.time_after_s, strict=True)}
+    ends |= {f"edges/{name}": float(time_s) for name, time_s in zip(new.cloud.edge_ids, new.cloud.edge_time_s, strict=True)}
+    rows: list[Any] = []
+    for row in gantt_rows(new.system, new.edges):
+        shift_s = ends[row.name] - row.stop_s
+        moved = [
+            TimelineSpan(stage=span.stage, start_s=max(0.0, span.start_s + shift_s), stop_s=max(0.0, span.stop_s + shift_s))
+            for span in row.predicted
+        ]
+        rows.append(replace(row, predicted=tuple(span for span in moved if span.stop_s > span.start_s)))
+    return rows
 
 
 def _moved_csv(before: _Before, new: Replan) -> str:
@@ -255,18 +266,15 @@ def _moved_csv(before: _Before, new: Replan) -> str:
 
 
 def _summary(out: Path, before: _Before, new: Replan) -> dict[str, Any]:
-    lost = int(new.lost.sum())
-    warnings = [
-        f"{lost} captured positions lie on dead devices and are lost: leave them out of --captured to have them taken again."
-    ] * bool(lost)
-    if not new.fewest_proved:
+    lost, num_devices = int(new.lost.sum()), len(new.system.devices)
+    warnings: list[str] = []
+    if lost:
         warnings.append(
-            "That no fewer positions could move is not proved: devices of one edge send unequal bytes, or the plan is too large."
+            f"{lost} captured positions lie on dead devices and are lost: leave them out of --captured to have them taken again."
         )
-    ends = (
-        np.bincount(new.device_before, minlength=len(new.system.devices)),
-        np.bincount(new.device_after, minlength=len(new.system.devices)),
-    )
+    if not new.fewest_proved:
+        warnings.append("That no fewer positions could move is not proved: devices of an edge send unequal bytes, or too many move.")
+    ends = [np.bincount(owners, minlength=num_devices) for owners in (new.device_before, new.device_after)]
     rows = [
         {
             "device": device.id,
