@@ -269,9 +269,7 @@ def _summary(out: Path, before: _Before, new: Replan) -> dict[str, Any]:
     lost, num_devices = int(new.lost.sum()), len(new.system.devices)
     warnings: list[str] = []
     if lost:
-        warnings.append(
-            f"{lost} captured positions lie on dead devices and are lost: leave them out of --captured to have them taken again."
-        )
+        warnings.append(f"{lost} captured positions of dead devices are lost: leave them out of --captured to have them taken again.")
     if not new.fewest_proved:
         warnings.append("That no fewer positions could move is not proved: devices of an edge send unequal bytes, or too many move.")
     ends = [np.bincount(owners, minlength=num_devices) for owners in (new.device_before, new.device_after)]

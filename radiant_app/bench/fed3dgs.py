@@ -4,7 +4,7 @@ A fleet of N clients is the system's list of devices repeated; edges come with t
 client, the middle of the 100 to 200 that Fed3DGS gives each. Fed3DGS has no regions: clients train 150 images each and send to one server.
 Assumed for its merge of one client of n images: 5 epochs over n renders of the client and n of the global model (its published
 settings), so 10 n iterations, as many as the 10 epochs over n views that an edge of these systems retrains in 5 s + 0.6 s · n. Hence a
-merge takes the same 5 s + 0.6 s · n; reading the models, choosing the views and its appearance network are left out, in its favour. One server
+merge takes the same 5 s + 0.6 s · n; reading models, choosing views and its appearance network are left out, in its favour. One server
 merges client after client; with several mergers they take turns, and what they made is joined for nothing, again in its favour.
 Band: 5th to 95th percentile over draws in which every curve, uplink and the merge vary by ±30 %.
 """

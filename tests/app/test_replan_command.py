@@ -59,7 +59,8 @@ def planned(tmp_path: Path) -> Path:
 
 
 def test_a_dead_device_and_a_joined_edge_make_a_plan_with_all_its_files(planned: Path) -> None:
-    joins = '[[edge]]\nid = "west"\nlat_lon_deg = [47.371, 8.539]\n[[edge.device]]\nid = "w1"\n[[edge]]\nid = "south"\n[[edge.device]]\nid = "s2"\n'
+    west = '[[edge]]\nid = "west"\nlat_lon_deg = [47.371, 8.539]\n[[edge.device]]\nid = "w1"\n'
+    joins = west + '[[edge]]\nid = "south"\n[[edge.device]]\nid = "s2"\n'
     (planned / "joins.toml").write_text(joins)
     captured = csv_of(planned, "captured.csv", range(0, 180, 5))
     before = load_plan(planned / "plan.json")[1]
@@ -107,7 +108,8 @@ def test_bad_requests_are_one_sentence_and_leave_nothing(planned: Path) -> None:
         ({"system": None}, "use the system it was planned for"),
         ({"out": planned / "new.txt"}, r"ends in \.json"),
         ({"out": planned / "old.json"}, r"old_gantt\.png exists"),
-        ({"source": planned}, "no manifest.json"),
+        ({"source": planned}, "a run knows its system"),
+        ({"source": planned, "system": None}, "no manifest.json"),
         ({"tolerance": -1.0}, "tolerance is -1.0"),
     ]
     for changed, told in cases:
