@@ -6,7 +6,8 @@ with the quotas of `replan_counts`: a transport problem, solved by the native mo
 everything, as a linear program (HiGHS; the constraints are a network, so its corners are whole numbers) for up to 40,000 arcs, and else
 device by device, those that give up everything together. Positions that are captured or lie with a device that is done never move; on a
 dead device captured ones are lost.
-Regions stay as they were where no position changed its edge, else they are the power diagram with the new counts. Runs once per re-plan.
+Regions stay as they were where no position changed its edge, else they are the power diagram of the edges' mean positions with the new
+counts: moved positions lie apart, and the edges' own places would draw regions that others train in. Runs once per re-plan.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import device_time_s
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
+from radiant_core.plan.power_diagram import assign
 from radiant_core.plan.region_plan import plan_regions
 from radiant_core.plan.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
 from radiant_core.plan.system import Device, Edge, System
@@ -135,6 +136,8 @@ def test_a_joined_edge_and_device_take_the_land_beside_them() -> None:
     assert result.cloud.makespan_s < result.makespan_before_s
     new, rest = result.cloud.edge_of_camera == 2, result.cloud.edge_of_camera != 2
     assert plan.positions[new, 1].mean() > plan.positions[rest, 1].mean() + 20
+    own = assign(plan.positions, result.cloud.sites, result.cloud.weights)
+    assert (own == result.cloud.edge_of_camera).mean() > 0.85, "regions lie where their edges' positions are"
     assert len(result.edges[2].cameras_of("n1")) > 0 and all(len(strip) >= 3 for strip in result.edges[2].strips)
     assert result.moved.sum() == counts(result)["w3"] + counts(result)["n1"] + counts(result)["n2"], "only what goes to the new ones"
 
