@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
+from radiant_app.cli_replan import replan_plan
 from radiant_core.errors import BadInput, RadiantError
 
 app = typer.Typer(
@@ -188,38 +189,7 @@ def plan(
     _finish(result, as_json)
 
 
-@app.command("replan")
-def replan_plan(
-    source: Annotated[Path, typer.Argument(help="A plan of waypoints, or the folder of a run.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="File of the new plan; picture and exports go beside.", show_default=False)],
-    system: SystemFile = None,
-    dead: Annotated[list[str] | None, typer.Option(help="Device or edge that is gone; repeatable.")] = None,
-    slow: Annotated[list[str] | None, typer.Option(help="ID=FACTOR: takes so many times longer; repeatable.")] = None,
-    busy: Annotated[list[str] | None, typer.Option(help="ID=SECONDS: begins only then; repeatable.")] = None,
-    done: Annotated[list[str] | None, typer.Option(help="Device or edge that has finished; repeatable.")] = None,
-    join: Annotated[Path | None, typer.Option(help="System file of edges, or of devices at edges that are there, that join.")] = None,
-    captured: Annotated[Path | None, typer.Option(help="What was captured: waypoint file or folder of photographs; it stays.")] = None,
-    tolerance: Annotated[float, typer.Option(min=0, help="Share by which the makespan may exceed the least, to move fewer.")] = 0.0,
-    seed: Seed = 0,
-    as_json: AsJson = False,
-) -> None:
-    """A plan after a device died, became slow or finished, or others joined: least makespan, then fewest positions that move."""
-    from radiant_app.replan_command import ReplanRequest, parsed_values, replan_files, replan_table
-    from radiant_core.plan.replan import Situation
-
-    situation = Situation(
-        dead=frozenset(dead or ()),
-        done=frozenset(done or ()),
-        slow=parsed_values(slow or (), "--slow"),
-        busy_s=parsed_values(busy or (), "--busy"),
-    )
-    request = ReplanRequest(
-        source=source, out=out, system=system, situation=situation, join=join, captured=captured, tolerance=tolerance, seed=seed
-    )
-    result = replan_files(request, _listener())
-    if not as_json:
-        typer.echo(replan_table(result))
-    _finish(result, as_json)
+app.command("replan")(replan_plan)
 
 
 @app.command()
@@ -367,10 +337,7 @@ def bench(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
     scene: Annotated[
-        Path | None,
-        typer.Option(
-            help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; upload, teachers: a finished run."
-        ),
+        Path | None, typer.Option(help="sfm: scene with known cameras; train: photographs, COLMAP or a run; upload, teachers: a run.")
     ] = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of the rasterizer; all cores without it.")] = None,
     preset: Annotated[list[str] | None, typer.Option(help="train: presets to compare, else default and standard.")] = None,
