@@ -14,6 +14,7 @@ import typer
 
 from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
+from radiant_app.cli_replan import replan_plan
 from radiant_app.option_types import BenchPlot, BenchScene
 from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
@@ -173,6 +174,9 @@ app.command()(plan)
 app.command()(profile)
 
 
+app.command("replan")(replan_plan)
+
+
 @app.command()
 def train(
     scene: Annotated[
@@ -314,7 +318,9 @@ def export(
 
 @app.command()
 def bench(
-    name: Annotated[Literal["sfm", "plan", "borders", "raster", "train", "upload", "teachers"], typer.Argument(help="What to measure.")],
+    name: Annotated[
+        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "upload", "teachers"], typer.Argument(help="What to measure.")
+    ],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
     scene: BenchScene = None,

@@ -21,4 +21,4 @@ BenchScene = Annotated[
         "borders: that or a folder of runs."
     ),
 ]
-BenchPlot = Annotated[Path | None, typer.Option(help="train: PNG of the curves; plan: folder of its figures, alone.")]
+BenchPlot = Annotated[Path | None, typer.Option(help="train, fed3dgs: PNG of the curves; plan: folder of its figures, alone.")]

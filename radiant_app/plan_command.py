@@ -20,7 +20,7 @@ from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
 from radiant_app.constraints_file import load_constraints
 from radiant_app.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
-from radiant_app.plan_pictures import ENDINGS, LISTS, MAP, METHODS, REGIONS, SLACKS, beside, side_pictures
+from radiant_app.plan_pictures import ENDINGS, GANTT, LISTS, MAP, METHODS, REGIONS, SLACKS, beside, plan_gantt, side_pictures
 from radiant_app.plan_tables import method_row
 from radiant_app.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.progress import ProgressDisplay
@@ -42,6 +42,9 @@ from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
+
+if TYPE_CHECKING:
+    from radiant_viewer.images import Image
 
 if TYPE_CHECKING:
     from radiant_viewer.images import Image
@@ -119,6 +122,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
     pictures = side_pictures(positions, scene.frame.unit, made.cloud, made.compared, made.curve)
+    pictures[GANTT] = plan_gantt(made.system, made.edges)
     pictures[MAP] = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
     _write(request.out, made, content, pictures)
@@ -135,6 +139,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
     pictures = side_pictures(positions[:, :2], "m", made.cloud, made.compared, made.curve)
+    pictures[GANTT] = plan_gantt(made.system, made.edges)
     pictures[MAP] = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
     _write(request.out, made, content, pictures, waypoints)
@@ -145,7 +150,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
 def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:
     from radiant_viewer.images import save_png
 
-    with _moved_when_whole(out.parent) as folder:
+    with moved_when_whole(out.parent) as folder:
         for ending, picture in pictures.items():
             save_png(beside(folder / out.name, ending), picture)
         if waypoints is not None:
@@ -229,6 +234,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
         "picture": str(beside(out, MAP)),
+        "gantt": str(beside(out, GANTT)),
         **({"methods": [method_row(row) for row in made.compared], "comparison": str(beside(out, METHODS))} if made.compared else {}),
         **({"slack_curve": [asdict(point) for point in made.curve], "slack_picture": str(beside(out, SLACKS))} if made.curve else {}),
     }
@@ -242,7 +248,7 @@ def _require_places(out: Path) -> None:
 
 
 @contextmanager
-def _moved_when_whole(target: Path) -> Iterator[Path]:
+def moved_when_whole(target: Path) -> Iterator[Path]:
     """A hidden folder inside `target` whose content moves there when the block ends well, and vanishes when it does not."""
     folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
     try:

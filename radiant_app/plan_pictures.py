@@ -6,22 +6,31 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from radiant_app.prediction_error import curves_note, gantt_rows
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.comparators import Compared
-from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.slack_curve import SlackPoint
+from radiant_core.plan.system import System
 
 if TYPE_CHECKING:
     from radiant_viewer.images import Image
 
-MAP, METHODS, SLACKS = ".png", "_methods.png", "_slack.png"
+MAP, GANTT, METHODS, SLACKS = ".png", "_gantt.png", "_methods.png", "_slack.png"
 LISTS, REGIONS = "_waypoints", "_regions.geojson"
-ENDINGS = (MAP, METHODS, SLACKS, LISTS, REGIONS)
+ENDINGS = (MAP, GANTT, METHODS, SLACKS, LISTS, REGIONS)
 
 
 def beside(out: Path, ending: str) -> Path:
     """The file or folder of a plan at `out` with that ending."""
     return out.with_name(f"{out.stem}{ending}")
+
+
+def plan_gantt(system: System, edges: Sequence[EdgePlan]) -> Image:
+    """What each machine will do when, by the curves of the system as planned."""
+    from radiant_viewer.gantt_chart import gantt_picture
+
+    return gantt_picture(gantt_rows(system, edges), "Predicted stages", curves_note(system))
 
 
 def side_pictures(

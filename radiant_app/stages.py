@@ -12,8 +12,10 @@ from radiant_app.executors.emulated import EmulatedExecutor
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.nodes import read_notes
+from radiant_app.prediction_error import save_system
 from radiant_app.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.run_folder import Manifest
+from radiant_app.time_left import TimeLeftListener
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
@@ -71,6 +73,7 @@ def plan_stage(
             progress.listen(Decided(decision=decision))
         cloud_plan, edge_plans = _planned(config, system, positions)
     save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress, warnings))
+    save_system(config.out, system)
     return system, cloud_plan, edge_plans
 
 
@@ -136,6 +139,18 @@ def executor_of(config: RunConfig, system: System, progress: Progress, may_fail:
         progress.listen(Decided(decision=decision))
     local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=may_fail)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
+
+
+def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> Listener:
+    """`progress.listen` that also says after each device and edge how long the others will take."""
+    return TimeLeftListener(
+        listen=progress.listen,
+        system=system,
+        edge_plans=edge_plans,
+        num_workers=config.num_workers,
+        emulated=config.emulated,
+        clock=progress.clock,
+    )
 
 
 def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> System:

@@ -38,7 +38,7 @@ class BenchOptions:
     ablations: bool = False
     """Whether one thing at a time is switched off (train)."""
     plot: Path | None = None
-    """PNG for the curves (train), or the folder of the figures (plan)."""
+    """PNG for the curves (train, fed3dgs), or the folder of the figures (plan)."""
 
 
 def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
@@ -49,8 +49,8 @@ def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
         raise BadInput(f"--scene is for the benchmarks sfm, train, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
     if name != "train" and (options.presets or options.budgets_s or options.num_seeds or options.ablations):
         raise BadInput(f"--preset, --budget, --seeds and --ablations are for the benchmark train, not for {name}: leave them out.")
-    if options.plot is not None and name not in ("train", "plan"):
-        raise BadInput(f"--plot is for the benchmarks train and plan, not for {name}: leave it out.")
+    if options.plot is not None and name not in ("train", "plan", "fed3dgs"):
+        raise BadInput(f"--plot is for the benchmarks train, plan and fed3dgs, not for {name}: leave it out.")
     if options.plot is not None and not options.plot.parent.is_dir():
         raise BadInput(f"there is no folder {options.plot.parent} to write {options.plot.name} into: make it first.")
     if options.scene is None and name in _OF_A_RUN:
@@ -82,6 +82,10 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
 
         baseline = options.scene / "baseline.ply"
         return bench_borders(options.scene, baseline if baseline.is_file() else None)
+    if name == "fed3dgs":
+        from radiant_app.bench.fed3dgs import bench_fed3dgs
+
+        return bench_fed3dgs(options.quick, options.plot)
     if name == "raster":
         from radiant_app.bench.raster import bench_raster, build_description
 
@@ -97,7 +101,7 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         from radiant_app.bench.teachers import bench_teachers
 
         return bench_teachers(options.scene, options.quick)
-    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, borders, raster, train, upload or teachers.")
+    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, borders, fed3dgs, raster, train, upload or teachers.")
 
 
 def _measure_training(options: BenchOptions) -> Sequence[Metric]:

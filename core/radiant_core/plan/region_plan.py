@@ -145,11 +145,9 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
     """
     positions = checked_array("positions", positions, (len(edge_of_camera), 2))
     counts = np.bincount(edge_of_camera, minlength=len(system.edges))
-    means = [positions[edge_of_camera == index].mean(axis=0) if count else positions.mean(axis=0) for index, count in enumerate(counts)]
-    placed = [replace(edge, position=(float(x), float(y))) for edge, (x, y) in zip(system.edges, means, strict=True)]
-    plane = _plane(positions, System(edges=tuple(placed)))
+    plane = _plane(positions, _at_means(positions, edge_of_camera, system))
     fits = system_capacity(system, len(positions)) >= len(positions)
-    weights = _closed_where_unused(np.zeros(len(placed)), counts, plane)
+    weights = _closed_where_unused(np.zeros(len(counts)), counts, plane)
     return CloudPlan(
         method="captured",
         edge_ids=tuple(edge.id for edge in system.edges),
@@ -157,11 +155,41 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
         weights=weights,
         borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
         edge_of_camera=edge_of_camera,
-        edge_time_s=np.zeros(len(placed)),
+        edge_time_s=np.zeros(len(counts)),
         lower_bound_s=float(fastest_edge_counts(system, len(positions)).edge_time_s.max()) if fits else 0.0,
         status="stopped",
         certified=False,
     )
+
+
+def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
+    """Regions for cameras (C,2) m that belong to edges (C,): the power diagram of the edges' mean cameras with as many in each cell.
+
+    Which cameras lie in a cell may differ from `edge_of_camera`. Times and the lower bound are left at 0.
+    """
+    positions = checked_array("positions", positions, (len(edge_of_camera), 2))
+    counts = np.bincount(edge_of_camera, minlength=len(system.edges))
+    plane = _plane(positions, _at_means(positions, edge_of_camera, system))
+    weights = _closed_where_unused(_exact_partition(plane, counts, None).weights, counts, plane)
+    return CloudPlan(
+        method="captured",
+        edge_ids=tuple(edge.id for edge in system.edges),
+        sites=plane.sites + plane.centre,
+        weights=weights,
+        borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
+        edge_of_camera=edge_of_camera,
+        edge_time_s=np.zeros(len(counts)),
+        lower_bound_s=0.0,
+        status="stopped",
+        certified=False,
+    )
+
+
+def _at_means(positions: FloatArray, edge_of_camera: NDArray[np.int64], system: System) -> System:
+    """The system with every edge at the mean of its cameras, of all where it has none."""
+    counts = np.bincount(edge_of_camera, minlength=len(system.edges))
+    means = [positions[edge_of_camera == index].mean(axis=0) if count else positions.mean(axis=0) for index, count in enumerate(counts)]
+    return System(edges=tuple(replace(edge, position=(float(x), float(y))) for edge, (x, y) in zip(system.edges, means, strict=True)))
 
 
 def _plane(positions: ArrayLike, system: System) -> _Plane:

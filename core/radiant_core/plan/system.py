@@ -102,6 +102,11 @@ class Edge:
         joined_s = float(self.aggregate_s(num_cameras))
         return joined_s if num_devices > 1 or self.aggregate_alone_s is None else min(joined_s, float(self.aggregate_alone_s(num_cameras)))
 
+    def with_aggregation_scaled(self, factor: float) -> Edge:
+        """The same edge that aggregates `factor` times as long."""
+        alone = None if self.aggregate_alone_s is None else self.aggregate_alone_s.scaled(factor)
+        return replace(self, aggregate_s=self.aggregate_s.scaled(factor), aggregate_alone_s=alone)
+
     @property
     def workers(self) -> tuple[Device, ...]:
         """What the cost model reckons with: the devices, or one in place of those that are not known."""
