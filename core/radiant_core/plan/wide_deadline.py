@@ -25,6 +25,8 @@ SMALL_TABLE_ENTRIES = 60_000
 """Cameras × devices up to which whole tables are quicker."""
 _GRID_RATIO = 1.05
 _DEADLINES = 128
+_DEADLINE_ERROR = 1e-9
+"""Of the guessed deadline; far inside the first window."""
 _FIRST_WINDOW = 0.01
 
 Indices = NDArray[np.int64]
@@ -164,7 +166,9 @@ class _Fleet:
         shares = np.linspace(0, 1, _DEADLINES)
         deadlines = np.where(first_s[:, None] > 0, first_s[:, None] * (last_s / np.maximum(first_s, 1e-300))[:, None] ** shares, 0.0)
         deadlines = np.where(first_s[:, None] > 0, deadlines, last_s[:, None] * shares**4)
-        quotas = np.stack([_interpolated(times, counts, deadline[self.edge_of_device]) for deadline in deadlines.T], axis=1)
+        quotas = np.zeros((len(times), _DEADLINES))
+        for device in np.flatnonzero(self.limits > 0):
+            quotas[device] = np.interp(deadlines[self.edge_of_device[device]], times[device], counts[device], left=0.0)
         totals = np.add.reduceat(quotas, self.starts, axis=0)
         sent = np.add.reduceat(self.model_bytes(quotas), self.starts, axis=0) / self.edge_uplink[:, None]
         edge_time = np.maximum.accumulate(deadlines + self.aggregate(totals) + sent, axis=1)
@@ -172,7 +176,7 @@ class _Fleet:
         low, high = 0.0, float(edge_time.max())
         for _ in range(200):
             middle = (low + high) / 2
-            if not low < middle < high:
+            if high - low <= _DEADLINE_ERROR * high:
                 break
             taken = _interpolated(edge_time, totals, np.full(len(self.starts), middle)).sum()
             low, high = (low, middle) if taken >= self.num_cameras else (middle, high)
