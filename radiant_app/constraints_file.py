@@ -57,6 +57,8 @@ def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
         constraints = PlanConstraints(fixed_weights_m2=file.fixed_weights_m2, locked=tuple(file.locked), pinned=pinned)
         if not constraints:
             raise BadInput("it fixes, locks and pins nothing: give locked, fixed_weights_m2 or pinned.")
+        if file.plan is not None and not (path.parent / file.plan).is_file():
+            raise BadInput(f"there is no plan {file.plan} beside it: correct `plan`, the file to start from.")
     except ValidationError as error:
         raise BadInput(f"{path}: {sentence(error, 'constraints file')}") from error
     except BadInput as error:

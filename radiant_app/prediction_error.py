@@ -28,8 +28,10 @@ from radiant_core.plan.prediction import (
     planned_stages,
     stage_errors,
 )
-from radiant_core.plan.system import System
+from radiant_core.plan.system import Device, System
 
+MAX_NAMES = 6
+"""How many machines a sentence names."""
 SYSTEM_NAME = "system.toml"
 """The system a run or plan was planned for, edges placed: in a run's folder."""
 
@@ -77,15 +79,35 @@ def measured_seconds(run: Path, manifest: Manifest) -> dict[tuple[str, str], flo
 
 
 def curves_note(system: System) -> str:
-    """What the predictions rest on, one sentence."""
+    """What the predictions rest on: a sentence for each kind of curves."""
     standard = even_system(1, 1)
     shape = curve_shape((standard.devices[0].init_s, standard.devices[0].train_s))
-    guessed = [device.id for device in system.devices if curve_shape((device.init_s, device.train_s)) == shape]
-    edges = [edge.id for edge in system.edges if edge.aggregate_s == standard.edges[0].aggregate_s]
-    if not guessed and not edges:
-        return "The curves are those of the system file; that they were measured on this machine and for this training is for it to say."
-    names = ", ".join((*guessed, *edges)) if len(guessed) + len(edges) < len(system.devices) + len(system.edges) else "all machines"
-    return f"The curves of {names} are a system file's defaults: guesses, not measured on this machine (`radiant profile` measures it)."
+    groups: dict[str, list[str]] = {"default": [], "own": []}
+    for machine in (*system.devices, *system.edges):
+        is_default = (
+            curve_shape((machine.init_s, machine.train_s)) == shape
+            if isinstance(machine, Device)
+            else machine.aggregate_s == standard.edges[0].aggregate_s
+        )
+        groups.setdefault(machine.origin or ("default" if is_default else "own"), []).append(machine.id)
+    sentences: list[str] = []
+    for origin, names in groups.items():
+        if not names:
+            continue
+        whose = "all machines" if len(names) == len(system.devices) + len(system.edges) else _listed(names)
+        kind, _, name = origin.partition(" ")
+        known = {
+            "default": "are a system file's defaults: guesses, not measured on this machine (`radiant profile` measures it)",
+            "own": "are those of the system file; that they were measured on this machine and for this training is for it to say",
+            "measured": f"were measured, profile {name}",
+            "estimate": f"are estimates, never measured, profile {name}",
+        }
+        sentences.append(f"The curves of {whose} {known[kind]}.")
+    return " ".join(sentences)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= MAX_NAMES else f"{', '.join(names[:MAX_NAMES])} and {len(names) - MAX_NAMES} more"
 
 
 def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None = None, manifest: Manifest | None = None) -> list[Any]:

@@ -22,6 +22,7 @@ from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.plan_command import moved_when_whole
 from radiant_app.plan_pictures import GANTT, LISTS, MAP, REGIONS, beside
 from radiant_app.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
+from radiant_app.predictions import depends_on_training, planned_training, with_camera_limits
 from radiant_app.progress import ProgressDisplay
 from radiant_app.run_folder import Manifest, read_manifest
 from radiant_app.sources import load_scene_of
@@ -40,6 +41,7 @@ from radiant_core.plan.prediction import corrected_system, planned_stages
 from radiant_core.plan.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
+from radiant_core.train.needs import Overrides
 
 MOVED, SYSTEM = "_moved.csv", "_system.toml"
 ENDINGS = (MAP, GANTT, MOVED, SYSTEM, LISTS, REGIONS)
@@ -103,6 +105,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
     before = _of_run(request) if request.source.is_dir() else _of_plan(request)
     joining = None if request.join is None else load_system(request.join)
     placed = place_edges(_grown(before, joining), before.positions[:, :2], before.origin, request.seed)
+    placed, warnings = _within_memory(placed, len(before.positions))
     old, joined = _parted(placed, before.system)
     positions = before.positions[:, :2]
     with stage_bar(display, "replan") as report:
@@ -121,7 +124,15 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
             raise BadInput(f"replan: {new.reason}")
         report(1, 2, "writing")
         _write(request.out, before, new)
-    return _summary(request.out, before, new)
+    return _summary(request.out, before, new, warnings)
+
+
+def _within_memory(system: System, num_positions: int) -> tuple[System, tuple[str, ...]]:
+    """The system with as many positions per device as its memory holds where it says no number, for the default training, and warnings."""
+    if not depends_on_training(system):
+        return system, ()
+    limited, _, warnings = with_camera_limits(system, planned_training("default", Overrides()), num_positions)
+    return limited, warnings
 
 
 def _grown(before: _Before, joining: System | None) -> System:
@@ -267,9 +278,9 @@ def _moved_csv(before: _Before, new: Replan) -> str:
     return text.getvalue()
 
 
-def _summary(out: Path, before: _Before, new: Replan) -> dict[str, Any]:
+def _summary(out: Path, before: _Before, new: Replan, told: tuple[str, ...]) -> dict[str, Any]:
     lost, num_devices = int(new.lost.sum()), len(new.system.devices)
-    warnings: list[str] = []
+    warnings = list(told)
     if lost:
         warnings.append(f"{lost} captured positions of dead devices are lost: leave them out of --captured to have them taken again.")
     if not new.fewest_proved:

@@ -26,7 +26,8 @@ The planner believes the costs, an emulation plays `speed`: a device that is to 
 
 In place of costs, a device or edge may have profile = "rtx-3090" of the library (`radiant profile --list`) or profile = "mine.toml", a
 curve file of `radiant profile` relative to this one: its costs and, where the file says none, its memory come from there. An edge may also
-have aggregate_alone_s: what it costs where one device has all its cameras, so that nothing is retrained.
+have aggregate_alone_s: what it costs where one device has all its cameras, so that nothing is retrained. Where a run or plan writes its
+system, the costs stand there as numbers and costs_from says which profile they are of: "measured mine.toml", "estimate rtx-3090".
 
 For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model sent) and `max_cameras` in place of
 devices, uplink and aggregate_s: the cloud plans its region, and it deals its cameras itself, later, with a system file of its own.
@@ -75,9 +76,13 @@ class _Curve(Strict):
         )
 
 
+_Origin = Annotated[str, Field(pattern=r"^(measured|estimate) \S.*$")]
+
+
 class _Device(Strict):
     id: str
     profile: str | None = None
+    costs_from: _Origin | None = None
     init_s: _Curve = _Curve(linear=0.1)
     train_s: _Curve = _Curve(constant=20.0, linear=1.0)
     model_mb: _Curve = _Curve(linear=0.5)
@@ -105,6 +110,7 @@ class _Device(Strict):
             memory_bytes=memory_bytes,
             speed=self.speed,
             profile=profile,
+            costs_from=self.costs_from,
         )
 
 
@@ -114,6 +120,7 @@ class _Edge(Strict):
     lat_lon_deg: _Pair | None = None
     uplink_mbit_per_s: _Positive = 100.0
     profile: str | None = None
+    costs_from: _Origin | None = None
     aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
     aggregate_alone_s: _Curve | None = None
     speed: _Share | None = None
@@ -128,7 +135,7 @@ class _Edge(Strict):
             raise BadInput(
                 f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
             )
-        surplus = self.model_fields_set & {"profile", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed"}
+        surplus = self.model_fields_set & {"profile", "costs_from", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed"}
         if self.time_s is not None and surplus:
             raise BadInput(f"edge {self.id!r} has time_s, its whole time, and {min(surplus)} too: remove one of them.")
         profile = _profile_of(self, f"edge {self.id!r}", ("aggregate_s", "aggregate_alone_s"), folder)
@@ -148,6 +155,7 @@ class _Edge(Strict):
             speed=self.speed,
             aggregate_alone_s=alone,
             profile=profile,
+            costs_from=self.costs_from,
             time_s=None if self.time_s is None else self.time_s.scaled(1.0),
             max_cameras=self.max_cameras,
         )
@@ -157,7 +165,7 @@ def _profile_of(table: _Device | _Edge, owner: str, costs: tuple[str, ...], fold
     """The profile that a device or edge names; BadInput where a cost stands beside it."""
     if table.profile is None:
         return None
-    beside = [name for name in costs if name in table.model_fields_set]
+    beside = [name for name in (*costs, "costs_from") if name in table.model_fields_set]
     if beside:
         raise BadInput(f"{owner} has both profile and {beside[0]}: keep one of them.")
     try:
@@ -201,7 +209,7 @@ def load_system(path: Path, *, curves: bool = False) -> System:
 
 
 def dump_system(system: System) -> str:
-    """The system as TOML text that `load_system` reads back, curves written out, without the profiles they came from."""
+    """The system as TOML text that `load_system` reads back, curves written out, of the profiles they came from kind and name alone."""
     return "\n".join([*(line for edge in system.edges for line in _edge_lines(edge)), *_cloud_lines(system.cloud)]) + "\n"
 
 
@@ -226,6 +234,7 @@ def _edge_lines(edge: Edge) -> list[str]:
     lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}", *_speed_lines(edge)]
     if edge.aggregate_alone_s is not None:
         lines.append(f"aggregate_alone_s = {_inline(edge.aggregate_alone_s, 1.0)}")
+    lines += _origin_lines(edge)
     return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
 
 
@@ -240,6 +249,7 @@ def _device_lines(device: Device) -> list[str]:
         *([] if device.max_cameras is None else [f"max_cameras = {device.max_cameras}"]),
         *([] if device.memory_bytes is None else [f"memory_gb = {device.memory_bytes / _BYTES_PER_GB}"]),
         *_speed_lines(device),
+        *_origin_lines(device),
     ]
 
 
@@ -255,6 +265,10 @@ def _cloud_lines(cloud: Cloud) -> list[str]:
 
 def _speed_lines(machine: Device | Edge) -> list[str]:
     return [] if machine.speed is None else [f"speed = {float(machine.speed)}"]
+
+
+def _origin_lines(machine: Device | Edge) -> list[str]:
+    return [] if machine.origin is None else [f"costs_from = {json.dumps(machine.origin, ensure_ascii=False)}"]
 
 
 def _bandwidth_line(bytes_per_s: float) -> str:

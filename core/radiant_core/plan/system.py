@@ -37,6 +37,13 @@ class Device:
     """Share of one core, at most 1, when the system is emulated; what that means for the curves above is theirs to say."""
     profile: Profile | None = None
     """What the three curves come from; None where they were spelt out."""
+    costs_from: str | None = None
+    """"measured NAME" or "estimate NAME" where the curves were copied from that profile."""
+
+    @property
+    def origin(self) -> str | None:
+        """Kind and name of the profile that the curves are or were copied from, None where they were spelt out."""
+        return _origin(self.profile, self.costs_from)
 
     def __post_init__(self) -> None:
         _require_id("device", self.id)
@@ -75,6 +82,8 @@ class Edge:
     """F_m where one device has all the edge's cameras and nothing is retrained, at most `aggregate_s`; None: the same."""
     profile: Profile | None = None
     """What the curves of aggregation come from; None where they were spelt out."""
+    costs_from: str | None = None
+    """As a device's."""
     time_s: CostCurve | None = None
     """T^m, seconds against cameras from the first photograph to the model sent, instead of devices."""
     max_cameras: int | None = None
@@ -96,6 +105,11 @@ class Edge:
             raise BadInput(f"edge {self.id!r} has time_s, its whole time, and devices or aggregate_s too: give one or the other.")
         elif self.max_cameras is not None and self.max_cameras < 0:
             raise BadInput(f"edge {self.id!r}: max_cameras is {self.max_cameras}, expected at least 0.")
+
+    @property
+    def origin(self) -> str | None:
+        """As a device's."""
+        return _origin(self.profile, self.costs_from)
 
     def aggregation_s(self, num_cameras: int, num_devices: int) -> float:
         """F_m for cameras that so many devices have."""
@@ -175,6 +189,10 @@ class System:
             return replace(edge, devices=tuple(replace(d, model_bytes=d.model_bytes.scaled(factor)) for d in edge.devices))
 
         return replace(self, edges=tuple(resized(edge) for edge in self.edges))
+
+
+def _origin(profile: Profile | None, costs_from: str | None) -> str | None:
+    return costs_from if profile is None else f"{profile.kind} {profile.name}"
 
 
 def _require_id(kind: str, name: str) -> None:

@@ -140,3 +140,36 @@ def test_no_sample_changes_nothing() -> None:
     lonely = System(edges=(edge("a", 0, free),))
     nothing = planned_stages(lonely, planned(lonely, 3)[1])
     assert corrected_system(lonely, nothing, {("devices/a1", "train"): 5.0}) == lonely
+
+
+def test_an_edge_known_by_its_curve_is_one_stage_and_a_lone_device_joins_alone() -> None:
+    curve = CostCurve(constant=7.0, linear=2.0)
+    far = Edge(id="far", position=(0.0, 0.0), aggregate_s=CostCurve(), uplink_bytes_per_s=1e6, devices=(), time_s=curve)
+    worker = Device(id="d", init_s=CostCurve(), train_s=CostCurve(linear=1.0), model_bytes=CostCurve(), uplink_bytes_per_s=1e6)
+    joined, alone = CostCurve(constant=9.0), CostCurve(constant=1.0)
+    near = Edge(
+        id="near",
+        position=(9.0, 0.0),
+        aggregate_s=joined,
+        aggregate_alone_s=alone,
+        uplink_bytes_per_s=1e6,
+        devices=(worker, replace(worker, id="idle")),
+    )
+    plans = [
+        EdgePlan(
+            edge_id=name,
+            device_ids=devices,
+            camera_indices=np.arange(5 * start, 5 * start + 5),
+            device_of_camera=np.full(5, 0 if devices else -1),
+            strips=tuple(np.zeros((0, 2)) for _ in devices),
+            device_time_s=np.zeros(len(devices)),
+            dealt=bool(devices),
+        )
+        for start, (name, devices) in enumerate((("far", ()), ("near", ("d", "idle"))))
+    ]
+    system = System(edges=(far, near))
+    rows = {(row.node, row.stage): row.seconds for row in planned_stages(system, plans)}
+    assert rows["edges/far", "whole"] == 17.0 and ("edges/far", "aggregate") not in rows
+    assert rows["edges/near", "aggregate"] == 1.0
+    mended = corrected_system(system, planned_stages(system, plans), {("edges/near", "aggregate"): 2.0}).edges[1]
+    assert mended.aggregation_s(5, 1) == 2.0 and mended.aggregation_s(5, 2) == 18.0

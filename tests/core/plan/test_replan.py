@@ -300,3 +300,25 @@ def test_twenty_thousand_positions_are_replanned_in_seconds() -> None:
     assert gone <= result.moved.sum() <= 1.4 * gone
     assert len(result.cloud.borders[7]) == 0, "nobody owns the land of a dead edge"
     assert result.cloud.makespan_s <= 1.01 * result.cloud.lower_bound_s * (1 + 1e-9)
+
+
+def test_an_edge_that_need_not_join_is_counted_so_and_stays_within_the_deadline() -> None:
+    """Where one device has all positions of its edge nothing is retrained: against all quotas of one edge with two devices."""
+    first, second = device("a", 1.0), device("b", 0.3)
+    one = replace(edge("one", (0.0, 0.0), first, second), aggregate_alone_s=CostCurve(constant=0.5))
+    for num_positions in (1, 2, 3, 5, 8, 13):
+        plan = made(System(edges=(one,)), num_positions)
+        result = solved(plan.replanned(Situation(slow={"a": 1.01})))
+        slowed = result.system.edges[0]
+
+        def time_s(quotas: tuple[int, int], edge: Edge = slowed) -> float:
+            pairs = list(zip(edge.devices, quotas, strict=True))
+            ready_s = max(float(device_time_s(d, n)) if n else 0.0 for d, n in pairs)
+            sent = sum(float(d.model_bytes(n)) for d, n in pairs)
+            return ready_s + edge.aggregation_s(sum(quotas), sum(n > 0 for n in quotas)) + sent / edge.uplink_bytes_per_s
+
+        found = counts(result)
+        assert result.cloud.makespan_s == pytest.approx(time_s((found["a"], found["b"])), rel=1e-12)
+        # As in `radiant plan`: quotas of the fastest devices, with what they then need to join.
+        assert result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)
+        assert not result.fewest_proved or num_positions == 0
