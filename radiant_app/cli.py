@@ -12,6 +12,11 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
+from radiant_app.cli_plan import plan
+from radiant_app.cli_profile import profile
+from radiant_app.cli_replan import replan_plan
+from radiant_app.option_types import BenchPlot, BenchScene
+from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
 
 app = typer.Typer(
@@ -162,30 +167,14 @@ def sfm(
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
 
-    _finish(commands.sfm(source, out, matching, _listener(), masks), as_json)
+    finish(commands.sfm(source, out, matching, _listener(), masks), as_json)
 
 
-@app.command()
-def plan(
-    source: Annotated[
-        Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, or a run.", show_default=False)
-    ],
-    out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
-    system: SystemFile = None,
-    plan_method: Annotated[PlanMethod, typer.Option(help=_PLAN_HELP)] = "exact",
-    compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
-    seed: Seed = 0,
-    as_json: AsJson = False,
-) -> None:
-    """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
-    from radiant_app.plan_command import PlanRequest, method_table
-    from radiant_app.plan_command import plan as make_plan
+app.command()(plan)
+app.command()(profile)
 
-    request = PlanRequest(source=source, out=out, system=system, method=plan_method, seed=seed, compare=compare)
-    result = make_plan(request, _listener())
-    if compare and not as_json:
-        typer.echo(method_table(result.pop("methods")))
-    _finish(result, as_json)
+
+app.command("replan")(replan_plan)
 
 
 @app.command()
@@ -235,7 +224,7 @@ def train(
     with _listener() as listener:
         result = run_training(request, listener, resume=resume)
     if as_json or "psnr_db" not in result:
-        _finish(result, as_json)
+        finish(result, as_json)
         return
     typer.echo(f"held-out {result['psnr_db']:.2f} dB, {result['num_gaussians']:,} Gaussians")
     typer.echo(f"model: {out / 'scene.ply'}")
@@ -252,7 +241,7 @@ def aggregate(
     """Join the device models of a run once more, in another way."""
     from radiant_app import commands
 
-    _finish(commands.aggregate(run_folder, out, aggregate_preset, epochs, _listener()), as_json)
+    finish(commands.aggregate(run_folder, out, aggregate_preset, epochs, _listener()), as_json)
 
 
 @app.command()
@@ -266,7 +255,7 @@ def render(
     """Pictures of a model from given cameras."""
     from radiant_app import commands
 
-    _finish(commands.render(model, out, cameras, long_side_px, _listener()), as_json)
+    finish(commands.render(model, out, cameras, long_side_px, _listener()), as_json)
 
 
 @app.command()
@@ -296,8 +285,8 @@ def evaluate(
     )
     result = score(request, _listener())
     if not as_json:
-        _print_figures(result)
-    _finish(result, as_json)
+        print_figures(result)
+    finish(result, as_json)
 
 
 @app.command()
@@ -329,22 +318,24 @@ def export(
 
 @app.command()
 def bench(
-    name: Annotated[Literal["sfm", "plan", "raster", "train", "upload", "teachers"], typer.Argument(help="What to measure.")],
+    name: Annotated[
+        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "upload", "teachers"],
+        typer.Argument(help="What to measure."),
+    ],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
-    scene: Annotated[
-        Path | None,
-        typer.Option(
-            help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; upload, teachers: a finished run."
-        ),
-    ] = None,
+    scene: BenchScene = None,
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of the rasterizer; all cores without it.")] = None,
     preset: Annotated[list[str] | None, typer.Option(help="train: presets to compare, else default and standard.")] = None,
     budget: Annotated[list[float] | None, typer.Option(min=0.1, help="train: CPU seconds, else 60, 180 and 600.")] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train: models per preset and budget.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train, methods: models of each kind.")] = None,
     long_side_px: LongSide = None,
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="train: PNG of the curves.")] = None,
+    plot: BenchPlot = None,
+    method: Annotated[list[str] | None, typer.Option(help="methods: those to compare, else all.")] = None,
+    layout: Annotated[str, typer.Option(help="methods: edges x devices per edge.")] = "2x2",
+    placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
+    out: Annotated[Path | None, typer.Option("--out", help="methods: folder of models and rows; a later call goes on there.")] = None,
 ) -> None:
     """Run time beside error."""
     from radiant_app.bench.runner import BenchOptions, run_bench
@@ -359,6 +350,10 @@ def bench(
         long_side_px=long_side_px,
         ablations=ablations,
         plot=plot,
+        methods=tuple(method or ()),
+        layout=layout,
+        num_placements=placements,
+        out=out,
     )
     run_bench(name, json_file, options)
 
@@ -437,7 +432,7 @@ def _run_batch(context: typer.Context, source: Path, out: Path | None, resume: b
     if as_json:
         typer.echo(json.dumps(result.record))
     else:
-        _print_summary(result)
+        print_summary(result)
     raise typer.Exit(result.exit_code)
 
 
@@ -446,39 +441,6 @@ def _job_display(title: str) -> Iterator[Any]:
     typer.echo(title, err=True)
     with _listener() as listener:
         yield listener
-
-
-def _print_summary(result: Any) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("job", "status", "time (s)", "PSNR (dB)", "Gaussians", "result")
-    for job in result.jobs:
-        figures = [job.seconds, job.figures.get("psnr_db"), job.figures.get("num_gaussians")]
-        texts = ["" if value is None else form.format(value) for form, value in zip(("{:.1f}", "{:.2f}", "{:,}"), figures, strict=True)]
-        table.add_row(job.name, job.status, *texts, job.message or (job.out if job.exit_code == 0 else ""))
-    Console().print(table, markup=False)
-    typer.echo(f"summary: {result.folder / 'summary.html'}")
-
-
-def _print_figures(result: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    forms = {"psnr_db": "{:.2f}", "ssim": "{:.4f}", "psnr_cc_db": "{:.2f}", "ssim_cc": "{:.4f}", "flip": "{:.4f}", "lpips": "{:.4f}"}
-    table = Table("photograph", *forms)
-    for row in (*result["images"], {"name": "mean", **result}, {"name": "median", **result["median"]}):
-        table.add_row(row["name"], *("" if row[figure] is None else form.format(row[figure]) for figure, form in forms.items()))
-    Console().print(table, markup=False)
-
-
-def _finish(result: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        typer.echo(json.dumps(result))
-        return
-    for key, value in result.items():
-        if not isinstance(value, list | dict):
-            typer.echo(f"{key}: {value}")
 
 
 def _listener() -> Any:

@@ -54,6 +54,15 @@ class MemoryPeaked:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TimeLeft:
+    """How long all devices and edges will still take, after the node `after` ended; `correction`: what remains, over what was planned."""
+
+    seconds: float
+    correction: float
+    after: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class StageSkipped:
     """A stage was finished by an earlier run and its files are intact."""
 
@@ -85,7 +94,7 @@ class Failed:
     exit_code: int
 
 
-Event = StageStarted | StageProgress | StageDone | MemoryPeaked | StageSkipped | Warned | Decided | Failed
+Event = StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
 Listener = Callable[[Event], None]
 
 _TYPES: dict[str, Any] = {kind.__name__: kind for kind in get_args(Event)}

@@ -25,7 +25,17 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field_dealing import DeviceShare, FieldDealer, Scorer
 from radiant_app.field_results import collect_scores, save_delivered
-from radiant_app.stages import Progress, executor_of, plan_around, plan_stage, training_settings, with_uploads
+from radiant_app.prediction_error import save_system
+from radiant_app.stages import (
+    Progress,
+    counting_down,
+    executor_of,
+    plan_around,
+    plan_stage,
+    tell_warnings,
+    training_settings,
+    with_uploads,
+)
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
@@ -103,7 +113,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
     positions = {"positions", *(f"positions/{device}" for device in folders or ())}
     progress.manifest.keep_stages({*positions, *scores, *(node.id for node in tree)})
-    executor.fold(tree, dealer.prepare, progress.listen)
+    executor.fold(tree, dealer.prepare, counting_down(config, system, edge_plans, progress))
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
         raise StageFailed("no device delivered a model. " + " ".join(f"{name}: {reason}" for name, reason in missing.items()))
@@ -259,7 +269,8 @@ def _planned(
             devices = device_indices(owners, system)
             cloud_plan, edge_plans = plan_of_owners(regions, strips, devices, positions, system=system)
             _tell_taken_for_others(owners, taken_for_others(strips, planned, devices, positions), progress)
-        save_plan(config.out / "plan.json", cloud_plan, edge_plans)
+        save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress))
+        save_system(config.out, system)
         idle = [device.id for device in system.devices if device.id not in folders]
         for device in idle:
             progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs, it takes no part."))

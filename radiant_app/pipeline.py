@@ -23,9 +23,10 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field import run_in_the_field
 from radiant_app.memory import peak_bytes
+from radiant_app.prediction_error import prediction_of
 from radiant_app.run_folder import Manifest, opened_run
 from radiant_app.sources import detect_source, source_files
-from radiant_app.stages import Progress, executor_of, plan_stage, require_plan, training_settings, with_uploads
+from radiant_app.stages import Progress, counting_down, executor_of, plan_stage, require_plan, training_settings, with_uploads
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
@@ -34,7 +35,7 @@ from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
 from radiant_core.evaluate.lpips import MIN_SIDE_PX, LpipsNetwork, load_lpips, save_lpips
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
-from radiant_core.io.records import load_scene, save_splats
+from radiant_core.io.records import load_plan, load_scene, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import System
@@ -127,7 +128,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
-    executor_of(config, system, progress).fold(tree, dealer.prepare, progress.listen)
+    executor_of(config, system, progress).fold(tree, dealer.prepare, counting_down(config, system, edge_plans, progress))
     progress.manifest.ledger = dealer.ledger
     missing = dealer.missing()
     if not any(dealer.delivered(node) for node in tree if node.tier == "edge"):
@@ -183,7 +184,8 @@ def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan, more: d
     result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
     planned = {"planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
+    prediction = prediction_of(run, manifest, load_plan(run / "plan.json")[1])
     peaks = {**manifest.peak_bytes, "run": peak_bytes()}
-    metrics = {**result, "seconds": seconds, "peak_bytes": peaks, **planned, **more}
+    metrics = {**result, "seconds": seconds, "peak_bytes": peaks, **planned, "prediction": prediction, **more}
     write_json(run / "metrics.json", metrics)
     return metrics

@@ -8,16 +8,21 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
+from radiant_app.constraints_file import load_constraints
+from radiant_app.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
+from radiant_app.plan_pictures import ENDINGS, GANTT, LISTS, MAP, METHODS, REGIONS, SLACKS, beside, plan_gantt, side_pictures
+from radiant_app.plan_tables import method_row
+from radiant_app.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.progress import ProgressDisplay
 from radiant_app.sources import load_scene_of
 from radiant_app.system_file import even_system, load_system
@@ -32,7 +37,17 @@ from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.system import System
+from radiant_core.plan.waypoints import Waypoints
+from radiant_core.train.config import Preset
+from radiant_core.train.needs import Overrides
+
+if TYPE_CHECKING:
+    from radiant_viewer.images import Image
+
+if TYPE_CHECKING:
+    from radiant_viewer.images import Image
 
 Report = Callable[[float, float, str], None]
 PHASES = ("reading positions", "planning", "drawing", "writing")
@@ -51,13 +66,30 @@ class PlanRequest:
     seed: int
     compare: bool = False
     """Whether all other methods are measured on the same positions."""
+    train_preset: Preset = "default"
+    """What will be trained: it decides how many photographs memory holds, and whether the machines' curves are of that training."""
+    overrides: Overrides = Overrides()
+    """Sizes and steps of that training."""
+    slack: float | None = None
+    """Factor on the shortest makespan that the plan may take where that brings cameras nearer to their edges."""
+    slack_curve: bool = False
+    """Whether several slacks are planned, too, for a table and a picture of what each buys."""
+    constraints: Path | None = None
+    """File of what is fixed, locked or pinned."""
+    content: ContentRequest = field(default_factory=ContentRequest)
+    """What is known of cameras and ground, and which buffer captures are wanted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plan:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
+    system: System
+    """As planned, its edges placed."""
     compared: tuple[Compared, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """What its predictions are to be taken with."""
+    curve: tuple[SlackPoint, ...] = ()
 
 
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -66,7 +98,7 @@ def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
     Raises BadInput with one sentence when the input, the system or the place to write to cannot be used; nothing stays behind.
     """
     _require_places(request.out)
-    system = even_system(2, 2) if request.system is None else load_system(request.system)
+    system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
     with stage_bar(display, "plan") as report:
         report(0, len(PHASES), PHASES[0])
         if _is_scene(request.source):
@@ -81,41 +113,60 @@ def _is_scene(source: Path) -> bool:
 
 def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[str, Any]:
     """Plan the training cameras of a scene; the plan and its picture."""
-    from radiant_viewer.images import save_png
     from radiant_viewer.views import plan_picture
 
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
-    made = _made_plan(scene.cameras.centers[:, :2], origin, system, request, report)
+    positions = scene.cameras.centers[:, :2]
+    made = _made_plan(positions, origin, system, request, report, scene.cameras.names)
+    content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    picture = plan_picture(scene, made.cloud, made.edges)
+    pictures = side_pictures(positions, scene.frame.unit, made.cloud, made.compared, made.curve)
+    pictures[GANTT] = plan_gantt(made.system, made.edges)
+    pictures[MAP] = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    with _moved_when_whole(request.out.parent) as folder:
-        save_png(folder / _picture(request.out).name, picture)
-        save_plan(folder / request.out.name, made.cloud, made.edges)
-    return _summary(request.out, made, ())
+    _write(request.out, made, content, pictures)
+    return {**_summary(request.out, made, ()), **content.summary()}
 
 
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
     """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
-    from radiant_viewer.images import save_png
     from radiant_viewer.views import waypoint_plan_picture
 
     waypoints = found.waypoints
     positions = waypoints.positions_m
-    made = _made_plan(positions[:, :2], waypoints.origin, system, request, report)
+    made = _made_plan(positions[:, :2], waypoints.origin, system, request, report, waypoints.names)
+    content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
-    picture = waypoint_plan_picture(positions, made.cloud, made.edges)
+    pictures = side_pictures(positions[:, :2], "m", made.cloud, made.compared, made.curve)
+    pictures[GANTT] = plan_gantt(made.system, made.edges)
+    pictures[MAP] = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
     report(3, len(PHASES), PHASES[3])
-    with _moved_when_whole(request.out.parent) as folder:
-        save_png(folder / _picture(request.out).name, picture)
-        lists = folder / _lists(request.out).name
-        lists.mkdir()
-        save_device_waypoints(lists, made.cloud, made.edges, waypoints)
-        save_regions_geojson(folder / _regions(request.out).name, made.cloud, made.edges, waypoints)
-        save_plan(folder / request.out.name, made.cloud, made.edges, waypoints)
-    written = {"waypoints": str(_lists(request.out)), "regions": str(_regions(request.out))}
-    return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **written}
+    _write(request.out, made, content, pictures, waypoints)
+    written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
+    return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **content.summary(), **written}
+
+
+def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:
+    from radiant_viewer.images import save_png
+
+    with moved_when_whole(out.parent) as folder:
+        for ending, picture in pictures.items():
+            save_png(beside(folder / out.name, ending), picture)
+        if waypoints is not None:
+            lists = beside(folder / out.name, LISTS)
+            lists.mkdir()
+            save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
+            save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers)
+        save_plan(
+            folder / out.name,
+            made.cloud,
+            made.edges,
+            waypoints,
+            slack_curve=made.curve,
+            warnings=made.warnings,
+            content=content.record(),
+        )
 
 
 def _positions_of(source: Path, report: Report) -> FoundWaypoints:
@@ -137,19 +188,41 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
     return replace(found, waypoints=kept, warnings=(*found.warnings, note))
 
 
-def _made_plan(positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report) -> _Plan:
+def _made_plan(
+    positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report, names: Sequence[str]
+) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     system = place_edges(system, positions, origin, request.seed)
-    cloud = plan_regions(positions, system, method=request.method)
+    training, warnings = None, ()
+    if depends_on_training(system):
+        train = planned_training(request.train_preset, request.overrides)
+        training = training_key_of(train, request.train_preset)
+        system, _, warnings = with_camera_limits(system, train, len(positions))
+    given = None if request.constraints is None else load_constraints(request.constraints, names)
+    start, constraints = (None, None) if given is None else (given.start, given.constraints)
+    cloud = plan_regions(positions, system, method=request.method, slack=request.slack, constraints=constraints, start=start)
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
     compared = compare(positions, system) if request.compare else ()
-    return _Plan(cloud=cloud, edges=split_edges(positions, cloud, system), compared=compared)
+    curve: tuple[SlackPoint, ...] = ()
+    if request.slack_curve:
+        curve = slack_curve(positions, system, progress=lambda share: report(1 + share, len(PHASES), PHASES[1]))
+    edges = split_edges(positions, cloud, system)
+    if training is not None:
+        warnings = (*warnings, *prediction_warnings(system, edges, training))
+    return _Plan(cloud=cloud, edges=edges, system=system, compared=compared, warnings=warnings, curve=curve)
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
     cloud = made.cloud
+    warnings = (*warnings, *made.warnings)
     idle = [name for plan in made.edges for name in plan.device_ids if not len(plan.cameras_of(name))]
+    later = [plan.edge_id for plan in made.edges if not plan.dealt]
+    if later:
+        warnings = (*warnings, f"Dealt by the edge itself, later: {', '.join(later)}.")
+    if cloud.constrained:
+        outside = f"{cloud.num_outside} cameras lie outside their region as drawn" if cloud.num_outside else "all cameras in their regions"
+        warnings = (*warnings, f"Planned around constraints: {'; '.join(cloud.constrained)}; {outside}.")
     if idle:
         warnings = (*warnings, f"Devices without anything to capture: {', '.join(idle)}.")
     return {
@@ -160,55 +233,22 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
         "warnings": " ".join(warnings) or "none",
         "plan": str(out),
-        "picture": str(_picture(out)),
-        **({"methods": [_row(row) for row in made.compared]} if made.compared else {}),
+        "picture": str(beside(out, MAP)),
+        "gantt": str(beside(out, GANTT)),
+        **({"methods": [method_row(row) for row in made.compared], "comparison": str(beside(out, METHODS))} if made.compared else {}),
+        **({"slack_curve": [asdict(point) for point in made.curve], "slack_picture": str(beside(out, SLACKS))} if made.curve else {}),
     }
-
-
-def _row(row: Compared) -> dict[str, Any]:
-    return {
-        "method": row.method,
-        "makespan_s": row.makespan_s,
-        "makespan_over_bound": row.over_bound,
-        "cameras_in_no_region": row.num_orphans,
-        "squared_distance_m2": row.squared_distance_m2,
-        "iterations": len(row.history) - 1,
-        "last_imbalance": row.history[-1],
-    }
-
-
-def method_table(rows: list[dict[str, Any]]) -> str:
-    """The rows of `--compare`, aligned."""
-    lines = [f"{'method':<14} {'makespan':>12} {'/ bound':>9} {'no region':>9} {'Σ distance²':>13} {'iterations':>10} {'imbalance':>9}"]
-    lines += [
-        f"{row['method']:<14} {row['makespan_s']:>10.1f} s {row['makespan_over_bound']:>9.4f} {row['cameras_in_no_region']:>9} "
-        f"{row['squared_distance_m2']:>10.4g} m² {row['iterations']:>10} {row['last_imbalance']:>9.3f}"
-        for row in rows
-    ]
-    return "\n".join(lines)
-
-
-def _picture(out: Path) -> Path:
-    return out.with_suffix(".png")
-
-
-def _lists(out: Path) -> Path:
-    return out.with_name(f"{out.stem}_waypoints")
-
-
-def _regions(out: Path) -> Path:
-    return out.with_name(f"{out.stem}_regions.geojson")
 
 
 def _require_places(out: Path) -> None:
     if out.suffix != ".json":
         raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
-    for path in (out, _picture(out), _lists(out), _regions(out)):
+    for path in (out, *(beside(out, ending) for ending in ENDINGS)):
         require_file_to_be(path)
 
 
 @contextmanager
-def _moved_when_whole(target: Path) -> Iterator[Path]:
+def moved_when_whole(target: Path) -> Iterator[Path]:
     """A hidden folder inside `target` whose content moves there when the block ends well, and vanishes when it does not."""
     folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
     try:

@@ -10,7 +10,7 @@ from typing import Self, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn, track
 
-from radiant_app.events import Decided, Event, StageDone, StageProgress, StageSkipped, StageStarted, Warned
+from radiant_app.events import Decided, Event, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
 
 _Item = TypeVar("_Item")
 SECONDS_BETWEEN_LINES = 10.0
@@ -62,6 +62,9 @@ class ProgressDisplay:
         elif isinstance(event, StageDone):
             self._remove(event.stage)
             self._console.print(f"[green]done[/] {event.stage} in {event.seconds:.1f} s{' (emulated)' * event.emulated}")
+        elif isinstance(event, TimeLeft):
+            times = "" if abs(event.correction - 1) < 0.005 else f", {event.correction:.2f} times the plan's for what remains"
+            self._console.print(f"devices and edges: about {event.seconds:.0f} s left{times}", highlight=False, markup=False)
         elif isinstance(event, StageSkipped):
             self._console.print(f"[dim]skipped {event.stage}: finished before[/]")
         elif isinstance(event, Warned):

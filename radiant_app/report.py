@@ -5,20 +5,30 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import jinja2
 import numpy as np
 
 from radiant_app.events import UPLINK
+from radiant_app.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.run_folder import Manifest, software_versions
+from radiant_app.system_file import load_system
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_atomic
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
+if TYPE_CHECKING:
+    from radiant_viewer.images import Image
+
 MAX_COMPARISONS = 12
 """Photographs shown beside their renders: the worst, the best and some between."""
+
+GANTT_TEXT = {
+    False: "Predicted for machines that all work at once; measured here, where processes wait for a free core. Nothing was sent.",
+    True: "Measured: machines and links as emulated here.",
+}
 
 
 def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path:
@@ -54,11 +64,16 @@ def shown_images(images: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[str, Path]:
     from radiant_viewer.charts import timeline_picture
+    from radiant_viewer.gantt_chart import gantt_picture
     from radiant_viewer.images import save_png
     from radiant_viewer.views import screenshot
 
     folder = run / "pictures"
-    images = {"timeline": timeline_picture(_timeline_rows(manifest.stages), title="Measured on this machine")}
+    images: dict[str, Image] = {}
+    if (run / SYSTEM_NAME).is_file():
+        rows = gantt_rows(load_system(run / SYSTEM_NAME), load_plan(run / "plan.json")[1], run, manifest)
+        images["gantt"] = gantt_picture(rows, "Predicted and measured", GANTT_TEXT[bool(manifest.emulated)])
+    images["timeline"] = timeline_picture(_timeline_rows(manifest.stages), title="Measured on this machine")
     if manifest.emulated:
         images["timeline_emulated"] = timeline_picture(_timeline_rows(manifest.emulated), title="Emulated speeds and links")
     for view in ("regions", "cameras", "splats", *(["seams"] if has_borders else [])):

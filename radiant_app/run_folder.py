@@ -226,16 +226,30 @@ class _Record(BaseModel):
     warnings: list[str]
 
 
-def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
-    path = out / "manifest.json"
+def read_manifest(run: Path) -> Manifest:
+    """The record of a run that stands or goes on; BadInput where there is none or it is damaged."""
+    path = run / "manifest.json"
     if not path.is_file():
-        raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
+        raise BadInput(f"{run} holds no manifest.json: give the folder of a run.")
+    record = _record(path)
+    kept = {name: getattr(record, name) for name in ("config", "stages", "emulated", "peak_bytes", "decisions", "warnings")}
+    return Manifest(folder=run, **kept)
+
+
+def _record(path: Path) -> _Record:
     try:
-        record = _Record.model_validate_json(path.read_bytes())
+        return _Record.model_validate_json(path.read_bytes())
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "the whole"
         raise BadInput(f"{path} is damaged or of another version ({place}: {first['msg']}): run again into another folder.") from error
+
+
+def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
+    path = out / "manifest.json"
+    if not path.is_file():
+        raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
+    record = _record(path)
     differing = sorted(key for key in settings if record.config.get(key) != settings[key])
     if differing:
         raise BadInput(

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from radiant_app.config import RunConfig
-from radiant_app.events import Decided, Event, Listener, StageSkipped
+from radiant_app.events import Decided, Event, Listener, StageSkipped, Warned
 from radiant_app.executors.emulated import EmulatedExecutor
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.nodes import read_notes
+from radiant_app.prediction_error import save_system
+from radiant_app.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.run_folder import Manifest
+from radiant_app.time_left import TimeLeftListener
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
@@ -60,15 +63,37 @@ def plan_stage(
     """Plan positions (C,2) m about `origin` (3,) lat lon alt, if they are on the globe; writes plan.json. BadInput when nothing fits."""
     system = place_edges(system, positions, origin, config.seed)
     if config.plan is not None:
+        # What is captured stays where it is, however little memory there is.
         cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan, origin), positions, system=system)
-        save_plan(config.out / "plan.json", cloud_plan, edge_plans)
-        return system, cloud_plan, edge_plans
+        warnings = ()
+    else:
+        train = planned_training(config.train_preset, config.overrides)
+        system, decision, warnings = with_camera_limits(system, train, len(positions), BYTES_FACTORS[config.upload])
+        if decision is not None:
+            progress.listen(Decided(decision=decision))
+        cloud_plan, edge_plans = _planned(config, system, positions)
+    save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress, warnings))
+    save_system(config.out, system)
+    return system, cloud_plan, edge_plans
+
+
+def _planned(config: RunConfig, system: System, positions: FloatArray) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     cloud_plan = plan_regions(positions, system, method=config.plan_method)
     if isinstance(cloud_plan, PlanInfeasible):
         raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system} and add --resume.")
-    edge_plans = split_edges(positions, cloud_plan, system)
-    save_plan(config.out / "plan.json", cloud_plan, edge_plans)
-    return system, cloud_plan, edge_plans
+    return cloud_plan, split_edges(positions, cloud_plan, system)
+
+
+def tell_warnings(
+    config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress, more: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """What the times of a plan are to be taken with, and `more`, told and returned."""
+    train = planned_training(config.train_preset, config.overrides)
+    training = training_key_of(train, config.train_preset, config.aggregate_preset)
+    warnings = (*more, *prediction_warnings(system, edge_plans, training))
+    for message in warnings:
+        progress.listen(Warned(stage="plan", message=message))
+    return warnings
 
 
 def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple[EdgePlan, ...], FloatArray]:
@@ -114,6 +139,18 @@ def executor_of(config: RunConfig, system: System, progress: Progress, may_fail:
         progress.listen(Decided(decision=decision))
     local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=may_fail)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
+
+
+def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> Listener:
+    """`progress.listen` that also says after each device and edge how long the others will take."""
+    return TimeLeftListener(
+        listen=progress.listen,
+        system=system,
+        edge_plans=edge_plans,
+        num_workers=config.num_workers,
+        emulated=config.emulated,
+        clock=progress.clock,
+    )
 
 
 def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> System:

@@ -13,7 +13,7 @@
     model_mb = { linear = 0.5 }
     uplink_mbit_per_s = 50.0
     max_cameras = 400                    # left out: no limit
-    memory_gb = 8.0                      # what its training may hold: limits its Gaussians; left out: no limit
+    memory_gb = 8.0                      # what its training may hold: limits its Gaussians and, without max_cameras, its cameras
     relative_speed = 2.0                 # divides init_s and train_s
     speed = 0.5                          # of an edge too: share of one core under `radiant run --emulate`
 
@@ -24,8 +24,16 @@ The planner believes the costs, an emulation plays `speed`: a device that is to 
     time_s = 3600.0
     max_cameras = 2000
 
+In place of costs, a device or edge may have profile = "rtx-3090" of the library (`radiant profile --list`) or profile = "mine.toml", a
+curve file of `radiant profile` relative to this one: its costs and, where the file says none, its memory come from there. An edge may also
+have aggregate_alone_s: what it costs where one device has all its cameras, so that nothing is retrained. Where a run or plan writes its
+system, the costs stand there as numbers and costs_from says which profile they are of: "measured mine.toml", "estimate rtx-3090".
+
+For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model sent) and `max_cameras` in place of
+devices, uplink and aggregate_s: the cloud plans its region, and it deals its cameras itself, later, with a system file of its own.
+
 A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
-left out has the value above, except position, memory limit and speed (none) and relative_speed (1).
+left out has the value above, except position, memory limits, aggregate_alone_s and speed (none) and relative_speed (1).
 """
 
 from __future__ import annotations
@@ -36,9 +44,11 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
+from radiant_app.profile_file import find_profile
 from radiant_app.toml_file import Strict, load_toml, sentence
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.profiles import Profile
 from radiant_core.plan.system import Cloud, Device, Edge, System
 
 _BYTES_PER_S_PER_MBIT = 1e6 / 8
@@ -66,8 +76,13 @@ class _Curve(Strict):
         )
 
 
+_Origin = Annotated[str, Field(pattern=r"^(measured|estimate) \S.*$")]
+
+
 class _Device(Strict):
     id: str
+    profile: str | None = None
+    costs_from: _Origin | None = None
     init_s: _Curve = _Curve(linear=0.1)
     train_s: _Curve = _Curve(constant=20.0, linear=1.0)
     model_mb: _Curve = _Curve(linear=0.5)
@@ -77,16 +92,25 @@ class _Device(Strict):
     relative_speed: _Speed = 1.0
     speed: _Share | None = None
 
-    def built(self) -> Device:
+    def built(self, folder: Path) -> Device:
+        profile = _profile_of(self, f"device {self.id!r}", ("init_s", "train_s", "model_mb"), folder)
+        memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
+        if profile is None:
+            curves = self.init_s.scaled(1.0), self.train_s.scaled(1.0), self.model_mb.scaled(_BYTES_PER_MB)
+        else:
+            curves = profile.init_s.curve, profile.train_s.curve, profile.model_bytes.curve
+            memory_bytes = memory_bytes or profile.memory_bytes
         return Device(
             id=self.id,
-            init_s=self.init_s.scaled(1 / self.relative_speed),
-            train_s=self.train_s.scaled(1 / self.relative_speed),
-            model_bytes=self.model_mb.scaled(_BYTES_PER_MB),
+            init_s=curves[0].scaled(1 / self.relative_speed),
+            train_s=curves[1].scaled(1 / self.relative_speed),
+            model_bytes=curves[2],
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
             max_cameras=self.max_cameras,
-            memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
+            memory_bytes=memory_bytes,
             speed=self.speed,
+            profile=profile,
+            costs_from=self.costs_from,
         )
 
 
@@ -95,26 +119,59 @@ class _Edge(Strict):
     position_m: _Pair | None = None
     lat_lon_deg: _Pair | None = None
     uplink_mbit_per_s: _Positive = 100.0
+    profile: str | None = None
+    costs_from: _Origin | None = None
     aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
+    aggregate_alone_s: _Curve | None = None
     speed: _Share | None = None
-    device: Annotated[list[_Device], Field(min_length=1)]
+    device: list[_Device] = Field(default_factory=list[_Device])
+    time_s: _Curve | None = None
+    max_cameras: Annotated[int, Field(ge=0)] | None = None
 
-    def built(self) -> Edge:
+    def built(self, folder: Path) -> Edge:
         if self.position_m is not None and self.lat_lon_deg is not None:
             raise BadInput(f"edge {self.id!r} has both position_m and lat_lon_deg: give one of them or neither.")
         if self.lat_lon_deg is not None and (abs(self.lat_lon_deg[0]) > 90 or abs(self.lat_lon_deg[1]) > 180):
             raise BadInput(
                 f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
             )
+        surplus = self.model_fields_set & {"profile", "costs_from", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed"}
+        if self.time_s is not None and surplus:
+            raise BadInput(f"edge {self.id!r} has time_s, its whole time, and {min(surplus)} too: remove one of them.")
+        profile = _profile_of(self, f"edge {self.id!r}", ("aggregate_s", "aggregate_alone_s"), folder)
+        joined = self.aggregate_s.scaled(1.0) if self.time_s is None else CostCurve()
+        alone = None if self.aggregate_alone_s is None else self.aggregate_alone_s.scaled(1.0)
+        if profile is not None:
+            if profile.aggregate_s is None:
+                raise BadInput(f"edge {self.id!r}: profile {self.profile!r} has no aggregate_s: measure it, or give aggregate_s here.")
+            joined, alone = profile.aggregate_s.curve, None if profile.aggregate_alone_s is None else profile.aggregate_alone_s.curve
         return Edge(
             id=self.id,
             position=None if self.position_m is None else (self.position_m[0], self.position_m[1]),
             lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
-            aggregate_s=self.aggregate_s.scaled(1.0),
+            aggregate_s=joined,
             uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
-            devices=tuple(device.built() for device in self.device),
+            devices=tuple(device.built(folder) for device in self.device),
             speed=self.speed,
+            aggregate_alone_s=alone,
+            profile=profile,
+            costs_from=self.costs_from,
+            time_s=None if self.time_s is None else self.time_s.scaled(1.0),
+            max_cameras=self.max_cameras,
         )
+
+
+def _profile_of(table: _Device | _Edge, owner: str, costs: tuple[str, ...], folder: Path) -> Profile | None:
+    """The profile that a device or edge names; BadInput where a cost stands beside it."""
+    if table.profile is None:
+        return None
+    beside = [name for name in (*costs, "costs_from") if name in table.model_fields_set]
+    if beside:
+        raise BadInput(f"{owner} has both profile and {beside[0]}: keep one of them.")
+    try:
+        return find_profile(table.profile, folder)
+    except BadInput as error:
+        raise BadInput(f"{owner}: {error}") from error
 
 
 class _Cloud(Strict):
@@ -132,12 +189,19 @@ class _File(Strict):
     cloud: _Cloud = _Cloud()
 
 
-def load_system(path: Path) -> System:
-    """The system in a TOML file; BadInput names the file, the key, what came and what is expected."""
+def load_system(path: Path, *, curves: bool = False) -> System:
+    """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
+
+    Edges that are known by their curve alone are refused unless `curves`: nobody could train there.
+    """
     tables = load_toml(path, "system file")
     try:
         file = _File.model_validate(tables)
-        return System(edges=tuple(edge.built() for edge in file.edge), cloud=file.cloud.built())
+        system = System(edges=tuple(edge.built(path.parent) for edge in file.edge), cloud=file.cloud.built())
+        unknown = [edge.id for edge in system.edges if not edge.devices]
+        if unknown and not curves:
+            raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
+        return system
     except ValidationError as error:
         raise BadInput(f"{path}: {sentence(error, 'system file')}") from error
     except BadInput as error:
@@ -145,7 +209,7 @@ def load_system(path: Path) -> System:
 
 
 def dump_system(system: System) -> str:
-    """The system as TOML text that `load_system` reads back, curves written out."""
+    """The system as TOML text that `load_system` reads back, curves written out, of the profiles they came from kind and name alone."""
     return "\n".join([*(line for edge in system.edges for line in _edge_lines(edge)), *_cloud_lines(system.cloud)]) + "\n"
 
 
@@ -155,7 +219,7 @@ def even_system(num_edges: int, devices_per_edge: int) -> System:
         raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
     names = [f"edge-{index + 1}" for index in range(num_edges)]
     edges = [_Edge(id=name, device=[_Device(id=f"{name}-{n + 1}") for n in range(devices_per_edge)]) for name in names]
-    return System(edges=tuple(edge.built() for edge in edges))
+    return System(edges=tuple(edge.built(Path()) for edge in edges))
 
 
 def _edge_lines(edge: Edge) -> list[str]:
@@ -164,7 +228,13 @@ def _edge_lines(edge: Edge) -> list[str]:
         lines.append(f"position_m = {list(map(float, edge.position))}")
     elif edge.lat_lon_deg is not None:
         lines.append(f"lat_lon_deg = {list(map(float, edge.lat_lon_deg))}")
+    if edge.time_s is not None:
+        limit = [] if edge.max_cameras is None else [f"max_cameras = {edge.max_cameras}"]
+        return [*lines, f"time_s = {_inline(edge.time_s, 1.0)}", *limit]
     lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}", *_speed_lines(edge)]
+    if edge.aggregate_alone_s is not None:
+        lines.append(f"aggregate_alone_s = {_inline(edge.aggregate_alone_s, 1.0)}")
+    lines += _origin_lines(edge)
     return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
 
 
@@ -179,6 +249,7 @@ def _device_lines(device: Device) -> list[str]:
         *([] if device.max_cameras is None else [f"max_cameras = {device.max_cameras}"]),
         *([] if device.memory_bytes is None else [f"memory_gb = {device.memory_bytes / _BYTES_PER_GB}"]),
         *_speed_lines(device),
+        *_origin_lines(device),
     ]
 
 
@@ -194,6 +265,10 @@ def _cloud_lines(cloud: Cloud) -> list[str]:
 
 def _speed_lines(machine: Device | Edge) -> list[str]:
     return [] if machine.speed is None else [f"speed = {float(machine.speed)}"]
+
+
+def _origin_lines(machine: Device | Edge) -> list[str]:
+    return [] if machine.origin is None else [f"costs_from = {json.dumps(machine.origin, ensure_ascii=False)}"]
 
 
 def _bandwidth_line(bytes_per_s: float) -> str:

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.bench.method_cells import BenchScene, Cell, Layout, ModelCache, Trained, device_rows, layout_of, load_bench_scene
+from radiant_app.bench.method_cells import BenchScene, Cell, Layout, ModelCache, Trained, device_rows, load_bench_scene
 from radiant_app.evaluation import region_width
 from radiant_app.progress import tracked
 from radiant_core import __version__
@@ -66,7 +66,7 @@ TWO_BY_TWO = Layout(num_edges=2, num_devices=2)
 class MethodBench:
     """What to compare. `num_steps` of a device's training."""
 
-    scenes: tuple[Path, ...]
+    scene: Path
     out: Path
     layout: Layout = TWO_BY_TWO
     methods: tuple[str, ...] = ()
@@ -111,12 +111,11 @@ class MethodRow:
 
 def bench_methods(bench: MethodBench) -> tuple[list[MethodRow], list[Metric]]:
     """All rows, and per scene and method their means with the paired difference to the paper's preset."""
-    scenes = [load_bench_scene(path, bench.long_side_px) for path in bench.scenes]
+    scene = load_bench_scene(bench.scene, bench.long_side_px)
     train = replace(train_preset("draft"), long_side_px=bench.long_side_px, num_steps=bench.num_steps, max_num_splats=200_000)
     cache = ModelCache(folder=bench.out / "models")
     cells = [
         Cell(scene=scene, layout=bench.layout, placement=placement, seed=seed, train=train, cache=cache)
-        for scene in scenes
         for placement in range(bench.num_placements)
         for seed in range(bench.num_seeds)
     ]
@@ -125,7 +124,7 @@ def bench_methods(bench: MethodBench) -> tuple[list[MethodRow], list[Metric]]:
     scored = _Scored()
     for cell, method in tracked([(cell, method) for cell in cells for method in methods], "bench methods"):
         rows.append(_row(bench.out, cell, method, scored))
-    return rows, [metric for scene in scenes for metric in _scene_metrics(scene.name, rows)]
+    return rows, _metrics(scene.name, rows)
 
 
 class _Scored:
@@ -325,7 +324,7 @@ def _grouped(rows: Sequence[MethodRow]) -> dict[tuple[str, str], list[MethodRow]
     return groups
 
 
-def _scene_metrics(scene: str, rows: Sequence[MethodRow]) -> list[Metric]:
+def _metrics(scene: str, rows: Sequence[MethodRow]) -> list[Metric]:
     groups = {method: group for (of, method), group in _grouped(rows).items() if of == scene}
     metrics: list[Metric] = []
     for method, group in groups.items():
@@ -342,9 +341,3 @@ def _scene_metrics(scene: str, rows: Sequence[MethodRow]) -> list[Metric]:
             figures = {"mean_db": difference.mean, "low_db": difference.low, "high_db": difference.high}
             metrics += [Metric(key=f"{key}.over_paper.{n}", value=v, unit="dB", direction="info") for n, v in figures.items()]
     return metrics
-
-
-def method_bench_of(scenes: Sequence[Path], out: Path, layout: str, quick: bool) -> MethodBench:
-    """The benchmark as the command line asks for it; `quick` is small and short."""
-    sizes = {"long_side_px": 160, "num_steps": 60} if quick else {}
-    return MethodBench(scenes=tuple(scenes), out=out, layout=layout_of(layout), **sizes)

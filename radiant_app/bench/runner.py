@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric, metrics_to_json
 from radiant_core.io.run_store import write_json
 
-_OF_A_RUN = ("upload", "teachers")
+_OF_A_RUN = ("upload", "teachers", "borders")
 """Benchmarks whose --scene is the folder of a finished run."""
 
 
@@ -38,27 +38,33 @@ class BenchOptions:
     ablations: bool = False
     """Whether one thing at a time is switched off (train)."""
     plot: Path | None = None
-    """PNG for the curves (train)."""
-    scenes: tuple[Path, ...] = ()
-    """Scenes to compare on (methods)."""
+    """PNG for the curves (train, methods, fed3dgs), or the folder of the figures (plan)."""
     methods: tuple[str, ...] = ()
     """Methods to compare (methods); empty for all."""
     layout: str = "2x2"
     """Edges x devices per edge (methods)."""
-    placements: int = 1
+    num_placements: int = 1
     """Placements of the edges (methods)."""
     out: Path | None = None
-    """Folder of models and rows (methods)."""
+    """Folder of models and rows, which a later call goes on with (methods)."""
 
 
 def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
     """Run the benchmark `name` and report; BadInput for an unknown name or an unwritable file."""
     if json_file is not None and not json_file.parent.is_dir():
         raise BadInput(f"there is no folder {json_file.parent} to write {json_file.name} into: make it first.")
-    if options.scene is not None and name not in ("sfm", "train", *_OF_A_RUN):
-        raise BadInput(f"--scene is for the benchmarks sfm, train, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
-    if name != "train" and (options.presets or options.budgets_s or options.num_seeds or options.ablations or options.plot):
-        raise BadInput(f"--preset, --budget, --seeds, --ablations and --plot are for the benchmark train, not for {name}: leave them out.")
+    if options.scene is not None and name not in ("sfm", "train", "methods", *_OF_A_RUN):
+        raise BadInput(f"--scene is for the benchmarks sfm, train, methods, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
+    if name != "train" and (options.presets or options.budgets_s or options.ablations):
+        raise BadInput(f"--preset, --budget and --ablations are for the benchmark train, not for {name}: leave them out.")
+    if name not in ("train", "methods") and options.num_seeds:
+        raise BadInput(f"--seeds is for the benchmarks train and methods, not for {name}: leave it out.")
+    if name != "methods" and (options.methods or options.out or options.num_placements > 1):
+        raise BadInput(f"--method, --placements and --out are for the benchmark methods, not for {name}: leave them out.")
+    if name == "methods" and (options.scene is None or options.out is None):
+        raise BadInput("the benchmark methods needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
+    if options.plot is not None and name not in ("train", "plan", "methods", "fed3dgs"):
+        raise BadInput(f"--plot is for the benchmarks train, plan, methods and fed3dgs, not for {name}: leave it out.")
     if options.plot is not None and not options.plot.parent.is_dir():
         raise BadInput(f"there is no folder {options.plot.parent} to write {options.plot.name} into: make it first.")
     if options.scene is None and name in _OF_A_RUN:
@@ -80,7 +86,20 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         from radiant_app.bench.plan import bench_plan
         from radiant_app.bench.plan_scale import bench_plan_scale
 
+        if options.plot is not None:
+            from radiant_app.bench.plan_figures import bench_plan_figures
+
+            return bench_plan_figures(options.plot, options.quick)
         return [*bench_plan(options.quick), *bench_plan_scale(options.quick)]
+    if name == "borders" and options.scene is not None:
+        from radiant_app.bench.borders import bench_borders
+
+        baseline = options.scene / "baseline.ply"
+        return bench_borders(options.scene, baseline if baseline.is_file() else None)
+    if name == "fed3dgs":
+        from radiant_app.bench.fed3dgs import bench_fed3dgs
+
+        return bench_fed3dgs(options.quick, options.plot)
     if name == "raster":
         from radiant_app.bench.raster import bench_raster, build_description
 
@@ -88,6 +107,8 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         return bench_raster(options.quick, options.threads)
     if name == "train":
         return _measure_training(options)
+    if name == "methods" and options.scene is not None and options.out is not None:
+        return _measure_methods(options, options.scene, options.out)
     if name == "upload" and options.scene is not None:
         from radiant_app.bench.upload import bench_upload
 
@@ -96,7 +117,7 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         from radiant_app.bench.teachers import bench_teachers
 
         return bench_teachers(options.scene, options.quick)
-    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, raster, train, upload or teachers.")
+    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, borders, fed3dgs, raster, train, methods, upload or teachers.")
 
 
 def _measure_training(options: BenchOptions) -> Sequence[Metric]:
@@ -111,6 +132,25 @@ def _measure_training(options: BenchOptions) -> Sequence[Metric]:
         num_seeds = f"{len(bench.seeds)} seed" + ("s" if len(bench.seeds) > 1 else "")
         detail = f"{bench.scene.name}, {bench.long_side_px} px, {num_seeds}; every dot is one model"
         save_png(options.plot, curve_picture(curves_of(rows), "Training: quality against time and size", detail))
+        typer.echo(f"written: {options.plot}")
+    return metrics
+
+
+def _measure_methods(options: BenchOptions, scene: Path, out: Path) -> Sequence[Metric]:
+    from radiant_app.bench.method_cells import layout_of
+    from radiant_app.bench.methods import MethodBench, bench_methods, curves_of, methods_table
+
+    sizes = {"long_side_px": options.long_side_px or (160 if options.quick else 384), "num_steps": 60 if options.quick else 500}
+    repeats = {"num_placements": options.num_placements, "num_seeds": options.num_seeds or 1}
+    bench = MethodBench(scene=scene, out=out, layout=layout_of(options.layout), methods=options.methods, **sizes, **repeats)
+    rows, metrics = bench_methods(bench)
+    typer.echo(methods_table(rows))
+    if options.plot is not None:
+        from radiant_viewer.curve_chart import curve_picture
+        from radiant_viewer.images import save_png
+
+        detail = f"{scene.name}, {bench.layout}, {bench.long_side_px} px; CPU time after the devices' trainings"
+        save_png(options.plot, curve_picture(curves_of(rows), "Joining: quality against time and size", detail))
         typer.echo(f"written: {options.plot}")
     return metrics
 

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from radiant_app.bench.method_cells import Layout, layout_of
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
+from radiant_app.bench.runner import BenchOptions, run_bench
 from radiant_app.commands import sfm
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.progress import ProgressDisplay
@@ -25,9 +26,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> MethodBench:
     shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
     shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
     sfm(folder / "hamlet", folder / "scene", "auto", ProgressDisplay(Console(quiet=True)))
-    return MethodBench(
-        scenes=(folder / "scene",), out=folder / "out", long_side_px=64, num_steps=12, layout=Layout(num_edges=2, num_devices=1)
-    )
+    return MethodBench(scene=folder / "scene", out=folder / "out", long_side_px=64, num_steps=12, layout=Layout(num_edges=2, num_devices=1))
 
 
 def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
@@ -67,6 +66,21 @@ def test_a_layout_is_edges_times_devices() -> None:
 
 def test_unknown_methods_are_named(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match=f"'magic' is unknown: use {', '.join(METHODS)}"):
-        MethodBench(scenes=(), out=tmp_path, methods=("ours", "magic"))
+        MethodBench(scene=tmp_path, out=tmp_path, methods=("ours", "magic"))
     with pytest.raises(BadInput, match=r"radiant sfm"):
-        bench_methods(MethodBench(scenes=(tmp_path,), out=tmp_path / "out"))
+        bench_methods(MethodBench(scene=tmp_path, out=tmp_path / "out"))
+
+
+def test_the_command_prints_a_table_and_draws_a_picture(bench: MethodBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    methods = ("crop", "ours")
+    run_bench("methods", None, BenchOptions(quick=True, scene=bench.scene, out=tmp_path, methods=methods, plot=tmp_path / "joining.png"))
+    assert "| scene | ours |" in capsys.readouterr().out
+    assert (tmp_path / "joining.png").stat().st_size > 10_000
+    for options, told in (
+        ({"scene": bench.scene}, "needs --scene"),
+        ({"scene": bench.scene, "out": tmp_path, "presets": ("default",)}, "--preset"),
+    ):
+        with pytest.raises(BadInput, match=told):
+            run_bench("methods", None, BenchOptions(**options))
+    with pytest.raises(BadInput, match="--out are for the benchmark methods"):
+        run_bench("plan", None, BenchOptions(out=tmp_path))

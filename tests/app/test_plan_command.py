@@ -16,7 +16,8 @@ import pytest
 from rich.console import Console
 
 from radiant_app.demo import sample_scenes_folder
-from radiant_app.plan_command import PlanRequest, method_table, plan
+from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.plan_tables import method_table
 from radiant_app.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
@@ -84,7 +85,7 @@ def test_1600_waypoints_become_a_plan_with_lists_and_regions(tmp_path: Path) -> 
     assert picture is not None and picture.shape == (900, 1280, 3)
     assert (picture != 255).any(axis=2).mean() > 0.2
     assert {path.name for path in tmp_path.iterdir()} == {
-        "flight.csv", "system.toml", "plan.json", "plan.png", "plan_waypoints", "plan_regions.geojson"
+        "flight.csv", "system.toml", "plan.json", "plan.png", "plan_gantt.png", "plan_waypoints", "plan_regions.geojson"
     }  # fmt: skip
 
 
@@ -136,7 +137,7 @@ def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) ->
 def test_a_disk_that_fails_in_the_middle_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = grid_csv(tmp_path, 4, 3)
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise BadInput("cannot write: no space left.")
 
     monkeypatch.setattr("radiant_app.plan_command.save_plan", refuse)  # the last of the files

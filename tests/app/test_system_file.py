@@ -11,6 +11,7 @@ from radiant_app import system_file
 from radiant_app.system_file import dump_system, even_system, load_system
 from radiant_app.toml_file import MAX_FILE_BYTES
 from radiant_core.errors import BadInput
+from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import Cloud, System
@@ -148,8 +149,8 @@ def test_an_even_system_without_edges_or_devices_is_refused(counts: tuple[int, i
         ('id = "north"\n', 'id = "../north"\n', "edge id '../north' cannot name a folder"),
         ('id = "south"', 'id = "north"', "edge id 'north' comes twice"),
         ('id = "south-1"', 'id = "north-1"', "device id 'north-1' comes twice"),
-        ('[[edge.device]]\nid = "south-1"\nrelative_speed = 2.0\n', "", "edge[1].device is missing"),
-        ('[[edge.device]]\nid = "south-1"\nrelative_speed = 2.0\n', "device = []", "edge[1].device is []; list should"),
+        ('[[edge.device]]\nid = "south-1"\nrelative_speed = 2.0\n', "", "edge 'south' has no devices: give it at least one, or its time_s"),
+        ('[[edge.device]]\nid = "south-1"\nrelative_speed = 2.0\n', "device = []", "edge 'south' has no devices"),
         ('[[edge]]\nid = "south"', '[edge]\nid = "south"', "not a TOML file"),
         ("max_cameras = 400", "max_cameras = " + "9" * 5000, "not a TOML file"),
     ],
@@ -189,3 +190,46 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.toml", tmp_path):
         with pytest.raises(BadInput, match="cannot be read"):
             load_system(path)
+
+
+CURVES = """
+[[edge]]
+id = "north"
+time_s = { constant = 40.0, linear = 0.9 }
+max_cameras = 300
+[[edge]]
+id = "south"
+position_m = [0.0, 5.0]
+[[edge.device]]
+id = "south-1"
+"""
+
+
+def test_an_edge_may_be_known_by_its_curve_alone_where_curves_are_allowed(tmp_path: Path) -> None:
+    path = tmp_path / "system.toml"
+    path.write_text(CURVES)
+    north, south = load_system(path, curves=True).edges
+    assert north.devices == () and north.time_s == CostCurve(constant=40.0, linear=0.9) and north.max_cameras == 300
+    assert len(south.devices) == 1 and south.time_s is None
+    with pytest.raises(BadInput, match="'north' has time_s and no devices"):
+        load_system(path)
+    path.write_text(dump_system(load_system(path, curves=True)))
+    assert load_system(path, curves=True).edges == (north, south)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("max_cameras = 300", "max_cameras = -1", "max_cameras is -1; expected greater"),
+        ("max_cameras = 300", "uplink_mbit_per_s = 5.0", "its whole time, and uplink_mbit_per_s too"),
+        ("position_m = [0.0, 5.0]", "time_s = { linear = 1.0 }", "'south' has time_s, its whole time, and devices"),
+        ("position_m = [0.0, 5.0]", "max_cameras = 3", "'south' has max_cameras and no time_s"),
+        ("linear = 0.9", "linear = -0.9", "time_s.linear is -0.9; expected greater"),
+    ],
+)
+def test_a_bad_curve_edge_gets_one_sentence(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = tmp_path / "system.toml"
+    path.write_text(CURVES.replace(old, new, 1))
+    with pytest.raises(BadInput) as caught:
+        load_system(path, curves=True)
+    assert message in str(caught.value)

@@ -49,7 +49,8 @@ def camera_roles(cameras: Cameras, cloud_plan: CloudPlan, edge_plans: Sequence[E
     edge_of_device: list[int] = []
     for plan in edge_plans:
         _require_fits(plan, cloud_plan, len(planned))
-        device_of_camera[planned[plan.camera_indices]] = len(device_ids) + plan.device_of_camera
+        if plan.dealt:
+            device_of_camera[planned[plan.camera_indices]] = len(device_ids) + plan.device_of_camera
         edge_of_device += [cloud_plan.edge_ids.index(plan.edge_id)] * len(plan.device_ids)
         device_ids += plan.device_ids
     return CameraRoles(

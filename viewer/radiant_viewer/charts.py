@@ -5,7 +5,7 @@ Once per report or screenshot, with matplotlib's own rasteriser.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from radiant_viewer.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMI
 from radiant_viewer.region_layer import duration_text
 
 ROW_PX, TOP_PX, FOOT_PX, LABEL_PX, RIGHT_PX = 26, 92, 52, 150, 96
-STAGE_COLORS = {"initialise": SKY, "train": BLUE, "send": ORANGE, "aggregate": GREEN, "merge": PURPLE, "evaluate": YELLOW}
+STAGE_COLORS = {"initialise": SKY, "train": BLUE, "send": ORANGE, "aggregate": GREEN, "merge": PURPLE, "evaluate": YELLOW, "whole": GREY}
 """Colour of the stages that every run has; others take the remaining colours in the order they come."""
 OTHER_COLORS = (VERMILLION, GREY, tinted(BLUE, WHITE, 0.55), tinted(GREEN, WHITE, 0.55), tinted(PURPLE, WHITE, 0.55))
 
@@ -58,11 +58,11 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
     axes = axes_at(figure, (label_px, FOOT_PX, width_px - label_px - RIGHT_PX, ROW_PX * len(rows)))
     figure.text(16 / width_px, 1 - 14 / height_px, title, size=14, weight="bold", color=INK_COLOR, va="top")
     end_s = max(span.stop_s for row in rows for span in row.spans)
-    unit_s, unit = (1.0, "s") if end_s < 100 else (60.0, "min") if end_s < 6000 else (3600.0, "h")
-    colors = _stage_colors(rows)
+    unit_s, unit = time_unit(end_s)
+    colors = stage_colors(dict.fromkeys(span.stage for row in rows for span in row.spans))
     for index, row in enumerate(rows):
         _draw_row(axes, index, row, unit_s, colors)
-    _style_axes(axes, rows, max(end_s / unit_s, 1e-9), f"Time ({unit})")
+    style_time_axes(axes, [(row.name, row.strong) for row in rows], max(end_s / unit_s, 1e-9), f"Time ({unit})")
     _draw_keys(figure_axes=axes_at(figure, (16, height_px - TOP_PX + 8, width_px - 32, 34)), width_px=width_px - 32, colors=colors)
     return figure_image(figure)
 
@@ -113,11 +113,17 @@ def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: d
         )
 
 
-def _style_axes(axes: Axes, rows: Sequence[TimelineRow], end: float, label: str) -> None:
+def time_unit(end_s: float) -> tuple[float, str]:
+    """Seconds of the unit in which an axis up to `end_s` is labelled, and its name."""
+    return (1.0, "s") if end_s < 100 else (60.0, "min") if end_s < 6000 else (3600.0, "h")
+
+
+def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, label: str) -> None:
+    """Rows, each a name and whether it is bold, from the top down; time from 0 to `end` along the bottom."""
     axes.set(xlim=(0, end * 1.01), ylim=(len(rows) - 0.4, -0.6))
-    axes.set_yticks(range(len(rows)), [row.name for row in rows], size=9.5, color=INK_COLOR)
-    for text, row in zip(axes.get_yticklabels(), rows, strict=True):
-        text.set_fontweight("bold" if row.strong else "normal")
+    axes.set_yticks(range(len(rows)), [name for name, _ in rows], size=9.5, color=INK_COLOR)
+    for text, (_, strong) in zip(axes.get_yticklabels(), rows, strict=True):
+        text.set_fontweight("bold" if strong else "normal")
     axes.set_xlabel(label, size=9.5, color=INK_COLOR)
     axes.tick_params(axis="x", labelsize=9, color=SOFT_COLOR, labelcolor=INK_COLOR)
     axes.tick_params(axis="y", length=0)
@@ -135,11 +141,17 @@ def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[floa
     for stage, color in colors.items():
         figure_axes.barh(17, 16, left=x, height=12, color=color)
         figure_axes.text(x + 22, 17, stage, size=9.5, color=INK_COLOR, va="center")
-        x += 22 + 7.4 * len(stage) + 26
+        x += key_width_px(stage)
 
 
-def _stage_colors(rows: Sequence[TimelineRow]) -> dict[str, tuple[float, ...]]:
-    found = dict.fromkeys(span.stage for row in rows for span in row.spans)
+def key_width_px(text: str) -> float:
+    """Room of one entry of the key."""
+    return 22 + 7.4 * len(text) + 26
+
+
+def stage_colors(found: Iterable[str]) -> dict[str, tuple[float, ...]]:
+    """Colour of each of the stages found, in the order of the key."""
+    found = list(found)
     stages = [stage for stage in STAGE_COLORS if stage in found] + [stage for stage in found if stage not in STAGE_COLORS]
     others = [stage for stage in stages if stage not in STAGE_COLORS]
     chosen = {stage: OTHER_COLORS[index % len(OTHER_COLORS)] for index, stage in enumerate(others)}

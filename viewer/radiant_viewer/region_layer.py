@@ -48,7 +48,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
     """Each device's strip in a shade of its edge's colour, with its id; devices without cameras appear in the legend only."""
     edge_colors = category_colors(len(cloud_plan.edge_ids))
     polygons, fills, labels, legend = [], [], [], []
-    for plan in edge_plans:
+    for plan in (plan for plan in edge_plans if plan.device_ids):
         shades = shade_colors(edge_colors[cloud_plan.edge_ids.index(plan.edge_id)], len(plan.device_ids))
         for index, (device_id, strip) in enumerate(zip(plan.device_ids, plan.strips, strict=True)):
             legend.append(LegendEntry(text=_device_text(plan, index), color=_rgb(shades[index]), marker="area"))

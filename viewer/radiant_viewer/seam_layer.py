@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.plan.borders import neighbours_across
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.splats import Splats
 from radiant_viewer.layers import HeatScale, Layer, LegendEntry
@@ -51,7 +52,7 @@ def seam_pieces(cloud_plan: CloudPlan, length: float) -> SeamPieces:
             count = max(1, int(np.ceil(np.linalg.norm(stop - start) / length)))
             cuts = start + np.linspace(0, 1, count + 1)[:, None] * (stop - start)
             pieces = np.stack([cuts[:-1], cuts[1:]], axis=1)
-            neighbours = _neighbours(cloud_plan, edge, pieces.mean(axis=1))
+            neighbours = neighbours_across(cloud_plan, edge, pieces.mean(axis=1))
             # Both regions have this side: the lower index keeps it.
             kept = neighbours > edge
             ends.append(pieces[kept])
@@ -115,21 +116,6 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
         legend=missing if unknown else (),
         heat=HeatScale(label=label, low=low, high=high),
     )
-
-
-def _neighbours(cloud_plan: CloudPlan, edge: int, points: FloatArray) -> NDArray[np.int64]:
-    """For points (K,2) on the border of `edge` the region behind it, or -1 where the scene ends."""
-    distances = ((points[:, None] - cloud_plan.sites) ** 2).sum(axis=2) - cloud_plan.weights
-    own = distances[:, edge].copy()
-    distances[:, edge] = np.inf
-    if distances.shape[1] < 2:
-        return np.full(len(points), -1)
-    nearest = distances.argmin(axis=1)
-    corners = np.concatenate(cloud_plan.borders)
-    # Squared metres: rounding of the polygons' corners to 1e-6 of the scene moves the difference by about 1e-6 · diameter².
-    tolerance = 1e-6 * float((np.ptp(corners, axis=0) ** 2).sum())
-    shared = np.abs(distances[np.arange(len(points)), nearest] - own) <= tolerance
-    return np.where(shared, nearest, -1)
 
 
 def _shown_weights(splats: Splats, width: float) -> FloatArray:

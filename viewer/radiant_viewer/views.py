@@ -14,12 +14,15 @@ import numpy as np
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import border_distance_m
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.border_forecast import BorderForecast
+from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.camera_layer import camera_layer
 from radiant_viewer.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.charts import comparison_picture
+from radiant_viewer.forecast_layer import buffer_layer, forecast_layers
 from radiant_viewer.images import Image, load_image
 from radiant_viewer.layers import Layer
 from radiant_viewer.offscreen import render_map, render_view
@@ -52,33 +55,49 @@ def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH) 
     return comparisons(run)
 
 
-def plan_picture(
+def plan_picture(  # noqa: PLR0913
     scene: SfmScene,
     cloud_plan: CloudPlan,
     edge_plans: Sequence[EdgePlan],
     held_out: Collection[str] = (),
     size_wh: tuple[int, int] = SIZE_WH,
+    *,
+    forecasts: Sequence[BorderForecast] = (),
+    buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """The map of a plan: regions, strips, cameras and edges with counts and predicted times."""
+    """The map of a plan: regions, strips, cameras and edges with counts and predicted times, borders by forecast where there is one."""
     roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
     subtitle = f"{len(scene.cameras)} cameras, {_plan_text(cloud_plan, len(roles.device_ids))}"
+    ground = ground_height(scene)
+    layers = plan_layers(scene, cloud_plan, edge_plans, roles)
+    if buffers:
+        layers.insert(-2, buffer_layer(scene.cameras.centers, cloud_plan, buffers))
+    layers[-1:-1] = forecast_layers(forecasts, ground)
     return render_map(
-        plan_layers(scene, cloud_plan, edge_plans, roles),
+        layers,
         size_wh,
         PageText(title="Plan", subtitle=subtitle, unit=scene.frame.unit),
     )
 
 
 def waypoint_plan_picture(
-    positions: FloatArray, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], size_wh: tuple[int, int] = SIZE_WH
+    positions: FloatArray,
+    cloud_plan: CloudPlan,
+    edge_plans: Sequence[EdgePlan],
+    size_wh: tuple[int, int] = SIZE_WH,
+    *,
+    forecasts: Sequence[BorderForecast] = (),
+    buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """The map of a plan made from waypoints (P,3) m before anything was captured."""
+    """The map of a plan made from waypoints (P,3) m before anything was captured, borders by forecast where there is one."""
     num_devices = sum(len(plan.device_ids) for plan in edge_plans)
     layers = [
         region_layer(cloud_plan),
         strip_layer(cloud_plan, edge_plans),
         border_layer(cloud_plan),
+        *([buffer_layer(positions, cloud_plan, buffers)] if buffers else []),
         waypoint_layer(positions, cloud_plan),
+        *forecast_layers(forecasts),
         edge_site_layer(cloud_plan),
     ]
     subtitle = f"{len(positions)} waypoints, {_plan_text(cloud_plan, num_devices)}"

@@ -1,12 +1,15 @@
 """Waypoints from CSV: a header that names the columns, then one waypoint a line. About 2 µs a cell.
 
 Columns: lat or latitude, lon, lng or longitude, and if there are any alt or altitude (metres), name or id; a unit may stand behind in
-brackets; other columns are ignored. Separated by commas, semicolons or tabs, whichever the header has most; decimals with a point.
+brackets. Where the camera looks: heading or yaw (degrees from north), gimbalpitchangle, gimbal_pitch or pitch (−90 is down); an empty cell,
+and a pitch beside the gimbalmode 0, in which Litchi leaves the gimbal alone, says nothing. Other columns are ignored.
+Separated by commas, semicolons or tabs, whichever the header has most; decimals with a point.
 """
 
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Iterator
 from typing import IO
@@ -20,6 +23,9 @@ _COLUMNS = {
     "altitude": ("alt", "altitude"),
     "name": ("name",),
     "id": ("id",),
+    "heading": ("heading", "yaw"),
+    "pitch": ("gimbalpitchangle", "gimbal_pitch", "gimbalpitch", "gimbal pitch", "pitch"),
+    "gimbal mode": ("gimbalmode",),
 }
 _UNIT = re.compile(r"\s*[(\[_ ]\s*(deg|degrees|°|m|metres|meters)\s*[)\]]?$")
 _FEET = re.compile(r"alt(itude)?\s*[(\[_ ]\s*(ft|feet)\s*[)\]]?$")
@@ -49,8 +55,19 @@ def csv_rows(file: IO[str]) -> WaypointRows:
         lon = number(cells[column["longitude"]].strip(), f"the longitude in line {line}")
         alt_text = cells[column["altitude"]].strip() if "altitude" in column else ""
         alt = number(alt_text, f"the altitude in line {line}") if alt_text else None
-        rows.add("" if named is None else cells[named], lat, lon, alt)
+        rows.add("" if named is None else cells[named], lat, lon, alt, _looks_at_deg(cells, column, line))
     return rows
+
+
+def _looks_at_deg(cells: list[str], column: dict[str, int], line: int) -> tuple[float, float]:
+    """Heading and pitch of a line, NaN where it has none."""
+
+    def angle(what: str) -> float:
+        text = cells[column[what]].strip() if what in column else ""
+        return number(text, f"the {what} in line {line}") if text else math.nan
+
+    aimed = "gimbal mode" not in column or cells[column["gimbal mode"]].strip() != "0"
+    return angle("heading"), angle("pitch") if aimed else math.nan
 
 
 def _lines(file: IO[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:

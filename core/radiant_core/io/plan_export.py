@@ -24,40 +24,59 @@ from shapely.geometry import mapping
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.run_store import atomic_writer, write_atomic
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.waypoints import Waypoints
 
 CSV_HEADER = ("latitude", "longitude", "altitude(m)", "name")
+ANGLE_HEADER = ("heading(deg)", "gimbalpitchangle")
 MAX_SIDE_M = 500.0
 _LINES_AT_ONCE = 10_000
 
 
-def save_device_waypoints(folder: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints) -> tuple[Path, ...]:
+def save_device_waypoints(
+    folder: Path,
+    cloud_plan: CloudPlan,
+    edge_plans: Sequence[EdgePlan],
+    waypoints: Waypoints,
+    buffers: Sequence[EdgeBuffer] = (),
+) -> tuple[Path, ...]:
     """One `<device>.csv` per device in the existing `folder`, its waypoints in the order they came in; without any, the header alone.
 
-    Degrees have 9 decimals (0.1 mm), metres 3. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
+    Of an edge that deals its waypoints itself, later, `edges/<edge>.csv` for a plan of its own.
+    Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where they are known. With `buffers` a last column `role` says
+    own or buffer, in the same order. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     written: list[Path] = []
+    of_edge = {buffer.edge_id: buffer for buffer in buffers}
     for plan in edge_plans:
         for device_id in plan.device_ids:
             written.append(folder / f"{device_id}.csv")
-            write_atomic(written[-1], _device_csv(waypoints, np.sort(plan.cameras_of(device_id))).encode())
+            extra = None if plan.edge_id not in of_edge else of_edge[plan.edge_id].cameras_of(device_id)
+            write_atomic(written[-1], _device_csv(waypoints, plan.cameras_of(device_id), extra).encode())
+        if not plan.dealt:
+            (folder / "edges").mkdir(exist_ok=True)
+            written.append(folder / "edges" / f"{plan.edge_id}.csv")
+            write_atomic(written[-1], _device_csv(waypoints, plan.camera_indices, None).encode())
     return tuple(written)
 
 
-def save_regions_geojson(path: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints) -> None:
-    """One FeatureCollection: a polygon per edge region and per device strip that has land, a point per waypoint.
+def save_regions_geojson(
+    path: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints, buffers: Sequence[EdgeBuffer] = ()
+) -> None:
+    """One FeatureCollection: a polygon per edge region and per device strip that has land, a point per waypoint, and one more for every
+    device that takes it as a buffer.
 
-    Properties: kind (region, strip, waypoint), name, edge, device, cameras, planned_s. Raises BadInput when the plan is not of these
-    waypoints, or as `atomic_writer`. Memory does not grow with the waypoints.
+    Properties: kind (region, strip, waypoint, buffer), name, edge, device, cameras, planned_s. Raises BadInput when the plan is not
+    of these waypoints, or as `atomic_writer`. Memory does not grow with the waypoints.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     with atomic_writer(path) as file:
         file.write(b'{"type": "FeatureCollection", "features": [\n')
         lines: list[str] = []
         first = True
-        for feature in _features(cloud_plan, edge_plans, waypoints):
+        for feature in _features(cloud_plan, edge_plans, waypoints, buffers):
             lines.append(("" if first else ",\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
             first = False
             if len(lines) == _LINES_AT_ONCE:
@@ -66,30 +85,40 @@ def save_regions_geojson(path: Path, cloud_plan: CloudPlan, edge_plans: Sequence
         file.write(("".join(lines) + "\n]}\n").encode())
 
 
-def _device_csv(waypoints: Waypoints, indices: NDArray[np.int64]) -> str:
+def _device_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.int64] | None) -> str:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")  # RFC 4180
-    writer.writerow(CSV_HEADER)
+    angles = waypoints.heading_pitch_deg
+    writer.writerow((*CSV_HEADER, *(() if angles is None else ANGLE_HEADER), *(() if extra is None else ("role",))))
+    buffered = set() if extra is None else set(extra.tolist())
+    indices = np.sort(own if extra is None else np.concatenate([own, extra]))
     for index, (lat, lon, alt) in zip(indices.tolist(), waypoints.lat_lon_alt[indices].tolist(), strict=True):
-        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", f"{alt:.3f}", waypoints.names[index]))
+        looks = () if angles is None else tuple("" if np.isnan(angle) else f"{angle:.3f}" for angle in angles[index])
+        role = () if extra is None else ("buffer" if index in buffered else "own",)
+        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", f"{alt:.3f}", waypoints.names[index], *looks, *role))
     return text.getvalue()
 
 
-def _features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints) -> Iterator[dict[str, Any]]:
+def _features(
+    cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints, buffers: Sequence[EdgeBuffer]
+) -> Iterator[dict[str, Any]]:
     origin = waypoints.origin
     for index, (edge_id, border) in enumerate(zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True)):
         cameras, planned_s = int(cloud_plan.counts[index]), float(cloud_plan.edge_time_s[index])
         about = {"kind": "region", "name": edge_id, "edge": edge_id, "cameras": cameras, "planned_s": planned_s}
         yield from _polygon_feature(border, origin, about)
     for plan in edge_plans:
-        counts = np.bincount(plan.device_of_camera, minlength=len(plan.device_ids)).tolist()
+        counts = [len(plan.cameras_of(device_id)) for device_id in plan.device_ids]
         for device_id, strip, count, time_s in zip(plan.device_ids, plan.strips, counts, plan.device_time_s.tolist(), strict=True):
             about = {"kind": "strip", "name": device_id, "edge": plan.edge_id, "device": device_id, "cameras": count, "planned_s": time_s}
             yield from _polygon_feature(strip, origin, about)
-    for plan in edge_plans:
+    kinds = [("waypoint", plan) for plan in edge_plans] + [("buffer", buffer) for buffer in buffers]
+    for kind, plan in kinds:
         for camera, device in zip(plan.camera_indices.tolist(), plan.device_of_camera.tolist(), strict=True):
             lat, lon, alt = waypoints.lat_lon_alt[camera].tolist()
-            about = {"kind": "waypoint", "name": waypoints.names[camera], "edge": plan.edge_id, "device": plan.device_ids[device]}
+            about = {"kind": kind, "name": waypoints.names[camera], "edge": plan.edge_id}
+            if device >= 0:
+                about["device"] = plan.device_ids[device]
             yield _feature({"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), round(alt, 3)]}, about)
 
 

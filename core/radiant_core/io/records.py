@@ -6,7 +6,8 @@ Runs once per stage.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from radiant_core.frames import Frame
 from radiant_core.io.array_file import VERSION, load_arrays, naming, require_schema, save_arrays
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
+from radiant_core.plan.slack_curve import SlackPoint
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import TENSORS, Splats
@@ -85,13 +87,31 @@ def load_scene(path: Path) -> SfmScene:
         )
 
 
-def save_plan(path: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...], waypoints: Waypoints | None = None) -> None:
+def save_plan(  # noqa: PLR0913
+    path: Path,
+    cloud: CloudPlan,
+    edges: tuple[EdgePlan, ...],
+    waypoints: Waypoints | None = None,
+    *,
+    slack_curve: Sequence[SlackPoint] = (),
+    warnings: Sequence[str] = (),
+    content: Mapping[str, Any] | None = None,
+) -> None:
     """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
-    from some; BadInput when their number is another, else raises as `write_atomic`."""
+    from some, what slacks would buy where somebody looked, what its predictions are to be taken with, and what `content_record` says of
+    footprints; BadInput when their number is another, else raises as `write_atomic`."""
     record: dict[str, Any] = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
+    if slack_curve:
+        record["slack_curve"] = [asdict(point) for point in slack_curve]
     if waypoints is not None:
         require_plan_of(len(waypoints), cloud, edges)
         record["waypoints"] = {"names": list(waypoints.names), "lat_lon_alt": waypoints.lat_lon_alt.tolist()}
+        if waypoints.heading_pitch_deg is not None:
+            angles = waypoints.heading_pitch_deg.tolist()
+            record["waypoints"]["heading_pitch_deg"] = [[None if np.isnan(angle) else angle for angle in pair] for pair in angles]
+    if warnings:
+        record["warnings"] = list(warnings)
+    record |= content or {}
     write_json(path, {"schema": "radiant.plan", "version": VERSION, **record})
 
 
@@ -117,7 +137,9 @@ def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypo
         stored = record.get("waypoints")
         if stored is None:
             return cloud, edges, None
-        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"])
+        looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None
+        angles = None if looks is None else np.array(looks, dtype=np.float64)
+        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"], heading_pitch_deg=angles)
         require_plan_of(len(waypoints), cloud, edges)
     return cloud, edges, waypoints
 
@@ -144,19 +166,20 @@ def _plain(value: Any) -> Any:
 
 def _plan_fields(plan_type: type[CloudPlan | EdgePlan], record: Any) -> dict[str, Any]:
     names = {field.name for field in fields(plan_type)}
-    if not isinstance(record, dict) or set(record) != names:
+    needed = {field.name for field in fields(plan_type) if field.default is MISSING}
+    if not isinstance(record, dict) or not needed <= set(record) <= names:
         raise BadInput(f"a part of it is no {plan_type.__name__}, which has exactly {sorted(names)}: plan again.")
     return {name: _parsed(name, value) for name, value in record.items()}
 
 
 def _parsed(name: str, value: Any) -> Any:
     """A field of a plan from JSON; arrays stay lists for the plan's own checks, empty polygons regain their two columns."""
-    if name in ("edge_ids", "device_ids"):
+    if name in ("edge_ids", "device_ids", "constrained"):
         return _texts(value)
     if name in ("borders", "strips"):
         return tuple(np.zeros((0, 2)) if polygon == [] else polygon for polygon in value)
-    if name in ("method", "status", "edge_id", "certified"):
-        wanted = bool if name == "certified" else str
+    if name in ("method", "status", "edge_id", "certified", "dealt"):
+        wanted = bool if name in ("certified", "dealt") else str
         if not isinstance(value, wanted):
             raise BadInput(f"its {name} is {value!r}, expected {wanted.__name__}: plan again.")
         return value
@@ -164,4 +187,6 @@ def _parsed(name: str, value: Any) -> Any:
         return tuple(float(makespan_s) for makespan_s in value)
     if name == "lower_bound_s":
         return float(value)
+    if name in ("slack", "num_outside"):
+        return None if value is None else float(value) if name == "slack" else int(value)
     return np.zeros((0, 2)) if name == "sites" and value == [] else value

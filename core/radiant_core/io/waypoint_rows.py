@@ -20,9 +20,11 @@ class WaypointRows:
         """What the file holds besides waypoints, by kind."""
         self._numbers = array("d")
         self._no_altitude = bytearray()
+        self._angles = array("d")
 
-    def add(self, name: str, lat: float, lon: float, alt: float | None) -> None:
+    def add(self, name: str, lat: float, lon: float, alt: float | None, heading_pitch_deg: tuple[float, float] = (np.nan, np.nan)) -> None:
         """One waypoint; runs of white space in its name become one blank."""
+        self._angles.extend(heading_pitch_deg)
         self.names.append(" ".join(name.split()))
         self._numbers.extend((lat, lon, 0.0 if alt is None else alt))
         self._no_altitude.append(alt is None)
@@ -31,6 +33,12 @@ class WaypointRows:
     def lat_lon_alt(self) -> FloatArray:
         """Positions (P,3) as they were read."""
         return np.frombuffer(self._numbers, np.float64).reshape(-1, 3) if self.names else np.zeros((0, 3))
+
+    @property
+    def heading_pitch_deg(self) -> FloatArray | None:
+        """Where the camera looks (P,2), NaN where unknown; None where the file says nothing of it."""
+        angles = np.frombuffer(self._angles, np.float64).reshape(-1, 2) if self.names else np.zeros((0, 2))
+        return None if np.isnan(angles).all() else angles
 
     @property
     def no_altitude(self) -> np.ndarray:

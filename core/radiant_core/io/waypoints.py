@@ -61,7 +61,7 @@ def read_waypoints(path: Path) -> FoundWaypoints:
         if not rows.names:
             held = f" but {_listed_kinds(rows)}" if rows.ignored else ""
             raise BadInput(f"it holds no waypoint{held}: give at least one point.")
-        waypoints, warnings = cleaned_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude)
+        waypoints, warnings = cleaned_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude, rows.heading_pitch_deg)
     except BadInput as error:
         raise BadInput(f"cannot use {path}: {error}") from error
     if rows.ignored:

@@ -47,12 +47,12 @@ def _strips_of(edge: Edge, positions: FloatArray, device_of_camera: NDArray[np.i
         device_ids=tuple(device.id for device in edge.devices),
         camera_indices=np.zeros(0, np.int64),
         device_of_camera=np.zeros(0, np.int64),
-        strips=tuple(_hull(positions[device_of_camera == index]) for index in range(len(edge.devices))),
+        strips=tuple(hull_of(positions[device_of_camera == index]) for index in range(len(edge.devices))),
         device_time_s=np.zeros(len(edge.devices)),
     )
 
 
-def _hull(points: FloatArray) -> FloatArray:
+def hull_of(points: FloatArray) -> FloatArray:
     """The convex hull of points (K,2), counter-clockwise; empty (0,2) where it has no area."""
     hull = MultiPoint(points).convex_hull if len(points) else None
     if not isinstance(hull, Polygon):

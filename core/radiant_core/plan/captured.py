@@ -44,7 +44,7 @@ def plan_of_captured(
     require_same_system(edge_plans, system)
     if not len(captured):
         raise BadInput("no photograph was captured: check the folder, or plan again.")
-    device_of_captured = _device_of_planned(edge_plans, len(planned))[_nearest(planned, captured)]
+    device_of_captured = device_of_planned(edge_plans, len(planned))[nearest_planned(planned, captured)]
     return plan_of_owners(cloud_plan, edge_plans, device_of_captured, captured, system=system)
 
 
@@ -94,7 +94,7 @@ def taken_for_others(
     planned = checked_array("planned_xy", planned_xy, (None, 2))
     captured = checked_array("captured_xy", captured_xy, (len(device_of_captured), 2))
     edge_of_device = np.repeat(np.arange(len(edge_plans)), [len(plan.device_ids) for plan in edge_plans])
-    meant = _device_of_planned(edge_plans, len(planned))[_nearest(planned, captured)]
+    meant = device_of_planned(edge_plans, len(planned))[nearest_planned(planned, captured)]
     return edge_of_device[meant] != edge_of_device[device_of_captured]
 
 
@@ -107,8 +107,8 @@ def require_same_system(edge_plans: Sequence[EdgePlan], system: System) -> None:
         raise BadInput(f"the plan is for {has}, the system has {wanted}: use the system it was planned for.")
 
 
-def _nearest(planned: FloatArray, captured: FloatArray) -> NDArray[np.int64]:
-    """Row of the nearest waypoint (C,)."""
+def nearest_planned(planned: FloatArray, captured: FloatArray) -> NDArray[np.int64]:
+    """Row of the nearest waypoint (C,) of photographs (C,2) m; BadInput when most lie farther from all than the plan is wide."""
     tree: Any = KDTree(planned)
     distances_m: FloatArray
     nearest: NDArray[np.int64]
@@ -123,7 +123,7 @@ def _nearest(planned: FloatArray, captured: FloatArray) -> NDArray[np.int64]:
     return nearest
 
 
-def _device_of_planned(edge_plans: Sequence[EdgePlan], num_planned: int) -> NDArray[np.int64]:
+def device_of_planned(edge_plans: Sequence[EdgePlan], num_planned: int) -> NDArray[np.int64]:
     """Device (P,) of each waypoint, counted over all edges in order."""
     device_of_planned = np.empty(num_planned, dtype=np.int64)
     first = 0
@@ -149,7 +149,8 @@ def _device_times_s(edge: Edge, counts: NDArray[np.int64]) -> FloatArray:
 def _edge_time_s(edge: Edge, plan: EdgePlan) -> float:
     counts = np.bincount(plan.device_of_camera, minlength=len(edge.devices))
     model_bytes = sum(float(device.model_bytes(count)) for device, count in zip(edge.devices, counts, strict=True))
-    return float(plan.device_time_s.max() + edge.aggregate_s(counts.sum()) + model_bytes / edge.uplink_bytes_per_s)
+    joining_s = edge.aggregation_s(int(counts.sum()), int((counts > 0).sum()))
+    return float(plan.device_time_s.max() + joining_s + model_bytes / edge.uplink_bytes_per_s)
 
 
 def _with_bound(

@@ -38,6 +38,8 @@ class Compared:
 
     method: str
     edge_of_camera: Indices
+    edge_time_s: FloatArray
+    """(E,), of the cameras in each region."""
     makespan_s: float
     over_bound: float
     """Makespan over the geography-free bound, of all cameras; below 1 only where cameras were left out."""
@@ -173,6 +175,7 @@ def _compared(  # noqa: PLR0913
     return Compared(
         method=method,
         edge_of_camera=edge_of_camera,
+        edge_time_s=times_s,
         makespan_s=float(times_s.max()),
         over_bound=float(times_s.max()) / bound_s if bound_s > 0 else 1.0,
         num_orphans=int((~owned).sum()),

@@ -21,36 +21,59 @@ EXTRAPOLATION = 2.0
 """A curve is trusted up to this many times the largest measured count."""
 _EXPONENTS = np.arange(0.25, 3.01, 0.125)
 _WORTH_A_TERM = 0.99
+_SAME_ERROR = 1e-6
+"""How far errors that a file states may be off those of its samples: rounding of numbers as text."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FittedCurve:
-    """A curve and what it rests on."""
+    """A curve and what it rests on. Raises BadInput for an empty range, for samples that do not span it, and for errors they belie."""
 
     curve: CostCurve
     smallest_count: int
     largest_count: int
-    worst_error: float
+    samples: tuple[tuple[int, float], ...] = ()
+    """Camera count and measured value; none for an estimate."""
+    rmse: float | None = None
+    """Root mean square of the relative errors at the samples; of an estimate, what its source scatters by, if known."""
+    worst_error: float | None = None
     """Largest relative error at the samples."""
-    key: str = ""
-    """Preset and step policy it was measured with; curves of another key do not fit."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.smallest_count <= self.largest_count:
+            raise BadInput(f"a curve was fitted on {self.smallest_count} to {self.largest_count} cameras, expected 1 or more, rising.")
+        for name in ("rmse", "worst_error"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value >= 0):
+                raise BadInput(f"a curve's {name} is {value}, expected a finite share of at least 0.")
+        if not self.samples:
+            return
+        counts, values = np.array(self.samples, dtype=np.float64).T
+        _require_costs(counts, values)
+        if (counts.min(), counts.max()) != (self.smallest_count, self.largest_count):
+            raise BadInput(
+                f"a curve's samples do not span {self.smallest_count} to {self.largest_count} cameras, its range: profile again."
+            )
+        rmse, worst = _errors(self.curve, counts, values)
+        if self.rmse is None or self.worst_error is None or max(abs(self.rmse - rmse), abs(self.worst_error - worst)) > _SAME_ERROR:
+            stated = f"rmse {self.rmse} and worst_error {self.worst_error}"
+            raise BadInput(f"a curve states {stated}, its samples give {rmse:.6g} and {worst:.6g}: profile again.")
 
     def extrapolates(self, num_cameras: int) -> bool:
         """Whether so many cameras lie beyond twice the measured range."""
         return num_cameras > EXTRAPOLATION * self.largest_count
 
 
-def fit_curve(counts: ArrayLike, values: ArrayLike, *, key: str = "") -> FittedCurve:
+def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -> FittedCurve:
     """The curve nearest to values (S,) at camera counts (S,), in relative error.
 
-    Raises BadInput without samples, for counts below 1, for values that are not positive, and where values fall with the count.
+    Raises BadInput without samples, for counts below 1, for values that are not positive, and where values fall with the count, unless they
+    `may_fall`: what a busy machine measured gives a flat curve and a large error.
     """
     counts = checked_array("counts", counts, (None,))
     values = checked_array("values", values, (len(counts),))
-    if not len(counts) or counts.min() < 1 or values.min() <= 0:
-        raise BadInput("a cost curve needs at least one sample, counts of at least 1 and positive values: measure again.")
-    slope = float(np.polyfit(counts, values, 1)[0]) if np.ptp(counts) else 0.0
-    if slope * float(np.ptp(counts)) < -0.2 * float(values.mean()):
+    _require_costs(counts, values)
+    if not may_fall and falls(counts, values):
         raise BadInput(
             f"the values fall from {values[counts.argmin()]:.4g} at {counts.min():.0f} cameras to {values[counts.argmax()]:.4g} at "
             f"{counts.max():.0f}: a cost does not fall with cameras, check the measurement."
@@ -66,8 +89,15 @@ def fit_curve(counts: ArrayLike, values: ArrayLike, *, key: str = "") -> FittedC
             if new_error < _WORTH_A_TERM * error:
                 error = new_error
                 curve = CostCurve(constant=more[0], linear=more[1], power_coefficient=more[2], exponent=float(exponent))
-    worst = float(np.abs(curve(counts) / values - 1).max())
-    return FittedCurve(curve=curve, smallest_count=int(counts.min()), largest_count=int(counts.max()), worst_error=worst, key=key)
+    rmse, worst = _errors(curve, counts, values)
+    return FittedCurve(
+        curve=curve,
+        smallest_count=int(counts.min()),
+        largest_count=int(counts.max()),
+        samples=tuple((int(count), float(value)) for count, value in zip(counts, values, strict=True)),
+        rmse=rmse,
+        worst_error=worst,
+    )
 
 
 def corrected(curve: CostCurve, num_cameras: int, measured: float) -> CostCurve:
@@ -76,6 +106,24 @@ def corrected(curve: CostCurve, num_cameras: int, measured: float) -> CostCurve:
         raise BadInput(f"{measured} was measured for {num_cameras} cameras: give a positive value and at least one camera.")
     predicted = float(curve(num_cameras))
     return curve.scaled(measured / predicted) if predicted > 0 else curve
+
+
+def _require_costs(counts: FloatArray, values: FloatArray) -> None:
+    if not len(counts) or counts.min() < 1 or not (np.isfinite(values).all() and values.min() > 0):
+        raise BadInput("a cost curve needs at least one sample, counts of at least 1 and positive values: measure again.")
+
+
+def falls(counts: ArrayLike, values: ArrayLike) -> bool:
+    """Whether values (S,) fall with the counts by more than a fifth over their range."""
+    counts, values = np.asarray(counts, np.float64), np.asarray(values, np.float64)
+    slope = float(np.polyfit(counts, values, 1)[0]) if np.ptp(counts) else 0.0
+    return slope * float(np.ptp(counts)) < -0.2 * float(values.mean())
+
+
+def _errors(curve: CostCurve, counts: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Root mean square and largest relative error at the samples (S,)."""
+    errors = curve(counts) / values - 1
+    return float(np.sqrt(np.mean(errors**2))), float(np.abs(errors).max())
 
 
 def _fitted(terms: FloatArray, values: FloatArray) -> tuple[list[float], float]:

@@ -58,10 +58,10 @@ def device_time_s(device: Device, num_cameras: ArrayLike) -> FloatArray:
 
 def edge_tables(system: System, num_cameras: int) -> tuple[EdgeTable, ...]:
     """The table of every edge for up to `num_cameras`; BadInput when curves overflow or cameras × devices is too large."""
-    entries = num_cameras * len(system.devices)
+    entries = num_cameras * len(system.workers)
     if entries > MAX_TABLE_ENTRIES:
         raise BadInput(
-            f"{num_cameras} cameras on {len(system.devices)} devices make {entries} table entries, at most {MAX_TABLE_ENTRIES} "
+            f"{num_cameras} cameras on {len(system.workers)} devices make {entries} table entries, at most {MAX_TABLE_ENTRIES} "
             "are supported: plan with fewer cameras or devices."
         )
     return tuple(edge_table(edge, num_cameras) for edge in system.edges)
@@ -69,17 +69,28 @@ def edge_tables(system: System, num_cameras: int) -> tuple[EdgeTable, ...]:
 
 def edge_table(edge: Edge, num_cameras: int) -> EdgeTable:
     """The table of one edge for up to `num_cameras` cameras."""
-    limits = [num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in edge.devices]
+    limits = [num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in edge.workers]
     with np.errstate(over="ignore", invalid="ignore"):
-        times_s = [_monotone(device_time_s(d, np.arange(1, k + 1))) for d, k in zip(edge.devices, limits, strict=True)]
+        times_s = [_monotone(device_time_s(d, np.arange(1, k + 1))) for d, k in zip(edge.workers, limits, strict=True)]
         slots, slot_time_s = earliest_slots(times_s, num_cameras)
-        sizes = [d.model_bytes(np.arange(k + 1)) for d, k in zip(edge.devices, limits, strict=True)]
+        sizes = [d.model_bytes(np.arange(k + 1)) for d, k in zip(edge.workers, limits, strict=True)]
         growth = np.concatenate([np.diff(size) for size in sizes])
         model_bytes = _from_zero(np.cumsum(growth[_flat_indices(slots, limits)]))
         counts = np.arange(len(slots) + 1)
-        total_s = _from_zero(slot_time_s) + edge.aggregate_s(counts) + model_bytes / edge.uplink_bytes_per_s
+        others = np.flatnonzero(slots != slots[0]) if len(slots) else slots
+        total_s = _from_zero(slot_time_s) + aggregate_times_s(edge, counts, others[0] if len(others) else len(slots))
+        total_s = total_s + model_bytes / edge.uplink_bytes_per_s
     require_finite(f"the time of edge {edge.id!r} against cameras", total_s)
-    return EdgeTable(num_devices=len(edge.devices), device_of_slot=slots, edge_time_s=_monotone(total_s))
+    return EdgeTable(num_devices=len(edge.workers), device_of_slot=slots, edge_time_s=_monotone(total_s))
+
+
+def aggregate_times_s(edge: Edge, num_cameras: ArrayLike, num_alone: ArrayLike) -> FloatArray:
+    """F_m for camera counts of any shape, of which up to `num_alone` go to one device."""
+    counts = np.asarray(num_cameras)
+    joined_s = edge.aggregate_s(counts)
+    if edge.aggregate_alone_s is None:
+        return joined_s
+    return np.where(counts <= num_alone, np.minimum(edge.aggregate_alone_s(counts), joined_s), joined_s)
 
 
 def fastest_counts(tables: Sequence[EdgeTable], num_cameras: int) -> tuple[NDArray[np.int64], float]:

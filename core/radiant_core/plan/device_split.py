@@ -1,8 +1,8 @@
 """Strips for the devices of an edge (paper Sec. III-C, RTP): who trains which of the edge's cameras.
 
 The quotas come from `deadline`; the cameras are sorted along the longer side of the smallest rectangle around them and dealt
-in the order in which the devices are listed; strips are cut midway between the last camera of one device and the first of
-the next. Runs once per edge and plan, O(K log K) in the edge's cameras K.
+in the order of devices that keeps the seams short (`strip_order`); strips are cut midway between the last camera of one device
+and the first of the next. Runs once per edge and plan, O(K log K) in the edge's cameras K.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.deadline import device_time_s, edge_table
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.power_diagram import clip_polygon
+from radiant_core.plan.strip_order import chords_across, shortest_order
 from radiant_core.plan.system import Edge, System
 
 
@@ -33,8 +34,18 @@ def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[
 def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], border: FloatArray) -> EdgePlan:
     """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m, to its devices; strips partition `border` (V,2) m.
 
-    BadInput when the devices cannot hold them.
+    An edge that is known by its curve alone has nobody to deal to yet. BadInput when the devices cannot hold the cameras.
     """
+    if not edge.devices:
+        return EdgePlan(
+            edge_id=edge.id,
+            device_ids=(),
+            camera_indices=camera_indices,
+            device_of_camera=np.full(len(camera_indices), -1),
+            strips=(),
+            device_time_s=np.zeros(0),
+            dealt=False,
+        )
     quotas = edge_table(edge, len(camera_indices)).quotas(len(camera_indices))
     own = positions[camera_indices]
     centre = own.mean(axis=0) if len(own) else np.zeros(2)
@@ -43,8 +54,10 @@ def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int
     across = (own - centre) @ np.array([-axis[1], axis[0]])
     order = np.lexsort((camera_indices, across, along))
     device_of_camera = np.empty(len(own), dtype=np.int64)
-    device_of_camera[order] = np.repeat(np.arange(len(quotas)), quotas)
-    strips = [strip + centre for strip in _strips(border - centre, axis, along[order], quotas)]
+    cuts = _cuts(along[order])
+    dealt = shortest_order(quotas, [device.id for device in edge.devices], chords_across(border - centre, axis, cuts))
+    device_of_camera[order] = np.repeat(dealt, quotas[dealt])
+    strips = [strip + centre for strip in _strips(border - centre, axis, cuts, quotas, dealt)]
     return EdgePlan(
         edge_id=edge.id,
         device_ids=tuple(device.id for device in edge.devices),
@@ -77,18 +90,23 @@ def long_axis(points: FloatArray) -> FloatArray:
     return axes[best]
 
 
-def _strips(border: FloatArray, axis: FloatArray, along: FloatArray, quotas: NDArray[np.int64]) -> list[FloatArray]:
-    """The border (V,2) cut across `axis` where the sorted coordinates `along` (K,) pass from one device to the next."""
-    strips: list[FloatArray] = []
+def _cuts(along: FloatArray) -> FloatArray:
+    """Where a strip that ends after k of the K sorted cameras is cut, (K+1,): midway to the next; at the ends of the cameras 0 and K."""
+    if not len(along):
+        return np.zeros(1)
+    return np.concatenate([along[:1], (along[:-1] + along[1:]) / 2, along[-1:]])
+
+
+def _strips(
+    border: FloatArray, axis: FloatArray, cuts: FloatArray, quotas: NDArray[np.int64], dealt: NDArray[np.int64]
+) -> list[FloatArray]:
+    """Per device its part of the border (V,2), which is cut across `axis` at `cuts` (K+1,) between devices in the order `dealt`."""
+    strips = [np.empty((0, 2))] * len(quotas)
     rest = border
-    ends = np.cumsum(quotas)
-    for quota, end in zip(quotas, ends, strict=True):
-        if quota == 0:
-            strips.append(np.empty((0, 2)))
-        elif end == len(along):
-            strips.append(rest)
-        else:
-            cut = float(along[end - 1] + along[end]) / 2
-            strips.append(clip_polygon(rest, axis, cut))
-            rest = clip_polygon(rest, -axis, -cut)
+    ends = np.cumsum(quotas[dealt])
+    for device, end in zip(dealt[:-1], ends[:-1], strict=True):
+        strips[device] = clip_polygon(rest, axis, float(cuts[end]))
+        rest = clip_polygon(rest, -axis, -float(cuts[end]))
+    if len(dealt):
+        strips[dealt[-1]] = rest
     return strips

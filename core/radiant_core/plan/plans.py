@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 
-PlanStatus = Literal["optimal", "converged", "stopped", "infeasible"]
+PlanStatus = Literal["optimal", "converged", "stopped", "infeasible", "slack", "constrained"]
 """optimal: equals the lower bound with a certificate; converged: within the threshold; stopped: iteration limit; infeasible: the
-devices cannot hold all cameras."""
+devices cannot hold all cameras; slack: least distance for a makespan that may be longer, with a certificate; constrained: least makespan
+and distance around what was fixed, locked or pinned."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,6 +40,12 @@ class CloudPlan:
     certified: bool
     """Whether every camera was found to lie in its own power cell."""
     history: tuple[float, ...] = ()
+    slack: float | None = None
+    """Factor on the lower bound that the makespan was allowed to reach; None where the bound alone decided."""
+    constrained: tuple[str, ...] = ()
+    """What was fixed, locked or pinned, one sentence each."""
+    num_outside: int = 0
+    """Cameras outside their own power cell."""
 
     def __post_init__(self) -> None:
         count = len(self.edge_ids)
@@ -81,9 +88,13 @@ class EdgePlan:
     device_of_camera: NDArray[np.int64]
     strips: tuple[FloatArray, ...]
     device_time_s: FloatArray
+    dealt: bool = True
+    """False where the edge is known by its curve alone: no devices, device_of_camera −1; the edge deals its cameras itself, later."""
 
     def __post_init__(self) -> None:
         count = len(self.device_ids)
+        if not self.dealt and count:
+            raise BadInput(f"the plan of edge {self.edge_id!r} has devices and says that it is not dealt: plan again.")
         if len(set(self.device_ids)) != count:
             raise BadInput(f"the plan of edge {self.edge_id!r} has the devices {self.device_ids}: give each its own id.")
         object.__setattr__(self, "camera_indices", checked_array("camera_indices", self.camera_indices, (None,), np.int64))
@@ -95,7 +106,8 @@ class EdgePlan:
         object.__setattr__(self, "strips", tuple(checked_array("strips", strip, (None, 2)) for strip in self.strips))
         if len(self.strips) != count:
             raise BadInput(f"the plan of edge {self.edge_id!r} has {len(self.strips)} strips for {count} devices.")
-        if shape[0] and not (self.device_of_camera.min() >= 0 and self.device_of_camera.max() < count):
+        allowed = range(count) if self.dealt else range(-1, 0)
+        if shape[0] and not (self.device_of_camera.min() in allowed and self.device_of_camera.max() in allowed):
             raise BadInput(f"the plan of edge {self.edge_id!r} gives a camera to a device that is not there.")
 
     def cameras_of(self, device_id: str) -> NDArray[np.int64]:

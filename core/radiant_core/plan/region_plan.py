@@ -23,14 +23,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.plan.capped_transport import deal_within
+from radiant_core.plan.constraints import PlanConstraints, Reference, deal_around
 from radiant_core.plan.deadline import edge_tables
 from radiant_core.plan.edge_sites import separated_sites
 from radiant_core.plan.paper_arp import PaperConfig, paper_regions
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.power_diagram import assign, cell_polygons, rectangle
+from radiant_core.plan.slack import capacities_within
 from radiant_core.plan.system import System
-from radiant_core.plan.transport import deal_with_counts, largest_violation
-from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, system_capacity, times_of_counts
+from radiant_core.plan.transport import deal_with_counts, violations
+from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, remembered_edge_counts, system_capacity, times_of_counts
 
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
@@ -78,9 +81,13 @@ class _Partition:
     converged: bool = False
     violation_m2: float | None = None
     """By how much the worst camera misses its cell, None where nobody looked."""
+    aim: Literal["bound", "slack", "constrained"] = "bound"
+    sentences: tuple[str, ...] = ()
+    edge_time_s: FloatArray | None = None
+    """Where it is known already."""
 
 
-def plan_regions(
+def plan_regions(  # noqa: PLR0913
     positions: ArrayLike,
     system: System,
     *,
@@ -88,18 +95,18 @@ def plan_regions(
     paper: PaperConfig | None = None,
     start: CloudPlan | None = None,
     tolerance: float = 0.0,
+    slack: float | None = None,
+    constraints: PlanConstraints | None = None,
 ) -> CloudPlan | PlanInfeasible:
     """Regions for cameras (C,2) m by one of the methods above; every edge needs a position (`place_edges`).
 
     status: optimal = the lower bound with a certificate; converged = within the paper's threshold (of the bound, for methods
     that do not iterate); stopped otherwise. `start`: a plan of nearly the same input for `exact` to start from. `tolerance`: `exact`
-    leaves every camera at its nearest edge where that is slower than the bound by this share at most. Raises BadInput for a
-    negative tolerance and for positions that are not finite, none, or beyond 1e8 m.
+    leaves every camera at its nearest edge where that is slower than the bound by this share at most. `slack` ≥ 1: `exact` may take
+    this many times the bound if that shortens Σ distance² (`slack.py`); `constraints`: `exact` plans around them. Raises BadInput
+    for a tolerance or slack out of range, both or constraints with them, and for positions that are not finite, none, or beyond 1e8 m.
     """
-    if not (np.isfinite(tolerance) and tolerance >= 0):
-        raise BadInput(f"tolerance is {tolerance}, expected a finite share of at least 0.")
-    if method not in get_args(PlanMethod):
-        raise BadInput(f"plan method {method!r} is unknown: use one of {', '.join(get_args(PlanMethod))}.")
+    _require_options(method, tolerance, slack, constraints)
     plane = _plane(positions, system)
     num_cameras = len(plane.cameras)
     capacity = system_capacity(system, num_cameras)
@@ -107,9 +114,16 @@ def plan_regions(
         reason = f"the devices can hold {capacity} of {num_cameras} cameras: raise max_cameras or add devices."
         return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     paper = paper or PaperConfig()
-    fastest = fastest_edge_counts(system, num_cameras)
+    fastest = (remembered_edge_counts if constraints else fastest_edge_counts)(system, num_cameras)
     nearest = _nearest_if_good(plane, system, fastest, tolerance) if method == "exact" and tolerance > 0 else None
-    if nearest is not None:
+    if constraints:
+        dealt = _constrained_partition(plane, system, fastest, constraints, start)
+        if isinstance(dealt, str):
+            return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=dealt)
+        partition = dealt
+    elif slack is not None:
+        partition = _slack_partition(plane, system, fastest, slack)
+    elif nearest is not None:
         partition = nearest
     elif method == "exact":
         partition = _exact_partition(plane, fastest.counts, start)
@@ -120,7 +134,8 @@ def plan_regions(
         if count > (held := system_capacity(System(edges=(edge,)), num_cameras)):
             reason = f"method {method} gives edge {edge.id!r} {count} cameras, it can hold {held}: use method exact."
             return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
-    return _cloud_plan(method, system, plane, partition, fastest, paper.threshold)
+    plan = _cloud_plan(method, system, plane, partition, fastest, paper.threshold)
+    return replace(plan, slack=slack)
 
 
 def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
@@ -130,11 +145,9 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
     """
     positions = checked_array("positions", positions, (len(edge_of_camera), 2))
     counts = np.bincount(edge_of_camera, minlength=len(system.edges))
-    means = [positions[edge_of_camera == index].mean(axis=0) if count else positions.mean(axis=0) for index, count in enumerate(counts)]
-    placed = [replace(edge, position=(float(x), float(y))) for edge, (x, y) in zip(system.edges, means, strict=True)]
-    plane = _plane(positions, System(edges=tuple(placed)))
+    plane = _plane(positions, _at_means(positions, edge_of_camera, system))
     fits = system_capacity(system, len(positions)) >= len(positions)
-    weights = _closed_where_unused(np.zeros(len(placed)), counts, plane)
+    weights = _closed_where_unused(np.zeros(len(counts)), counts, plane)
     return CloudPlan(
         method="captured",
         edge_ids=tuple(edge.id for edge in system.edges),
@@ -142,11 +155,41 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
         weights=weights,
         borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
         edge_of_camera=edge_of_camera,
-        edge_time_s=np.zeros(len(placed)),
+        edge_time_s=np.zeros(len(counts)),
         lower_bound_s=float(fastest_edge_counts(system, len(positions)).edge_time_s.max()) if fits else 0.0,
         status="stopped",
         certified=False,
     )
+
+
+def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
+    """Regions for cameras (C,2) m that belong to edges (C,): the power diagram of the edges' mean cameras with as many in each cell.
+
+    Which cameras lie in a cell may differ from `edge_of_camera`. Times and the lower bound are left at 0.
+    """
+    positions = checked_array("positions", positions, (len(edge_of_camera), 2))
+    counts = np.bincount(edge_of_camera, minlength=len(system.edges))
+    plane = _plane(positions, _at_means(positions, edge_of_camera, system))
+    weights = _closed_where_unused(_exact_partition(plane, counts, None).weights, counts, plane)
+    return CloudPlan(
+        method="captured",
+        edge_ids=tuple(edge.id for edge in system.edges),
+        sites=plane.sites + plane.centre,
+        weights=weights,
+        borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
+        edge_of_camera=edge_of_camera,
+        edge_time_s=np.zeros(len(counts)),
+        lower_bound_s=0.0,
+        status="stopped",
+        certified=False,
+    )
+
+
+def _at_means(positions: FloatArray, edge_of_camera: NDArray[np.int64], system: System) -> System:
+    """The system with every edge at the mean of its cameras, of all where it has none."""
+    counts = np.bincount(edge_of_camera, minlength=len(system.edges))
+    means = [positions[edge_of_camera == index].mean(axis=0) if count else positions.mean(axis=0) for index, count in enumerate(counts)]
+    return System(edges=tuple(replace(edge, position=(float(x), float(y))) for edge, (x, y) in zip(system.edges, means, strict=True)))
 
 
 def _plane(positions: ArrayLike, system: System) -> _Plane:
@@ -176,6 +219,60 @@ def _exact_partition(plane: _Plane, counts: NDArray[np.int64], start: CloudPlan 
     weights = None if start is None or len(start.weights) != len(counts) else start.weights
     dealt = deal_with_counts(plane.cameras, plane.sites, counts, weights=weights)
     return _Partition(edge_of_camera=dealt.edge_of_position, weights=dealt.weights, violation_m2=dealt.violation_m2)
+
+
+def _require_options(method: PlanMethod, tolerance: float, slack: float | None, constraints: PlanConstraints | None) -> None:
+    if not (np.isfinite(tolerance) and tolerance >= 0):
+        raise BadInput(f"tolerance is {tolerance}, expected a finite share of at least 0.")
+    if method not in get_args(PlanMethod):
+        raise BadInput(f"plan method {method!r} is unknown: use one of {', '.join(get_args(PlanMethod))}.")
+    if slack is not None and not (np.isfinite(slack) and slack >= 1):
+        raise BadInput(f"slack is {slack}, expected a finite factor of at least 1 on the shortest makespan.")
+    chosen = [
+        name for name, given in (("tolerance", tolerance > 0), ("slack", slack is not None), ("constraints", bool(constraints))) if given
+    ]
+    if len(chosen) > 1:
+        raise BadInput(f"{' and '.join(chosen)} are given together: choose one of them.")
+    if chosen and method != "exact":
+        raise BadInput(f"{chosen[0]} is for method exact, the method is {method}: leave one of them out.")
+
+
+def _slack_partition(plane: _Plane, system: System, fastest: FastestCounts, slack: float) -> _Partition:
+    """The least Σ distance² within slack times the bound; never fewer places than the fastest counts, whatever rounding says."""
+    capacities = capacities_within(system, len(plane.cameras), slack * float(fastest.edge_time_s.max()))
+    dealt = deal_within(plane.cameras, plane.sites, np.maximum(capacities, fastest.counts))
+    return _Partition(edge_of_camera=dealt.edge_of_position, weights=dealt.weights, violation_m2=dealt.violation_m2, aim="slack")
+
+
+def _constrained_partition(
+    plane: _Plane, system: System, fastest: FastestCounts, constraints: PlanConstraints, start: CloudPlan | None
+) -> _Partition | str:
+    """The plan around constraints, on the weights of the plan to start from or of the exact one; a sentence where there is none."""
+    if start is not None and start.edge_ids != tuple(edge.id for edge in system.edges):
+        raise BadInput(f"the plan to start from has edges {', '.join(start.edge_ids)}, the system others: give one of this system.")
+    weights = _exact_partition(plane, fastest.counts, None).weights if start is None and constraints.fixed_weights_m2 else None
+    reference = Reference(
+        weights=start.weights if start is not None else np.zeros(len(plane.sites)) if weights is None else weights,
+        edge_of_camera=None if start is None else start.edge_of_camera,
+    )
+    dealt = deal_around(plane.cameras, plane.sites, system, constraints, reference)
+    if isinstance(dealt, str):
+        return dealt
+    free = "hold" if dealt.free_violation_m2 <= CERTIFICATE_TOLERANCE * _largest_m2(plane) else "do not hold"
+    sentence = f"the certificate's conditions {free} among the cameras and edges that are free"
+    return _Partition(
+        edge_of_camera=dealt.edge_of_camera,
+        weights=dealt.weights,
+        aim="constrained",
+        sentences=(*dealt.sentences, sentence),
+        edge_time_s=dealt.edge_time_s,
+    )
+
+
+def _largest_m2(plane: _Plane) -> float:
+    """The largest squared distance of an edge to a corner of the cameras' bounding box."""
+    corners = rectangle(plane.cameras.min(axis=0), plane.cameras.max(axis=0))
+    return max(float(np.sum((plane.sites - corner) ** 2, axis=1).max()) for corner in corners)
 
 
 def _nearest_if_good(plane: _Plane, system: System, fastest: FastestCounts, tolerance: float) -> _Partition | None:
@@ -220,20 +317,24 @@ def _cloud_plan(
     method: PlanMethod, system: System, plane: _Plane, partition: _Partition, fastest: FastestCounts, threshold: float
 ) -> CloudPlan:
     counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
-    edge_time_s = fastest.edge_time_s if np.array_equal(counts, fastest.counts) else times_of_counts(system, counts)
+    edge_time_s = fastest.edge_time_s if np.array_equal(counts, fastest.counts) else partition.edge_time_s
+    if edge_time_s is None:
+        edge_time_s = times_of_counts(system, counts)
     lower_bound_s = float(fastest.edge_time_s.max())
     makespan_s = float(edge_time_s.max())
     weights = _closed_where_unused(partition.weights, counts, plane)
+    num_outside = 0
     if partition.violation_m2 is None:
-        certified = is_certified(plane.cameras, plane.sites, weights, partition.edge_of_camera)
+        num_outside = num_cameras_outside(plane.cameras, plane.sites, weights, partition.edge_of_camera)
+        certified = num_outside == 0
     else:
         # Edges without cameras were left out there; they lose everywhere by construction.
-        corners = plane.cameras.min(axis=0), plane.cameras.max(axis=0)
-        largest_m2 = max(float(np.sum((plane.sites - corner) ** 2, axis=1).max()) for corner in rectangle(*corners))
-        certified = partition.violation_m2 <= CERTIFICATE_TOLERANCE * largest_m2
+        certified = partition.violation_m2 <= CERTIFICATE_TOLERANCE * _largest_m2(plane)
     status: PlanStatus = "stopped"
     if certified and makespan_s <= lower_bound_s:
         status = "optimal"
+    elif partition.aim == "constrained" or (partition.aim == "slack" and certified):
+        status = partition.aim
     elif partition.converged or (method != "paper" and makespan_s <= (1 + threshold) * lower_bound_s):
         status = "converged"
     return CloudPlan(
@@ -248,6 +349,8 @@ def _cloud_plan(
         status=status,
         certified=certified,
         history=partition.history or (makespan_s,),
+        constrained=partition.sentences,
+        num_outside=num_outside,
     )
 
 
@@ -266,12 +369,17 @@ def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: 
 
 
 def is_certified(cameras: FloatArray, sites: FloatArray, weights: FloatArray, edge_of_camera: NDArray[np.int64]) -> bool:
-    """Whether every camera (C,2) m is in its own power cell within the tolerance; in blocks, as C × E may be large."""
-    worst_m2, largest_m2 = 0.0, 0.0
+    """Whether every camera (C,2) m is in its own power cell within the tolerance."""
+    return num_cameras_outside(cameras, sites, weights, edge_of_camera) == 0
+
+
+def num_cameras_outside(cameras: FloatArray, sites: FloatArray, weights: FloatArray, edge_of_camera: NDArray[np.int64]) -> int:
+    """Cameras (C,2) m outside their own power cell by more than the tolerance; in blocks, as C × E may be large."""
+    missed_m2, largest_m2 = np.zeros(len(cameras)), 0.0
     rows = max(1, _BLOCK_PAIRS // len(weights))
     for start in range(0, len(cameras), rows):
         block = slice(start, start + rows)
         squared_m2 = np.sum((cameras[block, None] - sites) ** 2, axis=-1)
-        worst_m2 = max(worst_m2, largest_violation(squared_m2, weights, edge_of_camera[block]))
+        missed_m2[block] = violations(squared_m2, weights, edge_of_camera[block])
         largest_m2 = max(largest_m2, float(squared_m2.max()))
-    return worst_m2 <= CERTIFICATE_TOLERANCE * largest_m2
+    return int((missed_m2 > CERTIFICATE_TOLERANCE * largest_m2).sum())

@@ -127,7 +127,9 @@ def fleet_of(system: System, quotas: ArrayLike) -> Fleet:
     quotas = checked_array("quotas", quotas, (len(system.devices),), np.int64)
     sizes = [len(edge.devices) for edge in system.edges]
     edge_of_device = np.repeat(np.arange(len(sizes)), sizes)
-    counts = np.bincount(edge_of_device, weights=quotas)
+    counts = np.bincount(edge_of_device, weights=quotas).astype(np.int64)
+    working = np.bincount(edge_of_device, weights=quotas > 0).astype(np.int64)
+    loads = list(zip(system.edges, counts.tolist(), working.tolist(), strict=True))
     pairs = list(zip(system.devices, quotas.tolist(), strict=True))
     return Fleet(
         edge_of_device=edge_of_device,
@@ -135,7 +137,7 @@ def fleet_of(system: System, quotas: ArrayLike) -> Fleet:
         work_s=np.array([float(d.init_s(count) + d.train_s(count)) for d, count in pairs]),
         model_bytes=np.array([float(d.model_bytes(count)) for d, count in pairs]),
         uplink_bytes_per_s=np.array([d.uplink_bytes_per_s for d in system.devices]),
-        aggregate_s=np.array([float(edge.aggregate_s(count)) for edge, count in zip(system.edges, counts, strict=True)]),
+        aggregate_s=np.array([edge.aggregation_s(count, devices) for edge, count, devices in loads]),
         edge_uplink_bytes_per_s=np.array([edge.uplink_bytes_per_s for edge in system.edges]),
         fails_s=np.full(len(quotas), np.inf),
         repair_s=np.zeros(len(quotas)),

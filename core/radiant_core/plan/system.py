@@ -10,6 +10,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.profiles import Profile
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -34,6 +35,15 @@ class Device:
     """What its training may hold, which limits its Gaussians; None without a limit."""
     speed: float | None = None
     """Share of one core, at most 1, when the system is emulated; what that means for the curves above is theirs to say."""
+    profile: Profile | None = None
+    """What the three curves come from; None where they were spelt out."""
+    costs_from: str | None = None
+    """"measured NAME" or "estimate NAME" where the curves were copied from that profile."""
+
+    @property
+    def origin(self) -> str | None:
+        """Kind and name of the profile that the curves are or were copied from, None where they were spelt out."""
+        return _origin(self.profile, self.costs_from)
 
     def __post_init__(self) -> None:
         _require_id("device", self.id)
@@ -47,7 +57,10 @@ class Device:
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """A machine that owns a region and joins its devices' models (paper: edge m at P^m with F_m and B^m)."""
+    """A machine that owns a region and joins its devices' models (paper: edge m at P^m with F_m and B^m).
+
+    To the cloud it may be known by `time_s` and `max_cameras` alone: then it has no devices here and deals its cameras itself, later.
+    """
 
     id: str
     """Letters, digits, - and _; names the edge's folder."""
@@ -56,13 +69,25 @@ class Edge:
     lat_lon_deg: tuple[float, float] | None = None
     """Latitude and longitude instead of `position`; turned into metres when the scene's origin is known."""
     aggregate_s: CostCurve
-    """F_m: seconds to aggregate against cameras."""
+    """F_m: seconds to aggregate against cameras. Retraining shows every view of an edge whose cameras several devices share, so that it
+    takes a + b · views whatever the cut; were only views at the borders shown, it would depend on where these run, and makespan over
+    bound could only be reported for this model."""
     uplink_bytes_per_s: float
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]
-    """At least one."""
+    """At least one, or none where `time_s` is given."""
     speed: float | None = None
     """As a device's."""
+    aggregate_alone_s: CostCurve | None = None
+    """F_m where one device has all the edge's cameras and nothing is retrained, at most `aggregate_s`; None: the same."""
+    profile: Profile | None = None
+    """What the curves of aggregation come from; None where they were spelt out."""
+    costs_from: str | None = None
+    """As a device's."""
+    time_s: CostCurve | None = None
+    """T^m, seconds against cameras from the first photograph to the model sent, instead of devices."""
+    max_cameras: int | None = None
+    """How many cameras its devices can hold together; only with `time_s`."""
 
     def __post_init__(self) -> None:
         _require_id("edge", self.id)
@@ -71,8 +96,47 @@ class Edge:
         for pair in (self.position, self.lat_lon_deg):
             if pair is not None and not np.isfinite(pair).all():
                 raise BadInput(f"edge {self.id!r}: position {pair} is not finite: give two numbers.")
-        if not self.devices:
-            raise BadInput(f"edge {self.id!r} has no devices: give it at least one.")
+        if not self.devices and self.time_s is None:
+            raise BadInput(f"edge {self.id!r} has no devices: give it at least one, or its time_s alone.")
+        if self.time_s is None:
+            if self.max_cameras is not None:
+                raise BadInput(f"edge {self.id!r} has max_cameras and no time_s: limit its devices instead.")
+        elif self.devices or self.aggregate_s != CostCurve() or self.aggregate_alone_s is not None:
+            raise BadInput(f"edge {self.id!r} has time_s, its whole time, and devices or aggregate_s too: give one or the other.")
+        elif self.max_cameras is not None and self.max_cameras < 0:
+            raise BadInput(f"edge {self.id!r}: max_cameras is {self.max_cameras}, expected at least 0.")
+
+    @property
+    def origin(self) -> str | None:
+        """As a device's."""
+        return _origin(self.profile, self.costs_from)
+
+    def aggregation_s(self, num_cameras: int, num_devices: int) -> float:
+        """F_m for cameras that so many devices have."""
+        joined_s = float(self.aggregate_s(num_cameras))
+        return joined_s if num_devices > 1 or self.aggregate_alone_s is None else min(joined_s, float(self.aggregate_alone_s(num_cameras)))
+
+    def with_aggregation_scaled(self, factor: float) -> Edge:
+        """The same edge that aggregates `factor` times as long."""
+        alone = None if self.aggregate_alone_s is None else self.aggregate_alone_s.scaled(factor)
+        return replace(self, aggregate_s=self.aggregate_s.scaled(factor), aggregate_alone_s=alone)
+
+    @property
+    def workers(self) -> tuple[Device, ...]:
+        """What the cost model reckons with: the devices, or one in place of those that are not known."""
+        if self.time_s is None:
+            return self.devices
+        nothing = CostCurve()
+        return (
+            Device(
+                id=self.id,
+                init_s=nothing,
+                train_s=self.time_s,
+                model_bytes=nothing,
+                uplink_bytes_per_s=self.uplink_bytes_per_s,
+                max_cameras=self.max_cameras,
+            ),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,13 +177,22 @@ class System:
         """Devices of all edges in order."""
         return tuple(device for edge in self.edges for device in edge.devices)
 
+    @property
+    def workers(self) -> tuple[Device, ...]:
+        """Workers of all edges in order."""
+        return tuple(worker for edge in self.edges for worker in edge.workers)
+
     def with_uploads_of(self, factor: float) -> System:
         """The same system with models that are uploaded in `factor` times their bytes."""
 
         def resized(edge: Edge) -> Edge:
             return replace(edge, devices=tuple(replace(d, model_bytes=d.model_bytes.scaled(factor)) for d in edge.devices))
 
-        return System(edges=tuple(resized(edge) for edge in self.edges))
+        return replace(self, edges=tuple(resized(edge) for edge in self.edges))
+
+
+def _origin(profile: Profile | None, costs_from: str | None) -> str | None:
+    return costs_from if profile is None else f"{profile.kind} {profile.name}"
 
 
 def _require_id(kind: str, name: str) -> None:

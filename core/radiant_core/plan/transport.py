@@ -82,7 +82,7 @@ def deal_with_counts(
     )
 
 
-def largest_violation(squared_m2: FloatArray, weights: FloatArray, edge_of_camera: Indices) -> float:
-    """How far the worst camera is from its own power cell, m²: max_c (own − min_e) of squared_m2[c, e] − w[e], ≥ 0."""
+def violations(squared_m2: FloatArray, weights: FloatArray, edge_of_camera: Indices) -> FloatArray:
+    """How far each camera is from its own power cell, m² (C,): own − min_e of squared_m2[c, e] − w[e], ≥ 0."""
     power = squared_m2 - weights
-    return float((power[np.arange(len(squared_m2)), edge_of_camera] - power.min(axis=1)).max(initial=0.0))
+    return power[np.arange(len(squared_m2)), edge_of_camera] - power.min(axis=1)

@@ -39,6 +39,9 @@ class Waypoints:
 
     names: tuple[str, ...]
     lat_lon_alt: FloatArray
+    heading_pitch_deg: FloatArray | None = None
+    """Where the camera looks (P,2): degrees clockwise from north, and −90 down to 90 up; NaN where a flight plan does not say, None where
+    it says nothing at all."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.names))
@@ -49,6 +52,8 @@ class Waypoints:
         object.__setattr__(self, "lat_lon_alt", checked_array("lat_lon_alt", self.lat_lon_alt, (len(self.names), 3)))
         _require_on_the_globe(self.names, self.lat_lon_alt)
         _require_one_site(self.names, self.lat_lon_alt)
+        if self.heading_pitch_deg is not None:
+            object.__setattr__(self, "heading_pitch_deg", _checked_angles(self.names, self.heading_pitch_deg))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -70,11 +75,12 @@ class Waypoints:
         """The waypoints at `indices` (K,) int or where a mask (P,) bool is true, in that order; BadInput when that is none."""
         chosen: NDArray[Any] = np.asarray(indices)
         picked: list[int] = np.arange(len(self))[chosen].tolist()
-        return Waypoints(names=tuple(self.names[index] for index in picked), lat_lon_alt=self.lat_lon_alt[picked])
+        angles = None if self.heading_pitch_deg is None else self.heading_pitch_deg[picked]
+        return Waypoints(names=tuple(self.names[index] for index in picked), lat_lon_alt=self.lat_lon_alt[picked], heading_pitch_deg=angles)
 
 
 def cleaned_waypoints(
-    names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None
+    names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None, heading_pitch_deg: FloatArray | None = None
 ) -> tuple[Waypoints, tuple[str, ...]]:
     """`Waypoints` as a surveyor would mend a list, with one warning per kind of repair; BadInput as `Waypoints`.
 
@@ -90,7 +96,7 @@ def cleaned_waypoints(
     names, numbered = _unique_names(names)
     if numbered:
         warnings.append(f"{numbered[0]} of {len(names)} names are empty or come twice, {numbered[1]!r} first: they were numbered.")
-    waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions)
+    waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg)
     kept, again = _first_of_each_spot(positions)
     if len(again):
         warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_named(names, again[0])} first: planned once.")
@@ -185,6 +191,22 @@ def _require_on_the_globe(names: tuple[str, ...], lat_lon_alt: FloatArray) -> No
             f"{_count(len(high), len(names))} at an altitude nobody flies at, {_named(names, high[0])} first with {alt[high[0]]:g} m: "
             "give altitudes in metres."
         )
+
+
+def _checked_angles(names: tuple[str, ...], heading_pitch_deg: ArrayLike) -> FloatArray:
+    angles = np.array(heading_pitch_deg, dtype=np.float64)
+    if angles.shape != (len(names), 2):
+        raise BadInput(f"heading_pitch_deg has shape {angles.shape}, expected ({len(names)}, 2): give two angles per waypoint.")
+    heading, pitch = angles.T
+    wrong = np.flatnonzero(np.isinf(angles).any(axis=1) | (np.abs(heading) > 720) | (np.abs(pitch) > 90))
+    if len(wrong):
+        first = int(wrong[0])
+        raise BadInput(
+            f"{_count(len(wrong), len(names))} looking nowhere, {_named(names, first)} first with heading {heading[first]:g}° and pitch "
+            f"{pitch[first]:g}°: give headings from north and pitches from −90 (down) to 90 in degrees."
+        )
+    angles.flags.writeable = False
+    return angles
 
 
 def _require_one_site(names: tuple[str, ...], lat_lon_alt: FloatArray) -> None:

@@ -9,6 +9,7 @@ Runs once per plan, O(D log C) for the guess and C · window entries, some 1 % o
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -17,13 +18,15 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, require_finite
 from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import MAX_TABLE_ENTRIES, edge_table, edge_tables, fastest_counts
-from radiant_core.plan.system import System
+from radiant_core.plan.deadline import MAX_TABLE_ENTRIES, device_time_s, edge_table, edge_tables, fastest_counts
+from radiant_core.plan.system import Edge, System
 
 SMALL_TABLE_ENTRIES = 60_000
 """Cameras × devices up to which whole tables are quicker."""
 _GRID_RATIO = 1.05
 _DEADLINES = 128
+_DEADLINE_ERROR = 1e-9
+"""Of the guessed deadline; far inside the first window."""
 _FIRST_WINDOW = 0.01
 
 Indices = NDArray[np.int64]
@@ -31,10 +34,14 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FastestCounts:
-    """counts (E,) with the smallest makespan and the time (E,) s of each edge with them."""
+    """counts (E,) with the smallest makespan and the time (E,) s of each edge with them; read-only, as they are remembered for a drag."""
 
     counts: Indices
     edge_time_s: FloatArray
+
+    def __post_init__(self) -> None:
+        self.counts.flags.writeable = False
+        self.edge_time_s.flags.writeable = False
 
 
 def system_capacity(system: System, num_cameras: int) -> int:
@@ -44,7 +51,7 @@ def system_capacity(system: System, num_cameras: int) -> int:
 
 def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
     """Counts with the smallest makespan for any size; the devices must hold all cameras. BadInput when curves overflow."""
-    if num_cameras * len(system.devices) <= SMALL_TABLE_ENTRIES:
+    if num_cameras * len(system.workers) <= SMALL_TABLE_ENTRIES:
         tables = edge_tables(system, num_cameras)
         counts, _ = fastest_counts(tables, num_cameras)
         return FastestCounts(counts=counts, edge_time_s=np.array([t.edge_time_s[c] for t, c in zip(tables, counts, strict=True)]))
@@ -63,13 +70,35 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
         window *= 3
 
 
+@lru_cache(maxsize=8)
+def remembered_edge_counts(system: System, num_cameras: int) -> FastestCounts:
+    """`fastest_edge_counts`, once for all frames of a drag, in which neither the system nor the number of cameras changes."""
+    return fastest_edge_counts(system, num_cameras)
+
+
 def times_of_counts(system: System, counts: Indices) -> FloatArray:
     """T^m (E,) s of each edge with its count, which it must be able to hold."""
     return np.array([edge_table(edge, int(count)).edge_time_s[count] for edge, count in zip(system.edges, counts, strict=True)])
 
 
 def _limits(system: System, num_cameras: int) -> Indices:
-    return np.array([num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in system.devices], np.int64)
+    return np.array([num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in system.workers], np.int64)
+
+
+def _num_alone(edge: Edge, num_cameras: int) -> int:
+    """The most cameras of an edge that all go to its fastest device: those it is done with before the next could do one."""
+    limits = [num_cameras if d.max_cameras is None else min(d.max_cameras, num_cameras) for d in edge.devices]
+    firsts = sorted((float(device_time_s(d, 1)), index) for index, (d, limit) in enumerate(zip(edge.devices, limits, strict=True)) if limit)
+    if not firsts:
+        return 0
+    fastest = firsts[0][1]
+    if len(firsts) == 1:
+        return limits[fastest]
+    low, high = 1, limits[fastest] + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if float(device_time_s(edge.devices[fastest], middle)) < firsts[1][0] else (low, middle)
+    return low
 
 
 class _Curves:
@@ -90,15 +119,17 @@ class _Curves:
 
 class _Fleet:
     def __init__(self, system: System, num_cameras: int) -> None:
-        devices = system.devices
+        devices = system.workers
         self.num_cameras = num_cameras
         self.limits = _limits(system, num_cameras)
-        sizes = [len(edge.devices) for edge in system.edges]
+        sizes = [len(edge.workers) for edge in system.edges]
         self.starts = np.cumsum([0, *sizes[:-1]])
         self.edge_of_device = np.repeat(np.arange(len(sizes)), sizes)
         self.init, self.train = _Curves([d.init_s for d in devices]), _Curves([d.train_s for d in devices])
         self.model_bytes = _Curves([d.model_bytes for d in devices])
-        self.aggregate = _Curves([edge.aggregate_s for edge in system.edges])
+        self.joined = _Curves([edge.aggregate_s for edge in system.edges])
+        self.alone = _Curves([edge.aggregate_alone_s or edge.aggregate_s for edge in system.edges])
+        self.num_alone = np.array([_num_alone(edge, num_cameras) if edge.aggregate_alone_s else 0 for edge in system.edges])
         self.uplink = np.array([d.uplink_bytes_per_s for d in devices])
         self.edge_uplink = np.array([edge.uplink_bytes_per_s for edge in system.edges])
 
@@ -109,6 +140,14 @@ class _Fleet:
             times = self.init(counts, rows) + self.train(counts, rows) + self.model_bytes(counts, rows) / uplink
         require_finite("the time of a device against cameras", times)
         return times
+
+    def aggregate(self, counts: NDArray[np.int64] | FloatArray, rows: Indices | slice = slice(None)) -> FloatArray:
+        """F_m of edges `rows` with `counts`, (E,) or (E,J)."""
+        joined_s = self.joined(counts, rows)
+        if not self.num_alone.any():
+            return joined_s
+        limits = self.num_alone[rows].reshape(-1, *[1] * (counts.ndim - 1))
+        return np.where(counts <= limits, np.minimum(self.alone(counts, rows), joined_s), joined_s)
 
     def guessed_quotas(self) -> FloatArray:
         """Quotas (D,) near the optimum, from interpolation; a slope too small to matter shares flat curves evenly."""
@@ -127,7 +166,9 @@ class _Fleet:
         shares = np.linspace(0, 1, _DEADLINES)
         deadlines = np.where(first_s[:, None] > 0, first_s[:, None] * (last_s / np.maximum(first_s, 1e-300))[:, None] ** shares, 0.0)
         deadlines = np.where(first_s[:, None] > 0, deadlines, last_s[:, None] * shares**4)
-        quotas = np.stack([_interpolated(times, counts, deadline[self.edge_of_device]) for deadline in deadlines.T], axis=1)
+        quotas = np.zeros((len(times), _DEADLINES))
+        for device in np.flatnonzero(self.limits > 0):
+            quotas[device] = np.interp(deadlines[self.edge_of_device[device]], times[device], counts[device], left=0.0)
         totals = np.add.reduceat(quotas, self.starts, axis=0)
         sent = np.add.reduceat(self.model_bytes(quotas), self.starts, axis=0) / self.edge_uplink[:, None]
         edge_time = np.maximum.accumulate(deadlines + self.aggregate(totals) + sent, axis=1)
@@ -135,7 +176,7 @@ class _Fleet:
         low, high = 0.0, float(edge_time.max())
         for _ in range(200):
             middle = (low + high) / 2
-            if not low < middle < high:
+            if high - low <= _DEADLINE_ERROR * high:
                 break
             taken = _interpolated(edge_time, totals, np.full(len(self.starts), middle)).sum()
             low, high = (low, middle) if taken >= self.num_cameras else (middle, high)

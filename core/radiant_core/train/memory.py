@@ -13,6 +13,7 @@ peaked at 0.62, 1.00 and 2.14 GB. `python -m radiant_app.bench.train_memory` sho
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from radiant_core.cameras import Cameras
@@ -30,6 +31,8 @@ MAX_STATISTICS_SHARE = 0.25
 """Of what photographs leave free, at most this much keeps statistics: they save time, Gaussians make the picture."""
 VRAM_SHARE = 0.8
 """Of free GPU memory, for Gaussians and a step. Not measured: no CUDA device was at hand."""
+PROCESS_BYTES = 300_000_000
+"""What a device's process holds before its photographs, where nobody can ask it: 296 MB after importing its node and the trainer."""
 MIN_SPLATS = 1_000
 """A limit that leaves room for fewer is refused."""
 
@@ -53,9 +56,32 @@ def bytes_per_splat(sh_degree: int, *, validated: bool = False) -> float:
 def fixed_bytes(config: TrainConfig, cameras: Cameras, base_bytes: int) -> int:
     """What photographs, one step and the process take, whatever the number of Gaussians."""
     pixels = cameras.sizes_wh.prod(axis=1)
+    return round(_fixed_bytes(config, float(pixels.sum()), float(pixels.max(initial=0)), base_bytes))
+
+
+def _fixed_bytes(config: TrainConfig, all_pixels: float, most_pixels: float, base_bytes: float) -> float:
     copies = 1.0 + (config.start_scale**2 if config.start_scale < 1 else 0.0)
-    images = IMAGE_BYTES_PER_PX * copies * float(pixels.sum())
-    return round(base_bytes + BASE_BYTES + images + STEP_BYTES_PER_PX * float(pixels.max(initial=0)))
+    return base_bytes + BASE_BYTES + IMAGE_BYTES_PER_PX * copies * all_pixels + STEP_BYTES_PER_PX * most_pixels
+
+
+def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:
+    """How many of `num_cameras` photographs fit into memory together with the Gaussians `splats_of` so many photographs (rising).
+
+    The model above on `PROCESS_BYTES`, without what the loss may keep; photographs of 4:3, since a plan is made before there are any. At
+    least `MIN_SPLATS` Gaussians are counted, at most the configuration's limit. 0 where not even one photograph fits.
+    """
+    pixels = 0.75 * config.long_side_px**2
+    each = bytes_per_splat(config.sh_degree)
+
+    def fits(count: int) -> bool:
+        splats = max(MIN_SPLATS, min(splats_of(count), config.max_num_splats))
+        return _fixed_bytes(config, count * pixels, pixels, PROCESS_BYTES) + splats * each <= memory_bytes
+
+    low, high = 0, num_cameras + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
 
 
 def memory_plan(config: TrainConfig, cameras: Cameras, memory_bytes: int, base_bytes: int, *, validated: bool = False) -> MemoryPlan:

@@ -7,7 +7,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.curve_fit import corrected, fit_curve
+from radiant_core.plan.curve_fit import FittedCurve, corrected, falls, fit_curve
 
 COUNTS = np.array([10, 20, 50, 100, 200, 400])
 
@@ -24,7 +24,7 @@ COUNTS = np.array([10, 20, 50, 100, 200, 400])
 )
 def test_the_generating_curve_is_found_again(curve: CostCurve) -> None:
     fitted = fit_curve(COUNTS, curve(COUNTS))
-    assert fitted.worst_error < 1e-6
+    assert fitted.worst_error is not None and fitted.worst_error < 1e-6
     np.testing.assert_allclose(fitted.curve([15, 300]), curve([15, 300]), rtol=1e-6)
     assert (fitted.smallest_count, fitted.largest_count) == (10, 400)
 
@@ -72,3 +72,51 @@ def test_what_is_no_cost_is_refused(counts: list, values: list, message: str) ->
 def test_a_correction_needs_a_measurement() -> None:
     with pytest.raises(BadInput, match="positive"):
         corrected(CostCurve(linear=1), 10, float("nan"))
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e12])
+def test_tiny_and_huge_values_are_fitted_as_well(scale: float) -> None:
+    curve = CostCurve(constant=5 * scale, linear=0.1 * scale)
+    fitted = fit_curve([1, 10**3, 10**6, 10**9], curve([1, 10**3, 10**6, 10**9]))
+    np.testing.assert_allclose(fitted.curve([30, 10**8]), curve([30, 10**8]), rtol=1e-6)
+
+
+def test_one_count_measured_often_and_equal_values_are_no_trouble() -> None:
+    often = fit_curve([20, 20, 20], [9.0, 10.0, 11.0])
+    assert float(often.curve(20)) == pytest.approx(10, abs=0.2) and often.rmse == pytest.approx(0.08, abs=0.01)
+    assert float(fit_curve([5, 10, 20], [3.0, 3.0, 3.0]).curve(1000)) == pytest.approx(3.0)
+
+
+def test_falling_values_of_a_busy_machine_give_a_flat_curve_and_their_error() -> None:
+    fitted = fit_curve([10, 20, 40], [9.0, 5.0, 4.0], may_fall=True)
+    assert falls([10, 20, 40], [9.0, 5.0, 4.0]) and not falls([10, 20, 40], [9.0, 9.0, 8.9]) and not falls([5], [1.0])
+    assert float(fitted.curve(10)) == pytest.approx(float(fitted.curve(1000))) and fitted.rmse is not None and fitted.rmse > 0.2
+
+
+def test_the_errors_are_those_of_the_samples() -> None:
+    fitted = fit_curve([10, 20, 40], [11.0, 19.0, 42.0])
+    errors = fitted.curve([10, 20, 40]) / [11.0, 19.0, 42.0] - 1
+    assert fitted.rmse == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-12) and np.abs(errors).max() > 0.01
+    assert fitted.worst_error == pytest.approx(np.abs(errors).max(), rel=1e-12)
+    assert fitted.samples == ((10, 11.0), (20, 19.0), (40, 42.0))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"smallest_count": 0}, "on 0 to 40 cameras"),
+        ({"largest_count": 9}, "on 10 to 9 cameras"),
+        ({"largest_count": 50}, "do not span 10 to 50 cameras"),
+        ({"rmse": float("nan")}, "rmse is nan"),
+        ({"worst_error": -0.1}, "worst_error is -0.1"),
+        ({"rmse": 0.5}, "states rmse 0.5"),
+        ({"rmse": None}, "states rmse None"),
+        ({"samples": ((10, 10.0), (40, float("inf")))}, "positive values"),
+        ({"samples": ((10, 0.0), (40, 40.0))}, "positive values"),
+        ({"samples": ((10, 40.0), (40, 10.0))}, "its samples give"),
+    ],
+)
+def test_a_curve_that_its_samples_belie_is_refused(fields: dict, message: str) -> None:
+    right = {"curve": CostCurve(linear=1), "smallest_count": 10, "largest_count": 40, "samples": ((10, 10.0), (40, 40.0))}
+    with pytest.raises(BadInput, match=message):
+        FittedCurve(**{**right, "rmse": 0.0, "worst_error": 0.0, **fields})

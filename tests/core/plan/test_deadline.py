@@ -15,7 +15,7 @@ from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import device_time_s, edge_table, edge_tables, fastest_counts
 from radiant_core.plan.system import Edge, System
 
-from .instances import linear_system, random_edge, random_system
+from .instances import linear_system, random_curve, random_edge, random_system
 
 # Sums of a handful of seconds in another order: a few roundings, far below a microsecond.
 SECONDS_TOLERANCE = 1e-9
@@ -54,6 +54,21 @@ def test_edge_time_is_training_plus_aggregation_plus_sending(seed: int) -> None:
         quotas = table.quotas(count)
         model_bytes = sum(float(d.model_bytes(k)) for d, k in zip(edge.devices, quotas, strict=True))
         expected_s = slowest_device_s(edge, quotas) + float(edge.aggregate_s(count)) + model_bytes / edge.uplink_bytes_per_s
+        assert table.edge_time_s[count] == pytest.approx(expected_s, rel=1e-12, abs=SECONDS_TOLERANCE)
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_an_edge_whose_cameras_one_device_has_pays_for_no_retraining(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    edge = random_edge(rng, "e", int(rng.integers(1, 4)), limits=(0, 30))
+    edge = replace(edge, aggregate_s=CostCurve(constant=5, linear=1), aggregate_alone_s=random_curve(rng))
+    table = edge_table(edge, 40)
+    for count in range(1, table.capacity + 1):
+        quotas = table.quotas(count)
+        model_bytes = sum(float(d.model_bytes(k)) for d, k in zip(edge.devices, quotas, strict=True))
+        joining_s = edge.aggregation_s(count, int((quotas > 0).sum()))
+        assert joining_s == 5 + count or ((quotas > 0).sum() == 1 and joining_s < 5 + count)
+        expected_s = slowest_device_s(edge, quotas) + joining_s + model_bytes / edge.uplink_bytes_per_s
         assert table.edge_time_s[count] == pytest.approx(expected_s, rel=1e-12, abs=SECONDS_TOLERANCE)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from radiant_core.plan.deadline import edge_tables, fastest_counts
 from radiant_core.plan.system import System
 from radiant_core.plan.wide_deadline import fastest_edge_counts, system_capacity, times_of_counts
 
-from .instances import linear_system, random_device, random_edge, random_system
+from .instances import linear_system, random_curve, random_device, random_edge, random_system
 
 
 @pytest.fixture(autouse=True)
@@ -26,6 +28,9 @@ def test_the_makespan_is_that_of_whole_tables(seed: int) -> None:
     num_cameras = int(np.exp(rng.uniform(0, np.log(3000))))
     limits = (num_cameras // 3 + 1, 2 * num_cameras) if seed % 3 == 0 else None
     system = random_system(rng, int(rng.integers(3, 12)), limits)
+    if seed % 2:
+        edges = [replace(edge, aggregate_alone_s=random_curve(rng, 0.1) if rng.random() < 0.7 else None) for edge in system.edges]
+        system = System(edges=tuple(edges))
     tables = edge_tables(system, num_cameras)
     if sum(table.capacity for table in tables) < num_cameras:
         pytest.skip("memory cannot hold this instance, which the caller checks first")
@@ -41,8 +46,6 @@ def test_flat_curves_share_a_million_cameras_evenly() -> None:
     flat = CostCurve(constant=3.0)
     free = CostCurve()
     device = random_device(np.random.default_rng(0), "d", None)
-    from dataclasses import replace
-
     edges = [
         replace(edge, id=f"e{i}", aggregate_s=free, devices=(replace(device, id=f"d{i}", init_s=free, train_s=flat, model_bytes=free),))
         for i in range(100)

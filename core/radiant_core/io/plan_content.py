@@ -1,0 +1,45 @@
+"""What a plan says of footprints, as plain values for plan.json: the forecast of every border, and the buffer captures. Once per plan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from radiant_core.plan.border_forecast import BorderForecast
+from radiant_core.plan.buffers import EdgeBuffer
+
+
+def content_record(forecasts: Sequence[BorderForecast], buffers: Sequence[EdgeBuffer], assumed: str) -> dict[str, Any]:
+    """`forecast` (what was assumed of cameras and ground, and the borders) and, where any were planned, `buffers`."""
+    record: dict[str, Any] = {"forecast": {"assumed": assumed, "borders": [border_record(forecast) for forecast in forecasts]}}
+    if buffers:
+        record["buffers"] = [
+            {
+                "edge_id": buffer.edge_id,
+                "device_ids": list(buffer.device_ids),
+                "camera_indices": buffer.camera_indices.tolist(),
+                "device_of_camera": buffer.device_of_camera.tolist(),
+                "device_time_s": buffer.device_time_s.tolist(),
+                "edge_time_s": buffer.edge_time_s,
+                "planned_edge_time_s": buffer.planned_edge_time_s,
+                "num_refused": buffer.num_refused,
+            }
+            for buffer in buffers
+        ]
+    return record
+
+
+def border_record(forecast: BorderForecast) -> dict[str, Any]:
+    """One border's forecast, names with their units."""
+    return {
+        "edges": list(forecast.edge_ids),
+        "ends_m": forecast.ends.tolist(),
+        "half_band_m": forecast.half_band_m,
+        "num_images": list(forecast.num_images),
+        "support": list(forecast.support),
+        "interior_support": list(forecast.interior_support),
+        "coverage": forecast.coverage,
+        "forward_overlap": forecast.forward_overlap,
+        "side_overlap": forecast.side_overlap,
+        "risk": forecast.risk,
+    }

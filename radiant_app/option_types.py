@@ -1,0 +1,25 @@
+"""Options of `radiant plan` about cameras, ground and buffer captures, and of `radiant bench`, as the command line names them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+GroundOption = Annotated[float | None, typer.Option("--ground", help="Altitude of the ground in the waypoints' metres, else 0.")]
+FieldOfViewOption = Annotated[float, typer.Option("--field-of-view", help="Degrees across an image, before capture.")]
+BufferOption = Annotated[
+    str | None,
+    typer.Option("--buffer", help="Capture what a neighbour has too where it sees 20% of this region, or stands within 15m of it."),
+]
+DeadlineOption = Annotated[float | None, typer.Option("--deadline", min=0, help="Seconds within which an edge takes buffer captures.")]
+BenchScene = Annotated[
+    Path | None,
+    typer.Option(
+        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods: 'radiant sfm' or a run; "
+        "upload, teachers: a finished run; "
+        "borders: that or a folder of runs."
+    ),
+]
+BenchPlot = Annotated[Path | None, typer.Option(help="train, methods, fed3dgs: PNG of the curves; plan: folder of its figures, alone.")]

@@ -1,0 +1,105 @@
+"""What the planner may believe: the training that curves must be of, how many photographs a device's memory holds, and what to warn of.
+
+Once per plan. The limits come from the trainer's own model of memory (`train.memory`), which `plan` must not import.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from radiant_core.aggregate.config import AggregatePreset
+from radiant_core.decisions import Decision
+from radiant_core.plan.plans import EdgePlan
+from radiant_core.plan.profile_warnings import profile_warnings
+from radiant_core.plan.profiles import ProfileKey
+from radiant_core.plan.system import Device, Edge, System
+from radiant_core.plan.wide_deadline import system_capacity
+from radiant_core.splats import SH_BASES
+from radiant_core.train.config import Preset, TrainConfig, train_preset
+from radiant_core.train.needs import Overrides, fit_to_backend
+
+
+def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
+    """How devices will train on a machine like this one; without the decisions, which the training itself tells."""
+    from radiant_core.render.contract import resolve_backend
+
+    return fit_to_backend(train_preset(preset), resolve_backend("auto"), overrides)[0]
+
+
+def training_key_of(train: TrainConfig, preset: Preset, aggregate: AggregatePreset = "default") -> ProfileKey:
+    """What curves must have been measured with to hold for this training."""
+    return ProfileKey(
+        preset=preset,
+        num_steps=train.num_steps,
+        long_side_px=train.long_side_px,
+        max_num_splats=train.max_num_splats,
+        aggregate_preset=aggregate,
+    )
+
+
+def depends_on_training(system: System) -> bool:
+    """Whether a plan of this system needs to know what will be trained: it names profiles, or memory without a count of cameras."""
+    machines: Sequence[Device | Edge] = (*system.devices, *system.edges)
+    return any(machine.profile is not None for machine in machines) or any(map(_is_limited_by_memory, system.devices))
+
+
+def with_camera_limits(
+    system: System, train: TrainConfig, num_cameras: int, model_factor: float = 1.0
+) -> tuple[System, Decision | None, tuple[str, ...]]:
+    """The system with `max_cameras` where a device gives memory alone, the decision, and warnings.
+
+    A device holds as many photographs as fit with the Gaussians that its curve H has for them; `model_factor`: what H was multiplied by
+    for uploads. Where all together hold too few of the `num_cameras`, devices will train with
+    fewer Gaussians, and only the photographs themselves are a limit.
+    """
+    limited = [device for device in system.devices if _is_limited_by_memory(device)]
+    if not limited:
+        return system, None, ()
+    splat_bytes = 4 * (11 + 3 * SH_BASES[train.sh_degree]) * model_factor
+
+    def limits(share: float) -> dict[str, int]:
+        from radiant_core.train.memory import most_cameras
+
+        def held(device: Device) -> int:
+            def splats_of(count: int) -> float:
+                return share * float(device.model_bytes(count)) / splat_bytes
+
+            assert device.memory_bytes is not None
+            return most_cameras(train, device.memory_bytes, splats_of, num_cameras)
+
+        return {device.id: held(device) for device in limited}
+
+    def limited_to(found: dict[str, int]) -> System:
+        edges = (replace(e, devices=tuple(replace(d, max_cameras=found.get(d.id, d.max_cameras)) for d in e.devices)) for e in system.edges)
+        return replace(system, edges=tuple(edges))
+
+    found, warnings = limits(1.0), ()
+    capacity = system_capacity(limited_to(found), num_cameras)
+    if capacity < num_cameras:
+        warnings = (
+            f"memory holds {capacity} of {num_cameras} photographs with all the Gaussians they call for: devices will train with fewer; "
+            "give more memory_gb, or add devices.",
+        )
+        found = limits(0.0)
+    least = min(limited, key=lambda device: found[device.id])
+    assert least.memory_bytes is not None
+    decision = Decision(
+        stage="plan",
+        topic="memory",
+        choice=f"{len(limited)} devices hold {found[least.id]:,} photographs or more, {least.id} the fewest",
+        figure=least.memory_bytes / 1e9,
+        unit=f"GB at {least.id}",
+        reason="photographs, Gaussians, one step and the libraries must fit; max_cameras in the system file says it by count",
+    )
+    return limited_to(found), decision, warnings
+
+
+def prediction_warnings(system: System, edge_plans: Sequence[EdgePlan], training: ProfileKey) -> tuple[str, ...]:
+    """See `profile_warnings`, for a plan of the system."""
+    quotas = {name: len(plan.cameras_of(name)) for plan in edge_plans for name in plan.device_ids}
+    return profile_warnings(system, [quotas[device.id] for device in system.devices], training)
+
+
+def _is_limited_by_memory(device: Device) -> bool:
+    return device.memory_bytes is not None and device.max_cameras is None

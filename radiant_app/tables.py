@@ -1,0 +1,44 @@
+"""Tables of results on the terminal."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import typer
+
+
+def print_summary(result: Any) -> None:
+    """One line per job of a batch."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("job", "status", "time (s)", "PSNR (dB)", "Gaussians", "result")
+    for job in result.jobs:
+        figures = [job.seconds, job.figures.get("psnr_db"), job.figures.get("num_gaussians")]
+        texts = ["" if value is None else form.format(value) for form, value in zip(("{:.1f}", "{:.2f}", "{:,}"), figures, strict=True)]
+        table.add_row(job.name, job.status, *texts, job.message or (job.out if job.exit_code == 0 else ""))
+    Console().print(table, markup=False)
+    typer.echo(f"summary: {result.folder / 'summary.html'}")
+
+
+def print_figures(result: dict[str, Any]) -> None:
+    """One line per scored photograph, and their mean and median."""
+    from rich.console import Console
+    from rich.table import Table
+
+    forms = {"psnr_db": "{:.2f}", "ssim": "{:.4f}", "psnr_cc_db": "{:.2f}", "ssim_cc": "{:.4f}", "flip": "{:.4f}", "lpips": "{:.4f}"}
+    table = Table("photograph", *forms)
+    for row in (*result["images"], {"name": "mean", **result}, {"name": "median", **result["median"]}):
+        table.add_row(row["name"], *("" if row[figure] is None else form.format(row[figure]) for figure, form in forms.items()))
+    Console().print(table, markup=False)
+
+
+def finish(result: dict[str, Any], as_json: bool) -> None:
+    """What a command prints: one JSON object, or a line per figure."""
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    for key, value in result.items():
+        if not isinstance(value, list | dict):
+            typer.echo(f"{key}: {value}")

@@ -1,0 +1,74 @@
+"""How long devices and edges will still take, from the plan's curves as corrected by those that have finished. Once per finished node."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from radiant_app.events import UPLINK, Event, Listener, StageDone, StageSkipped, StageStarted, TimeLeft
+from radiant_core.plan.plans import EdgePlan
+from radiant_core.plan.prediction import PlannedStage, corrected_system, left_s, planned_stages
+from radiant_core.plan.system import System
+
+
+@dataclass(kw_only=True)
+class TimeLeftListener:
+    """Passes every event on and adds a `TimeLeft` whenever a device or edge has ended."""
+
+    listen: Listener
+    system: System
+    edge_plans: Sequence[EdgePlan]
+    num_workers: int
+    emulated: bool
+    """Whether nodes send over emulated links before they end; all of them then run at once."""
+    clock: Callable[[], float] = time.monotonic
+    _started_s: dict[str, float] = field(default_factory=dict[str, float])
+    _measured: dict[tuple[str, str], float] = field(default_factory=dict[tuple[str, str], float])
+    _done: set[str] = field(default_factory=set[str])
+
+    def __post_init__(self) -> None:
+        self._planned = planned_stages(self.system, self.edge_plans)
+        self._seconds_of = _node_seconds(self._planned, with_sending=self.emulated)
+        self._parents = {f"devices/{name}": f"edges/{plan.edge_id}" for plan in self.edge_plans for name in plan.device_ids}
+
+    def __call__(self, event: Event) -> None:
+        """See `Listener`."""
+        self.listen(event)
+        node = getattr(event, "stage", "")
+        if node.removesuffix(UPLINK) not in self._seconds_of or node.endswith(UPLINK):
+            return
+        if isinstance(event, StageStarted):
+            self._started_s[node] = self.clock()
+        elif isinstance(event, StageDone):
+            # Shares of the stages do not matter to the correction, only their sum.
+            sending_s = sum(row.seconds for row in self._planned if row.node == node and row.stage == "send") if self.emulated else 0.0
+            compute = [row for row in self._planned if row.node == node and row.stage != "send"]
+            planned_s = sum(row.seconds for row in compute)
+            if planned_s > 0:
+                factor = max(0.0, event.seconds - sending_s) / planned_s
+                self._measured |= {(node, row.stage): row.seconds * factor for row in compute}
+            self._end(node)
+        elif isinstance(event, StageSkipped):
+            self._end(node)
+
+    def _end(self, node: str) -> None:
+        self._done.add(node)
+        mended = planned_stages(corrected_system(self.system, self._planned, self._measured), self.edge_plans)
+        expected_s = _node_seconds(mended, with_sending=self.emulated)
+        now_s = self.clock()
+        running_s = {name: now_s - started_s for name, started_s in self._started_s.items() if name not in self._done}
+        rest = [name for name in expected_s if name not in self._done]
+        if not rest:
+            return
+        before_s, after_s = (sum(seconds[name] for name in rest) for seconds in (self._seconds_of, expected_s))
+        workers = len(expected_s) if self.emulated else self.num_workers
+        seconds = left_s(expected_s, self._parents, running_s, self._done, workers)
+        self.listen(TimeLeft(seconds=seconds, correction=after_s / before_s if before_s > 0 else 1.0, after=node))
+
+
+def _node_seconds(stages: Sequence[PlannedStage], *, with_sending: bool) -> dict[str, float]:
+    seconds: dict[str, float] = {}
+    for row in stages:
+        seconds[row.node] = seconds.get(row.node, 0.0) + (row.seconds if with_sending or row.stage != "send" else 0.0)
+    return seconds

@@ -1,0 +1,98 @@
+"""Memory alone limits what a device is planned to hold, by the trainer's own model; a count given beside it wins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from radiant_app.predictions import depends_on_training, with_camera_limits
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.system import System
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.memory import BASE_BYTES, IMAGE_BYTES_PER_PX, PROCESS_BYTES, STEP_BYTES_PER_PX, bytes_per_splat, most_cameras
+from tests.core.plan.test_profiles import system as system_of
+
+TRAIN = TrainConfig(long_side_px=400, max_num_splats=10**9)
+PIXELS = 400 * 300
+SPLATS_PER_PHOTOGRAPH = 5_000
+POSITIONS = np.random.default_rng(0).random((300, 2)) * 100
+
+
+def system_with(*memory_gb: float | None, max_cameras: int | None = None) -> System:
+    """Equal devices whose models have 5,000 Gaussians of 92 bytes per photograph."""
+    (edge,) = system_of(*[None] * len(memory_gb)).edges
+    devices = tuple(
+        replace(
+            device,
+            memory_bytes=None if memory is None else memory * 1e9,
+            max_cameras=max_cameras,
+            model_bytes=CostCurve(linear=92.0 * SPLATS_PER_PHOTOGRAPH),
+        )
+        for device, memory in zip(edge.devices, memory_gb, strict=True)
+    )
+    return System(edges=(replace(edge, devices=devices),))
+
+
+def needed_bytes(count: int) -> float:
+    """The trainer's model, written out."""
+    fixed = PROCESS_BYTES + BASE_BYTES + IMAGE_BYTES_PER_PX * count * PIXELS + STEP_BYTES_PER_PX * PIXELS
+    return fixed + count * SPLATS_PER_PHOTOGRAPH * bytes_per_splat(TRAIN.sh_degree)
+
+
+def test_the_plan_keeps_to_what_memory_holds() -> None:
+    system, decision, warnings = with_camera_limits(system_with(1.0, None), TRAIN, len(POSITIONS))
+    small, large = system.devices
+    assert small.max_cameras is not None and large.max_cameras is None and warnings == ()
+    assert needed_bytes(small.max_cameras) <= 1e9 < needed_bytes(small.max_cameras + 1)
+    assert decision is not None and f"{small.max_cameras:,} photographs" in decision.choice
+    # Ten times as fast, it would get nearly all of them.
+    quick = replace(small, train_s=CostCurve(linear=0.01), init_s=CostCurve(), model_bytes=CostCurve())
+    edge = replace(system.edges[0], devices=(quick,))
+    other = replace(system.edges[0], id="f", position=(90.0, 90.0), devices=(large,))
+    plan = plan_regions(POSITIONS, System(edges=(edge, other)))
+    assert isinstance(plan, CloudPlan) and plan.counts.tolist() == [small.max_cameras, len(POSITIONS) - small.max_cameras]
+
+
+def test_a_count_of_cameras_stays_what_the_file_says() -> None:
+    given_both = system_with(1.0, max_cameras=7)
+    assert with_camera_limits(given_both, TRAIN, 300) == (given_both, None, ())
+    assert not depends_on_training(given_both) and depends_on_training(system_with(1.0)) and not depends_on_training(system_with(None))
+
+
+def test_where_memory_holds_too_few_devices_train_with_fewer_gaussians() -> None:
+    system, _, (warning,) = with_camera_limits(system_with(0.8, 0.8), TRAIN, len(POSITIONS))
+    assert "of 300 photographs with all the Gaussians" in warning
+    assert all(device.max_cameras is not None and device.max_cameras >= 150 for device in system.devices)
+    nothing, _, _ = with_camera_limits(system_with(0.3), TRAIN, 300)
+    assert nothing.devices[0].max_cameras == 0
+
+
+def test_uploads_in_fewer_bytes_hold_as_many_gaussians() -> None:
+    exact, _, _ = with_camera_limits(system_with(1.0, None), TRAIN, 300)
+    halved, _, _ = with_camera_limits(system_with(1.0, None).with_uploads_of(0.52), TRAIN, 300, 0.52)
+    assert exact.devices[0].max_cameras == halved.devices[0].max_cameras
+
+
+@given(st.floats(1e6, 1e13), st.floats(0, 1e7), st.integers(1, 10**7))
+def test_the_largest_count_that_fits_is_found(memory_bytes: float, per_photograph: float, num_cameras: int) -> None:
+    def needs(count: int) -> float:
+        splats = max(1_000, min(per_photograph * count, TRAIN.max_num_splats))
+        fixed = PROCESS_BYTES + BASE_BYTES + IMAGE_BYTES_PER_PX * count * PIXELS + STEP_BYTES_PER_PX * PIXELS
+        return fixed + splats * bytes_per_splat(TRAIN.sh_degree)
+
+    found = most_cameras(TRAIN, memory_bytes, lambda count: per_photograph * count, num_cameras)
+    assert 0 <= found <= num_cameras
+    assert found == 0 or needs(found) <= memory_bytes * (1 + 1e-12)
+    assert found == num_cameras or needs(found + 1) > memory_bytes * (1 - 1e-12)
+
+
+@pytest.mark.parametrize("limit", [1_000, 50_000])
+def test_a_limit_of_gaussians_leaves_room_for_photographs(limit: int) -> None:
+    few = most_cameras(replace(TRAIN, max_num_splats=limit), 1e9, lambda count: 5_000.0 * count, 10_000)
+    assert few > most_cameras(TRAIN, 1e9, lambda count: 5_000.0 * count, 10_000)

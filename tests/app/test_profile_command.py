@@ -1,0 +1,223 @@
+"""`radiant profile`: a real short run on generated photographs, the stage times of a finished run, and what it cannot use."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from radiant_app.cli_profile import profile as profile_cli
+from radiant_app.config import RunConfig
+from radiant_app.events import Event, StageDone, StageProgress, StageStarted
+from radiant_app.nodes import run_node
+from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.profile_command import ProfileRequest, check_table, profile, profile_of_run
+from radiant_app.profile_file import load_profile
+from radiant_app.profiling import MIN_PHOTOGRAPHS, Measuring, chosen_counts, shortened
+from radiant_app.progress import ProgressDisplay
+from radiant_app.run_folder import Manifest, recorded_config
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.frames import Frame
+from radiant_core.io.records import load_plan, save_plan, save_scene
+from radiant_core.io.run_store import read_json, write_json
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.region_plan import plan_regions
+from radiant_core.render.rendered_view import render_views
+from radiant_core.scene import SfmScene
+from radiant_core.train.config import train_preset
+from radiant_core.train.needs import Overrides
+from radiant_viewer.images import save_png
+from tests.core.plan.test_profiles import system as system_of
+from tests.core.scenes import cameras_above, ground_splats
+
+QUICK = Overrides(num_steps=24, long_side_px=48, max_num_splats=600)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a scene with 9 rendered photographs, of which 7 are trained on."""
+    folder = tmp_path_factory.mktemp("scene")
+    splats = ground_splats(300)
+    cameras = cameras_above([(x, y) for x in (-2.0, 0.0, 2.0) for y in (-2.0, 0.0, 2.0)])
+    (folder / "images").mkdir()
+    for view in render_views(splats, cameras):
+        save_png(folder / "images" / view.name, view.image_bytes)
+    seen = [np.flatnonzero(cameras.select([view]).any_sees(splats.means)) for view in range(len(cameras))]
+    made = SfmScene(
+        cameras=cameras,
+        points=splats.means.astype(np.float64),
+        colors=np.full((len(splats), 3), 128, np.uint8),
+        observations=np.concatenate([np.column_stack([points, np.full(len(points), view)]) for view, points in enumerate(seen)]),
+        frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3), residual_m=None),
+    )
+    save_scene(folder / "scene.safetensors", made)
+    write_json(folder / "result.json", {"images": "images", "unregistered": []})
+    return folder
+
+
+def in_this_process(self: Measuring, kind: str, folder: Path, task: dict[str, Any]) -> float:
+    """As `Measuring._run`, without a process of its own: the work is real, the start of Python is saved."""
+    write_json(folder / "task.json", task)
+    begun_s = time.monotonic()
+    run_node(kind, folder, folder.name, lambda event: self._tell(0.0))
+    # Stands for the start of a process, and makes seconds of these few steps stand out of the noise.
+    return time.monotonic() - begun_s + 0.3
+
+
+def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Measuring, "_run", in_this_process)
+    events: list[Event] = []
+    request = ProfileRequest(out=tmp_path / "mine.toml", source=scene, overrides=QUICK, time_s=1.0, num_threads=1, machine="mine\n")
+    result = profile(request, events.append)
+    made = load_profile(tmp_path / "mine.toml")
+    num_training = int((~held_out_mask(tuple(f"{index}" for index in range(9)))).sum())
+    counts = [count for count, _ in made.train_s.samples]
+    assert counts == sorted(counts) and len(counts) >= 3 and counts[-1] == num_training == made.train_s.largest_count
+    assert (made.kind, made.machine, made.measured_steps) == ("measured", "mine", QUICK.num_steps)
+    assert (made.key.num_steps, made.key.long_side_px, made.key.max_num_splats) == (24, 48, 600)
+    # A Gaussian of degree 1 has 92 bytes.
+    assert made.init_s.curve(5) > 0.2 and made.train_s.curve(5) > 0
+    assert 92 * 100 < made.model_bytes.curve(5) <= 92 * 600 * 1.3
+    assert made.aggregate_s is not None and made.aggregate_alone_s is not None
+    rows = {row["quantity"]: row for row in result["check"]}
+    assert {"start-up", "training", "device", "model"} <= rows.keys()
+    assert all(row["error"] == pytest.approx(row["predicted"] / row["measured"] - 1) for row in rows.values())
+    assert f"{rows['model']['predicted']:.2f} MB" in check_table(result["check"])
+    progress = [event for event in events if isinstance(event, StageProgress) and event.stage == "profile"]
+    assert isinstance(next(event for event in events if getattr(event, "stage", "") == "profile"), StageStarted)
+    assert all(0 <= event.done <= event.total for event in progress) and any("photographs" in event.note for event in progress)
+    assert any(isinstance(event, StageDone) and event.stage == "profile" for event in events)
+    warnings = planned_with(tmp_path, scene, "long_side_px", 48)
+    assert warnings == "none"
+    assert "profile 'mine.toml', are of preset default, 24 steps at 48 px" in planned_with(tmp_path, scene, "long_side_px", 96)
+
+
+def planned_with(folder: Path, scene: Path, name: str, value: int) -> str:
+    """Warnings of `radiant plan` for a system of the profile and training of another size; they also stand in the plan's file."""
+    out = folder / f"plan_{value}.json"
+    (folder / "system.toml").write_text('[[edge]]\nid = "e"\nprofile = "mine.toml"\n[[edge.device]]\nid = "d"\nprofile = "mine.toml"\n')
+    overrides = Overrides(**{**asdict(QUICK), name: value})
+    request = PlanRequest(source=scene, out=out, system=folder / "system.toml", method="exact", seed=0, overrides=overrides)
+    result = plan(request, ProgressDisplay(Console(quiet=True)))
+    assert " ".join(read_json(out).get("warnings", [])) == result["warnings"].replace("none", "")
+    assert load_plan(out)[0].counts.sum() == 7
+    return result["warnings"]
+
+
+def run_folder(folder: Path, *, emulated: bool = False) -> Path:
+    """What a finished run keeps of its times: three devices of one edge with 4, 6 and 10 photographs."""
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(0)
+    positions = rng.random((20, 2)) * 100
+    system = system_of(None, None, None)
+    cloud = plan_regions(positions, system)
+    (edge,) = split_edges(positions, cloud, system)  # type: ignore[arg-type]
+    edge = type(edge)(**{**vars(edge), "device_of_camera": np.repeat([0, 1, 2], [4, 6, 10])})
+    save_plan(folder / "plan.json", cloud, (edge,))  # type: ignore[arg-type]
+    config = RunConfig(source=folder, out=folder, overrides=QUICK, emulated=emulated, system=Path("s.toml") if emulated else None)
+    manifest = Manifest(folder=folder, config=recorded_config(config))
+    for name, count in (("d0", 4), ("d1", 6), ("d2", 10)):
+        device = folder / "devices" / name
+        device.mkdir(parents=True)
+        write_json(device / "task.json", {"train": asdict(train_preset("default"))})
+        write_json(device / "summary.json", {"train_s": 10.0 + count, "model_bytes": 1000 * count})
+        manifest.stages[f"devices/{name}"] = {"started_s": 5.0, "ended_s": 5.0 + 10.0 + count + 3.0}
+    manifest.stages["edges/e"] = {"started_s": 40.0, "ended_s": 52.0}
+    manifest.save()
+    write_json(folder / "metrics.json", {})
+    return folder
+
+
+def test_stage_times_of_a_run_become_its_curves(tmp_path: Path) -> None:
+    result = profile_of_run(run_folder(tmp_path), tmp_path / "mine.json", "mine")
+    made = load_profile(tmp_path / "mine.json")
+    np.testing.assert_allclose(made.train_s.curve([4, 6, 10]), [14, 16, 20], rtol=1e-9)
+    np.testing.assert_allclose(made.init_s.curve([4, 6, 10]), 3, rtol=1e-9)
+    np.testing.assert_allclose(made.model_bytes.curve([4, 10]), [4000, 10_000], rtol=1e-9)
+    assert made.aggregate_s is not None and float(made.aggregate_s.curve(20)) == pytest.approx(12.0)
+    assert made.aggregate_alone_s is None and made.key.preset == "default"
+    rows = {row["quantity"]: row for row in result["check"]}
+    assert rows["training"]["num_cameras"] == 6 and rows["training"]["error"] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_run_whose_times_are_played_or_missing_is_refused(tmp_path: Path) -> None:
+    played = run_folder(tmp_path / "played", emulated=True)
+    with pytest.raises(BadInput, match="emulated"):
+        profile_of_run(played, tmp_path / "a.toml")
+    run = run_folder(tmp_path / "real")
+    shutil.rmtree(run / "devices")
+    with pytest.raises(BadInput, match="no times of a device"):
+        profile_of_run(run, tmp_path / "a.toml")
+    with pytest.raises(BadInput, match=r"holds no metrics.json"):
+        profile_of_run(tmp_path, tmp_path / "a.toml")
+    assert not (tmp_path / "a.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("num_photographs", "counts", "held_out"), [(4, [2, 3, 4], None), (10, [2, 3, 6, 10], 4), (52, [6, 13, 26, 52], 18)]
+)
+def test_counts_are_even_in_ratio_and_one_in_the_middle_is_held_out(num_photographs: int, counts: list[int], held_out: int | None) -> None:
+    assert chosen_counts(num_photographs) == (counts, held_out)
+
+
+def test_huge_sets_are_profiled_on_a_part_and_tiny_ones_refused() -> None:
+    assert chosen_counts(10**6)[0][-1] == 200
+    with pytest.raises(BadInput, match=f"expected {MIN_PHOTOGRAPHS} or more"):
+        chosen_counts(3)
+
+
+def test_a_shortened_training_has_as_many_rounds_of_density_control() -> None:
+    train = train_preset("default")
+    for num_steps in (700, 1_400, 3_500):
+        short = shortened(train, num_steps)
+        assert short.num_steps == num_steps
+        assert num_steps / short.densify_every == pytest.approx(train.num_steps / train.densify_every, rel=0.05)
+    assert shortened(train, 1).densify_every == 1
+    assert shortened(train, train.num_steps) == train
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"out": "mine.txt"}, "ends in .toml or .json"),
+        ({"out": "."}, "is no name for a curve file"),
+        ({"out": "none/mine.toml"}, "no folder"),
+        ({"out": "there.toml"}, "exists"),
+        ({"time_s": 0.0}, "--time is 0.0"),
+        ({"time_s": float("nan")}, "--time is nan"),
+        ({"num_threads": 0}, "--threads is 0"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_said_before_anything_runs(tmp_path: Path, fields: dict, message: str) -> None:
+    (tmp_path / "there.toml").write_text("")
+    given = {"out": tmp_path / fields.get("out", "mine.toml"), **{name: value for name, value in fields.items() if name != "out"}}
+    with pytest.raises(BadInput, match=message):
+        ProfileRequest(**given)
+
+
+def test_photographs_that_are_not_there_leave_no_file(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="is no folder"):
+        profile(ProfileRequest(out=tmp_path / "mine.toml", source=tmp_path / "none"), lambda event: None)
+    assert not (tmp_path / "mine.toml").exists()
+
+
+def test_the_command_prints_the_library_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    profile_cli(list_known=True)
+    assert "rtx-4090" in capsys.readouterr().out
+    run = run_folder(tmp_path / "run")
+    profile_cli(out=tmp_path / "mine.toml", from_run=run, as_json=True)
+    assert json.loads(capsys.readouterr().out)["largest_count"] == 10
+    profile_cli(out=tmp_path / "again.toml", from_run=run)
+    assert "predicted" in capsys.readouterr().out
+    with pytest.raises(BadInput, match="--out is missing"):
+        profile_cli()
+    with pytest.raises(BadInput, match="leave out the photographs"):
+        profile_cli(source=run, from_run=run, out=tmp_path / "more.toml")

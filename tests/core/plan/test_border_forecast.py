@@ -1,0 +1,144 @@
+"""Borders, what images see of them, and buffer captures: counted by hand and by brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.border_forecast import RiskModel, forecast_borders
+from radiant_core.plan.borders import outside_by_m, shared_borders
+from radiant_core.plan.buffers import BufferRule, plan_buffers
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.footprints import Optics, ground_footprints, region_shares, views_before_capture
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.system import Device, Edge, System
+
+OPTICS = Optics(field_of_view_deg=90, aspect=1.0)
+
+
+def system(max_cameras: int | None = None) -> System:
+    def edge(name: str, x_m: float) -> Edge:
+        device = Device(
+            id=f"{name}-1", init_s=CostCurve(), train_s=CostCurve(linear=1.0), model_bytes=CostCurve(), uplink_bytes_per_s=1e6,
+            max_cameras=max_cameras,
+        )  # fmt: skip
+        return Edge(id=name, position=(x_m, 50.0), aggregate_s=CostCurve(), uplink_bytes_per_s=1e6, devices=(device,))
+
+    return System(edges=(edge("west", 25.0), edge("east", 75.0)))
+
+
+def grid() -> np.ndarray:
+    east, north = np.meshgrid(np.arange(5, 100, 10.0), np.arange(5, 100, 10.0))
+    return np.column_stack([east.ravel(), north.ravel()])
+
+
+def planned(max_cameras: int | None = None) -> CloudPlan:
+    plan = plan_regions(grid(), system(max_cameras))
+    assert isinstance(plan, CloudPlan)
+    return plan
+
+
+def test_two_regions_share_one_border_with_the_first_on_its_left() -> None:
+    plan = planned()
+    (border,) = shared_borders(plan)
+    np.testing.assert_allclose(border.ends[:, 0], 50.0, atol=0.1)
+    assert border.toward_first @ (plan.sites[0] - plan.sites[1]) > 0
+
+
+def test_support_is_what_brute_force_counts() -> None:
+    plan = planned()
+    views = views_before_capture(grid(), np.full(100, 10.0), OPTICS)
+    footprints = ground_footprints(views)
+    (forecast,) = forecast_borders(plan, views, footprints, half_band_m=4.0)
+    shapes = [shapely.Polygon(polygon) for polygon in footprints.polygons]
+    shares = (np.arange(16) + 0.5) / 16
+    for side, sign in enumerate((-1, 1)):
+        along = forecast.ends[0, 1] + shares * (forecast.ends[1, 1] - forecast.ends[0, 1])
+        spots = [(50 + sign * offset, north) for offset in (1, 3) for north in along]
+        seen = [[shape.covers(shapely.Point(spot)) for shape in shapes] for spot in spots]
+        used = [row for row in seen if any(row)]
+        own = [sum(np.array(row) & (plan.edge_of_camera == side)) for row in used]
+        assert forecast.support[side] == pytest.approx(np.mean(own), abs=0.15)
+    # Square footprints of 20 m every 10 m: neighbours share half, and at the border half of all images are the neighbour's.
+    assert forecast.forward_overlap == pytest.approx(0.5)
+    assert forecast.side_overlap == pytest.approx(0.5)
+    assert 0.4 < forecast.coverage < 0.85
+    assert forecast.num_images == (10, 10)
+
+
+def test_one_region_has_no_border_and_wrong_sizes_are_refused() -> None:
+    plan = plan_regions(grid(), System(edges=system().edges[:1]))
+    assert isinstance(plan, CloudPlan)
+    views = views_before_capture(grid(), np.full(100, 10.0), OPTICS)
+    assert forecast_borders(plan, views, ground_footprints(views)) == ()
+    few = views_before_capture(grid()[:3], np.full(3, 10.0), OPTICS)
+    with pytest.raises(BadInput, match="100 cameras, there are 3 views"):
+        forecast_borders(plan, few, ground_footprints(few))
+    with pytest.raises(BadInput, match="half_band_m"):
+        forecast_borders(plan, views, ground_footprints(views), half_band_m=np.nan)
+    with pytest.raises(BadInput, match="thresholds"):
+        RiskModel(high_below=3, medium_below=np.nan)
+
+
+def test_nobody_sees_anything_and_all_at_one_spot() -> None:
+    plan = planned()
+    below = views_before_capture(grid(), np.full(100, -1.0), OPTICS)
+    (forecast,) = forecast_borders(plan, below, ground_footprints(below))
+    assert forecast.support == (0.0, 0.0) and forecast.risk == "high" and forecast.coverage == 0
+    same = plan_regions(np.zeros((20, 2)), system())
+    assert isinstance(same, CloudPlan)
+    views = views_before_capture(np.zeros((20, 2)), np.full(20, 10.0), OPTICS)
+    for made in forecast_borders(same, views, ground_footprints(views)):
+        assert np.isfinite(made.coverage)
+
+
+def test_buffers_by_share_and_by_distance_are_those_counted_by_hand() -> None:
+    plan, positions = planned(), grid()
+    edges = split_edges(positions, plan, system())
+    shares = region_shares(ground_footprints(views_before_capture(positions, np.full(100, 10.0), OPTICS)), plan.borders)
+    matrix = shares.dense()
+    for rule in (BufferRule(min_share=0.2), BufferRule(within_m=6.0)):
+        made = plan_buffers(positions, shares, plan, edges, system(), rule)
+        for index, buffer in enumerate(made):
+            others = plan.edge_of_camera != index
+            seeing = matrix[:, index] >= 0.2 if rule.min_share else outside_by_m(positions, plan.borders[index]) <= 6.0
+            assert sorted(buffer.camera_indices) == np.flatnonzero(others & seeing).tolist()
+            assert buffer.edge_time_s == pytest.approx(plan.edge_time_s[index] + len(buffer.camera_indices))
+            assert len(buffer.camera_indices) == 10 and buffer.num_refused == 0
+        views = views_before_capture(positions, np.full(100, 10.0), OPTICS)
+        before = forecast_borders(plan, views, ground_footprints(views))[0]
+        after = forecast_borders(plan, views, ground_footprints(views), buffers=made)[0]
+        assert min(after.support) > min(before.support)
+
+
+def test_buffers_keep_to_memory_and_deadline() -> None:
+    positions = grid()
+    plan = planned(53)
+    edges = split_edges(positions, plan, system(53))
+    made = plan_buffers(positions, None, plan, edges, system(53), BufferRule(within_m=6.0))
+    assert [len(buffer.camera_indices) for buffer in made] == [3, 3] and [buffer.num_refused for buffer in made] == [7, 7]
+    made = plan_buffers(positions, None, plan, edges, system(), BufferRule(within_m=6.0, deadline_s=54.5))
+    assert [len(buffer.camera_indices) for buffer in made] == [4, 4]
+    made = plan_buffers(positions, None, plan, edges, system(), BufferRule(within_m=6.0, deadline_s=1.0))
+    assert [len(buffer.camera_indices) for buffer in made] == [0, 0]
+
+
+def test_bad_rules_are_refused() -> None:
+    for bad in ({}, {"min_share": 0.2, "within_m": 3.0}, {"min_share": 0.0}, {"min_share": np.nan}, {"within_m": np.inf}):
+        with pytest.raises(BadInput, match="buffer capture"):
+            BufferRule(**bad)
+    plan = planned()
+    with pytest.raises(BadInput, match="region_shares"):
+        plan_buffers(grid(), None, plan, split_edges(grid(), plan, system()), system(), BufferRule(min_share=0.5))
+
+
+def test_distances_from_a_polygon_equal_shapelys() -> None:
+    rng = np.random.default_rng(0)
+    polygon = np.array([[0.0, 0], [4, 0], [5, 3], [1, 4]])
+    points = rng.uniform(-5, 9, (500, 2))
+    expected = shapely.distance(shapely.points(points), shapely.Polygon(polygon))
+    np.testing.assert_allclose(outside_by_m(points, polygon), expected, atol=1e-12)

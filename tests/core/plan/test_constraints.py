@@ -1,0 +1,129 @@
+"""Fixed weights, locked regions, pinned cameras: what is given stays, the rest is the best that is left."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.constraints import PlanConstraints, counts_at_least
+from radiant_core.plan.deadline import edge_tables
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.power_diagram import assign
+from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+
+from .instances import LAYOUTS, linear_system, random_system
+
+
+def planned(*args, **kwargs) -> CloudPlan:
+    plan = plan_regions(*args, **kwargs)
+    assert isinstance(plan, CloudPlan)
+    return plan
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("seed", range(4))
+def test_everything_given_stays_and_nobody_else_joins(layout: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    positions, system = LAYOUTS[layout](rng, 60), random_system(rng, 5)
+    start = planned(positions, system)
+    pins = {int(camera): "e3" for camera in np.flatnonzero(start.edge_of_camera != 0)[:3]}
+    constraints = PlanConstraints(locked=("e0",), fixed_weights_m2={"e1": float(start.weights[1]) + 300.0}, pinned=pins)
+    plan = planned(positions, system, constraints=constraints, start=start)
+    np.testing.assert_array_equal(plan.edge_of_camera == 0, start.edge_of_camera == 0)
+    assert all(plan.edge_of_camera[camera] == 3 for camera in pins)
+    reference = start.weights.copy()
+    reference[1] += 300.0
+    centre = (positions.min(axis=0) + positions.max(axis=0)) / 2
+    cell = assign(positions - centre, start.sites - centre, reference) == 1
+    cell &= start.edge_of_camera != 0
+    cell[list(pins)] = False
+    np.testing.assert_array_equal(plan.edge_of_camera == 1, cell)
+    assert plan.makespan_s >= plan.lower_bound_s * (1 - 1e-12)
+    assert plan.status in ("constrained", "optimal") and plan.certified == (plan.num_outside == 0)
+    assert any("hold among the cameras" in sentence for sentence in plan.constrained)
+    assert len(plan.constrained) == 4
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_counts_and_distance_of_the_rest_are_the_best_of_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    positions, system = LAYOUTS["uniform"](rng, 7), random_system(rng, 3)
+    pins = {0: "e0", 1: "e0", 2: "e1"}
+    plan = planned(positions, system, constraints=PlanConstraints(pinned=pins))
+    tables = edge_tables(system, 7)
+    cost = np.sum((positions[:, None] - plan.sites) ** 2, axis=-1)
+    best: dict[tuple[int, ...], float] = {}
+    for rest in product(range(3), repeat=4):
+        owners = [0, 0, 1, *rest]
+        counts = tuple(np.bincount(owners, minlength=3).tolist())
+        best[counts] = min(best.get(counts, np.inf), float(cost[np.arange(7), owners].sum()))
+    makespan_s = {counts: max(t.edge_time_s[n] for t, n in zip(tables, counts, strict=True)) for counts in best}
+    assert plan.makespan_s == pytest.approx(min(makespan_s.values()), rel=1e-12)
+    own = float(cost[np.arange(7), plan.edge_of_camera].sum())
+    assert own == pytest.approx(best[tuple(plan.counts.tolist())], rel=1e-12)
+
+
+def test_counts_at_least_are_the_fastest_of_all_that_keep_the_least() -> None:
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        system, least = random_system(rng, 3), rng.integers(0, 4, 3)
+        found = counts_at_least(system, 10, least).counts
+        assert found.sum() == 10 and (found >= least).all()
+        tables = edge_tables(system, 10)
+        times = [
+            max(t.edge_time_s[n] for t, n in zip(tables, (a, b, 10 - a - b), strict=True))
+            for a in range(least[0], 11)
+            for b in range(least[1], 11 - a)
+            if 10 - a - b >= least[2]
+        ]
+        assert max(t.edge_time_s[n] for t, n in zip(tables, found, strict=True)) == pytest.approx(min(times), rel=1e-12)
+
+
+def test_a_weight_fixed_where_it_was_changes_nothing() -> None:
+    rng = np.random.default_rng(0)
+    positions, system = LAYOUTS["uniform"](rng, 200), random_system(rng, 6)
+    start = planned(positions, system)
+    plan = planned(positions, system, constraints=PlanConstraints(fixed_weights_m2={"e2": float(start.weights[2])}), start=start)
+    np.testing.assert_array_equal(plan.edge_of_camera, start.edge_of_camera)
+    assert plan.certified and plan.status == "optimal"
+    assert plan.weights[2] == start.weights[2]
+
+
+def test_what_memory_forbids_is_infeasible_with_its_reason() -> None:
+    positions = np.stack([np.arange(6.0), np.zeros(6)], axis=1)
+    system = linear_system(np.array([[0.0, 0.0], [5.0, 0.0]]), np.ones(2), max_cameras=3)
+    start = planned(positions, system)
+    for constraints, reason in (
+        (PlanConstraints(pinned={0: "e0", 1: "e0", 2: "e0", 3: "e0"}), "gives? edge 'e0' 4 cameras, it can hold 3"),
+        (PlanConstraints(fixed_weights_m2={"e1": -1e6}), "can hold 3 of the 6"),
+        (PlanConstraints(fixed_weights_m2={"e1": -1e6}, locked=("e0",)), "all edges are locked or fixed and 3 cameras"),
+    ):
+        plan = plan_regions(positions, system, constraints=constraints, start=start)
+        assert isinstance(plan, PlanInfeasible)
+        with pytest.raises(AssertionError, match=reason):
+            raise AssertionError(plan.reason)
+
+
+def test_what_cannot_be_meant_is_refused() -> None:
+    positions, system = np.arange(8.0).reshape(4, 2), linear_system(np.array([[0.0, 0.0], [5.0, 0.0]]), np.ones(2))
+    start = planned(positions, system)
+    for build, message in (
+        (lambda: PlanConstraints(fixed_weights_m2={"e0": np.nan}), "fixed at nan"),
+        (lambda: PlanConstraints(locked=("e0", "e0")), "locked twice"),
+        (lambda: PlanConstraints(locked=("e0",), fixed_weights_m2={"e0": 1.0}), "locked and has a fixed weight"),
+        (lambda: PlanConstraints(pinned={-1: "e0"}), "camera -1 is pinned"),
+        (lambda: plan_regions(positions, system, constraints=PlanConstraints(locked=("e0",))), "none was given"),
+        (lambda: plan_regions(positions[:3], system, constraints=PlanConstraints(locked=("e0",)), start=start), "one of 4 was given"),
+        (lambda: plan_regions(positions, system, constraints=PlanConstraints(pinned={9: "e0"})), "camera 9 is pinned, there are 4"),
+        (lambda: plan_regions(positions, system, constraints=PlanConstraints(pinned={0: "x"})), "edge 'x' is constrained"),
+        (lambda: plan_regions(positions, system, constraints=PlanConstraints(pinned={0: "e0"}), slack=1.1), "slack and constraints"),
+        (
+            lambda: plan_regions(positions, system, constraints=PlanConstraints(locked=("e0",), pinned={0: "e1"}), start=start),
+            "lies in the locked region of 'e0'",
+        ),
+    ):
+        with pytest.raises(BadInput, match=message):
+            build()

@@ -1,0 +1,102 @@
+"""Footprints and shares against Monte Carlo and shapely, on poison and on what no camera should do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.footprints import Optics, RegionShares, Views, ground_footprints, region_shares, views_before_capture
+from radiant_core.plan.power_diagram import cell_polygons, rectangle
+
+
+def test_a_camera_straight_down_sees_a_rectangle() -> None:
+    optics = Optics(field_of_view_deg=90, aspect=0.5)
+    footprints = ground_footprints(views_before_capture([[10.0, 20.0]], [100.0], optics, [[0.0, -90.0]]))
+    np.testing.assert_allclose(footprints.areas_m2, [200 * 100], rtol=1e-12)
+    np.testing.assert_allclose(footprints.polygons[0].min(axis=0), [-90, -30])
+    np.testing.assert_allclose(footprints.polygons[0].max(axis=0), [110, 70])
+
+
+def test_footprints_are_the_ground_whose_rays_fall_into_the_image() -> None:
+    """Monte Carlo: a spot is inside exactly when it projects into the image and lies within the horizon's box."""
+    rng = np.random.default_rng(1)
+    optics = Optics(field_of_view_deg=60, aspect=0.75)
+    for heading, pitch in ((0, -90), (30, -60), (200, -25), (310, 0), (90, 20)):
+        made = ground_footprints(views_before_capture([[0.0, 0.0]], [50.0], optics, [[heading, pitch]]), horizon=4.0)
+        spots = rng.uniform(-320, 320, (40_000, 2))
+        h, p = np.radians([heading, pitch])
+        forward = np.array([np.sin(h) * np.cos(p), np.cos(h) * np.cos(p), np.sin(p)])
+        right = np.array([np.cos(h), -np.sin(h), 0])
+        rays = np.column_stack([spots, np.full(len(spots), -50.0)])
+        depth, x, y = rays @ forward, rays @ right, rays @ np.cross(right, forward)
+        half = np.tan(np.radians(30))
+        along, across = spots @ [np.sin(h), np.cos(h)], spots @ [np.cos(h), -np.sin(h)]
+        near = (np.abs(along) <= 200) & (np.abs(across) <= 200)
+        expected = (depth > 0) & (np.abs(x) <= half * depth) & (np.abs(y) <= 0.75 * half * depth) & near
+        inside = shapely.contains_xy(shapely.Polygon(made.polygons[0]), *spots.T) if made.areas_m2[0] else np.zeros(len(spots), bool)
+        assert (inside == expected).mean() > 0.9999, (heading, pitch)
+        share = expected.mean()
+        # Three standard deviations of a binomial count.
+        assert abs(made.areas_m2[0] / 640**2 - share) <= 3 * np.sqrt(share * (1 - share) / 40_000) + 1e-12
+
+
+def test_shares_equal_shapelys_areas_far_from_the_origin() -> None:
+    rng = np.random.default_rng(2)
+    offset = np.array([5e5, 4e6])
+    positions = rng.random((300, 2)) * [500, 300] + offset
+    angles = np.column_stack([rng.uniform(0, 360, 300), rng.uniform(-90, -20, 300)])
+    made = ground_footprints(views_before_capture(positions, rng.uniform(20, 120, 300), Optics(), angles))
+    outline = rectangle(offset, offset + np.array([500.0, 300.0]))
+    cells = (*cell_polygons(rng.random((9, 2)) * [500, 300] + offset, rng.normal(scale=500, size=9), outline), np.zeros((0, 2)))
+    shares = region_shares(made, cells).dense()
+    polygons = [shapely.Polygon(polygon - offset) for polygon in made.polygons]
+    for column, cell in enumerate(cells):
+        region = shapely.Polygon(cell - offset) if len(cell) else shapely.Polygon()
+        expected = [polygon.intersection(region).area / polygon.area for polygon in polygons]
+        np.testing.assert_allclose(shares[:, column], expected, atol=1e-9)
+    assert (shares.sum(axis=1) <= 1 + 1e-9).all()
+
+
+def test_nothing_is_seen_from_below_the_ground_or_into_the_sky() -> None:
+    views = views_before_capture(np.zeros((3, 2)), [-1.0, 0.0, 10.0], Optics(), [[0, -90], [0, -90], [0, 90]])
+    made = ground_footprints(views)
+    np.testing.assert_array_equal(made.areas_m2, 0)
+    assert not len(region_shares(made, [rectangle(np.array([-9.0, -9]), np.array([9.0, 9]))]).shares)
+
+
+def test_unknown_angles_are_down_and_along_the_flight() -> None:
+    views = views_before_capture([[0, 0], [10, 0], [10, 10]], [30, 30, 30], Optics(), np.full((3, 2), np.nan))
+    told = views_before_capture([[0, 0], [10, 0], [10, 10]], [30, 30, 30], Optics(), [[90, -90], [0, -90], [0, -90]])
+    np.testing.assert_allclose(views.corner_rays, told.corner_rays, atol=1e-12)
+
+
+def test_poison_is_refused() -> None:
+    with pytest.raises(BadInput, match="field of view is 180"):
+        Optics(field_of_view_deg=180)
+    with pytest.raises(BadInput, match="not finite"):
+        views_before_capture([[0, np.nan]], [1.0], Optics())
+    with pytest.raises(BadInput, match="not finite"):
+        views_before_capture([[0, 0]], [np.inf], Optics())
+    with pytest.raises(BadInput, match="pitch −90"):
+        views_before_capture([[0, 0]], [1.0], Optics(), [[0, 91]])
+    with pytest.raises(BadInput, match="without a direction"):
+        Views(positions=np.zeros((1, 2)), heights_m=np.ones(1), corner_rays=np.zeros((1, 4, 3)))
+    made = ground_footprints(views_before_capture([[0, 0]], [1.0], Optics()))
+    with pytest.raises(BadInput, match="no region"):
+        region_shares(made, [])
+    for horizon in (0.0, np.nan, np.inf):
+        with pytest.raises(BadInput, match="horizon"):
+            ground_footprints(views_before_capture([[0, 0]], [1.0], Optics()), horizon)
+    with pytest.raises(BadInput, match="above 0"):
+        RegionShares(images=np.array([0]), regions=np.array([0]), shares=np.array([np.nextafter(1, 2)]), num_images=1, num_regions=1)
+
+
+def test_huge_and_empty_inputs() -> None:
+    none = ground_footprints(views_before_capture(np.zeros((0, 2)), [], Optics()))
+    square = rectangle(np.zeros(2), np.ones(2))
+    assert region_shares(none, [square]).dense().shape == (0, 1)
+    far = ground_footprints(views_before_capture([[1e8, -1e8]], [1e5], Optics()))
+    inside = region_shares(far, [rectangle(np.array([0.0, -2e8]), np.array([2e8, 0.0]))])
+    np.testing.assert_allclose(inside.shares, 1.0)

@@ -1,0 +1,324 @@
+"""Re-plans: the least makespan and the fewest moves against exhaustive search, what must not move, and what cannot be done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.deadline import device_time_s
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
+from radiant_core.plan.power_diagram import assign
+from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
+from radiant_core.plan.system import Device, Edge, System
+
+
+def device(name: str, speed: float = 1.0, most: int | None = None) -> Device:
+    return Device(
+        id=name,
+        init_s=CostCurve(linear=0.1 / speed),
+        train_s=CostCurve(constant=2.0 / speed, linear=1 / speed),
+        model_bytes=CostCurve(linear=5e5),
+        uplink_bytes_per_s=5e6,
+        max_cameras=most,
+    )
+
+
+def edge(name: str, position: tuple[float, float], *devices: Device) -> Edge:
+    return Edge(id=name, position=position, aggregate_s=CostCurve(constant=1, linear=0.3), uplink_bytes_per_s=1e7, devices=devices)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    system: System
+    positions: FloatArray
+    cloud: CloudPlan
+    edges: tuple[EdgePlan, ...]
+
+    def replanned(self, situation: Situation, **more: object) -> Replan | ReplanInfeasible:
+        return replan(self.cloud, self.edges, self.positions, self.system, situation, **more)  # type: ignore[arg-type]
+
+
+def made(system: System, num_positions: int, seed: int = 0) -> Made:
+    positions = np.random.default_rng(seed).random((num_positions, 2)) * 100
+    cloud = plan_regions(positions, system)
+    assert isinstance(cloud, CloudPlan)
+    return Made(system=system, positions=positions, cloud=cloud, edges=split_edges(positions, cloud, system))
+
+
+def town(num_positions: int = 120) -> Made:
+    west = edge("west", (20.0, 50.0), device("w1"), device("w2", 0.7))
+    return made(System(edges=(west, edge("east", (80.0, 50.0), device("e1", 1.5), device("e2")))), num_positions)
+
+
+def solved(result: Replan | ReplanInfeasible) -> Replan:
+    assert isinstance(result, Replan)
+    require_plan_of(len(result.device_after), result.cloud, result.edges)
+    return result
+
+
+def counts(result: Replan, owners: Sequence[int] | None = None) -> dict[str, int]:
+    owned = np.bincount(result.device_after if owners is None else owners, minlength=len(result.system.devices)).tolist()
+    return dict(zip((d.id for d in result.system.devices), owned, strict=True))
+
+
+def test_a_dead_device_gives_all_its_positions_away_and_few_others_move() -> None:
+    plan = town()
+    result = solved(plan.replanned(Situation(dead=frozenset({"e2"}))))
+    had = len(plan.edges[1].cameras_of("e2"))
+    assert counts(result)["e2"] == 0 and sum(counts(result).values()) == 120
+    assert had <= result.moved.sum() <= 2 * had
+    assert np.isinf(result.makespan_before_s) and np.isinf(result.time_before_s[3])
+    assert result.cloud.makespan_s == result.cloud.lower_bound_s and result.fewest_proved
+    # No plan without e2 is faster than one made from nothing.
+    others = System(edges=(plan.system.edges[0], replace(plan.system.edges[1], devices=(device("e1", 1.5),))))
+    fresh = plan_regions(plan.positions, others)
+    assert isinstance(fresh, CloudPlan) and result.cloud.makespan_s == pytest.approx(fresh.makespan_s, rel=1e-12)
+
+
+def test_captured_positions_never_move_and_those_of_a_dead_device_are_lost() -> None:
+    plan = town()
+    captured = np.random.default_rng(1).random(120) < 0.4
+    result = solved(plan.replanned(Situation(dead=frozenset({"w1"}), slow={"e1": 3.0}), captured=captured))
+    assert not (result.moved & captured).any() and result.moved.any()
+    on_w1 = result.device_before == 0
+    np.testing.assert_array_equal(result.lost, on_w1 & captured)
+    assert (result.device_after[on_w1 & ~captured] != 0).all()
+
+
+def test_what_is_done_stays_as_it_is_and_takes_nothing() -> None:
+    plan = town()
+    result = solved(plan.replanned(Situation(dead=frozenset({"e2"}), done=frozenset({"west"}))))
+    for index in (0, 1):
+        np.testing.assert_array_equal(result.edges[0].cameras_of(f"w{index + 1}"), plan.edges[0].cameras_of(f"w{index + 1}"))
+    assert result.time_after_s[:2].tolist() == [0.0, 0.0] and result.cloud.edge_time_s[0] == 0.0
+    assert counts(result)["e1"] == len(plan.edges[1].camera_indices)
+    np.testing.assert_array_equal(result.cloud.borders[0], plan.cloud.borders[0])
+    for old, new in zip(plan.edges[0].strips, result.edges[0].strips, strict=True):
+        np.testing.assert_array_equal(old, new)
+    nothing = solved(plan.replanned(Situation(done=frozenset({"west", "east"}))))
+    assert not nothing.moved.any() and nothing.cloud.makespan_s == 0.0
+
+
+def test_nothing_new_moves_nothing_and_a_tolerance_moves_less() -> None:
+    plan = town()
+    same = solved(plan.replanned(Situation()))
+    assert not same.moved.any() and same.cloud.makespan_s == pytest.approx(plan.cloud.makespan_s, rel=1e-9)
+    assert same.makespan_before_s == pytest.approx(plan.cloud.makespan_s, rel=1e-9)
+    slow = Situation(slow={"w1": 1.3})
+    exact, loose = solved(plan.replanned(slow)), solved(plan.replanned(slow, tolerance=0.05))
+    assert exact.moved.sum() > loose.moved.sum()
+    assert exact.cloud.makespan_s <= loose.cloud.makespan_s <= 1.05 * exact.cloud.makespan_s * (1 + 1e-9)
+    assert exact.cloud.makespan_s < exact.makespan_before_s
+
+
+def test_a_busy_device_is_waited_for() -> None:
+    plan = town()
+    free, busy = solved(plan.replanned(Situation())), solved(plan.replanned(Situation(busy_s={"e1": 20.0})))
+    assert counts(busy)["e1"] < counts(free)["e1"]
+    assert busy.time_after_s[2] == pytest.approx(20.0 + device_time_s(plan.system.devices[2], counts(busy)["e1"]))
+
+
+def test_a_joined_edge_and_device_take_the_land_beside_them() -> None:
+    plan = town(400)
+    joining = System(edges=(edge("north", (50.0, 95.0), device("n1"), device("n2")), edge("west", (0.0, 0.0), device("w3"))))
+    result = solved(plan.replanned(Situation(), joining=joining))
+    assert [e.id for e in result.system.edges] == ["west", "east", "north"] and counts(result)["w3"] > 0
+    assert result.system.edges[0].position == (20.0, 50.0), "an edge that was there keeps its place"
+    assert result.cloud.makespan_s < result.makespan_before_s
+    new, rest = result.cloud.edge_of_camera == 2, result.cloud.edge_of_camera != 2
+    assert plan.positions[new, 1].mean() > plan.positions[rest, 1].mean() + 20
+    own = assign(plan.positions, result.cloud.sites, result.cloud.weights)
+    assert (own == result.cloud.edge_of_camera).mean() > 0.7, "what moved lies apart, yet most are in their own region"
+    assert len(result.edges[2].cameras_of("n1")) > 0 and all(len(strip) >= 3 for strip in result.edges[2].strips)
+    assert result.moved.sum() == counts(result)["w3"] + counts(result)["n1"] + counts(result)["n2"], "only what goes to the new ones"
+
+
+def test_what_cannot_be_done_is_said_with_the_capacity() -> None:
+    plan = town()
+    everybody = plan.replanned(Situation(dead=frozenset({"west", "east"})))
+    assert isinstance(everybody, ReplanInfeasible) and everybody.capacity == 0 and "0 of 120 positions" in everybody.reason
+    gone = plan.replanned(Situation(dead=frozenset({"west", "east"})), captured=np.ones(120))
+    assert isinstance(gone, ReplanInfeasible) and "plan them anew" in gone.reason
+    tight = made(System(edges=(edge("a", (0.0, 0.0), device("a1", most=30), device("a2", most=30)),)), 60)
+    full = tight.replanned(Situation(dead=frozenset({"a2"})))
+    assert isinstance(full, ReplanInfeasible) and full.capacity == 30 and "30 of 60 positions" in full.reason
+    one = made(System(edges=(edge("a", (0.0, 0.0), device("a1")),)), 5)
+    assert not solved(one.replanned(Situation(slow={"a1": 4.0}))).moved.any()
+    closed = plan.replanned(Situation(dead=frozenset({"w1"}), closed=frozenset({"w2", "e1", "e2"})))
+    assert isinstance(closed, ReplanInfeasible) and closed.capacity == 120 - len(plan.edges[0].cameras_of("w1"))
+
+
+@pytest.mark.parametrize(
+    ("about", "told"),
+    [
+        ({"slow": {"w1": np.nan}}, "'w1' is slow by nan, expected a finite factor above 0"),
+        ({"slow": {"w1": 0.0}}, "slow by 0.0"),
+        ({"slow": {"w1": -2.0}}, "slow by -2.0"),
+        ({"busy_s": {"w1": np.inf}}, "busy for inf s"),
+        ({"dead": frozenset({"w1"}), "done": frozenset({"w1"})}, "dead and to be done"),
+    ],
+)
+def test_impossible_situations_are_refused(about: Mapping[str, object], told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        Situation(**about)  # type: ignore[arg-type]
+
+
+def test_what_does_not_belong_together_is_refused() -> None:
+    plan = town()
+    for field in ("dead", "done", "closed"):
+        with pytest.raises(BadInput, match=r"no device or edge 'w9': there are e1, e2, w1, w2, of west, east"):
+            plan.replanned(Situation(**{field: frozenset({"w9"})}))  # type: ignore[arg-type]
+    with pytest.raises(BadInput, match="no device or edge 'w9'"):
+        plan.replanned(Situation(slow={"w9": 2.0}))
+    with pytest.raises(BadInput, match="tolerance is nan"):
+        plan.replanned(Situation(), tolerance=float("nan"))
+    with pytest.raises(BadInput, match="device id 'w1' comes twice"):
+        joined_system(plan.system, System(edges=(edge("new", (0.0, 0.0), device("w1")),)))
+    with pytest.raises(BadInput, match="'new' has no position"):
+        plan.replanned(Situation(), joining=System(edges=(replace(edge("new", (0.0, 0.0), device("n1")), position=None),)))
+    with pytest.raises(BadInput, match="shape"):
+        replan(plan.cloud, plan.edges, plan.positions[1:], plan.system, Situation())
+    with pytest.raises(BadInput, match="captured"):
+        plan.replanned(Situation(), captured=np.full(120, np.nan))
+
+
+def best_by_search(plan: Made, system: System, situation: Situation, captured: np.ndarray, before: np.ndarray) -> tuple[float, int]:
+    """Least makespan and fewest moves over all owners of the positions that may move, times written out from the paper's equations."""
+    devices, names = system.devices, [d.id for d in system.devices]
+    edge_of = np.repeat(np.arange(len(system.edges)), [len(e.devices) for e in system.edges])
+    stays = captured | np.array([names[o] in situation.done for o in before])
+    lost = captured & np.array([names[o] in situation.dead for o in before])
+    takers = [i for i, name in enumerate(names) if name not in situation.dead | situation.done]
+    free = np.flatnonzero(~stays)
+    found: list[tuple[float, int]] = []
+    for choice in product(takers, repeat=len(free)):
+        owners = before.copy()
+        owners[free] = choice
+        held = np.bincount(owners[~lost], minlength=len(names))
+        limits = [(int(held[i]), devices[i].max_cameras) for i in takers]
+        if any(limit is not None and count > limit for count, limit in limits):
+            continue
+        worst = 0.0
+        for index, e in enumerate(system.edges):
+            own = np.flatnonzero(edge_of == index)
+            if not held[own].sum():
+                continue
+            ready = 0.0
+            for i in own:
+                if held[i] and names[i] not in situation.done:
+                    slow = situation.slow.get(names[i], 1.0)
+                    d, k = devices[i], int(held[i])
+                    spent = slow * (d.init_s(k) + d.train_s(k)) + d.model_bytes(k) / d.uplink_bytes_per_s
+                    ready = max(ready, situation.busy_s.get(names[i], 0.0) + float(spent))
+            sent = sum(float(devices[i].model_bytes(int(held[i]))) for i in own) / e.uplink_bytes_per_s
+            worst = max(worst, ready + float(e.aggregate_s(int(held[own].sum()))) + sent)
+        found.append((worst, int((owners != before).sum())))
+    least = min(makespan for makespan, _ in found)
+    return least, min(moves for makespan, moves in found if makespan <= least * (1 + 1e-12))
+
+
+def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
+    """100 fleets of 2 to 4 devices at 1 or 2 edges with up to 5 positions: dead, done, slow, busy, captured, joining and full devices."""
+    checked = 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        num = int(rng.integers(2, 6))
+        speeds = rng.uniform(0.5, 2.0, 4)
+        most = [None if rng.random() < 0.7 else num for _ in range(4)]
+        first = edge("a", (20.0, 50.0), *(device(f"a{i}", speeds[i], most[i]) for i in range(rng.integers(1, 3))))
+        second = edge("b", (80.0, 50.0), *(device(f"b{i}", speeds[2 + i], most[2 + i]) for i in range(rng.integers(1, 3))))
+        plan = made(System(edges=(first, second)), num, seed)
+        names = [d.id for d in plan.system.devices]
+        picked = rng.permutation(names)
+        situation = Situation(
+            dead=frozenset(picked[:1] if rng.random() < 0.6 else ()),
+            done=frozenset(picked[1:2] if rng.random() < 0.3 and len(names) > 2 else ()),
+            slow={picked[-1]: float(rng.uniform(0.5, 4.0))},
+            busy_s={picked[-2]: float(rng.uniform(0, 10))} if rng.random() < 0.5 and picked[-2] not in picked[:2] else {},
+        )
+        joining = System(edges=(edge("c", (50.0, 90.0), device("c0", 1.2)),)) if rng.random() < 0.3 else None
+        captured = rng.random(num) < 0.25
+        result = plan.replanned(situation, captured=captured, joining=joining)
+        if isinstance(result, ReplanInfeasible):
+            assert captured.all() or len(situation.dead) + len(situation.done) == len(names), seed
+            continue
+        system = plan.system if joining is None else joined_system(plan.system, joining)
+        least_s, fewest = best_by_search(plan, system, situation, captured, result.device_before)
+        assert result.cloud.makespan_s == pytest.approx(least_s, rel=1e-9), seed
+        assert result.moved.sum() == fewest, seed
+        assert result.fewest_proved
+        checked += 1
+    assert checked > 80
+
+
+def test_those_that_move_are_the_nearest_for_one_and_for_several_that_lose() -> None:
+    """Against every choice of who goes where with the same quotas: Σ of squared distances to the devices' centres."""
+    for seed, situation in enumerate(
+        [Situation(slow={"w1": 3.0}), Situation(slow={"w1": 4.0, "e1": 4.0}), Situation(dead=frozenset({"w2"}))] * 4
+    ):
+        plan = made(town().system, 6, seed)
+        result = solved(plan.replanned(situation))
+        centres = np.array([[0.0, 0.0]] * 4)
+        for index in range(4):
+            own = plan.positions[result.device_before == index]
+            centres[index] = own.mean(axis=0) if len(own) else np.array(plan.system.edges[index // 2].position)
+        squared = np.sum((plan.positions[:, None] - centres) ** 2, axis=-1)
+        gains = squared - squared[np.arange(6), result.device_before][:, None]
+        held = np.bincount(result.device_after, minlength=4)
+        best = min(
+            sum(gains[i, o] for i, o in enumerate(owners))
+            for owners in product(range(4), repeat=6)
+            if (np.bincount(owners, minlength=4) == held).all() and (np.array(owners) != result.device_before).sum() == result.moved.sum()
+        )
+        cost = float(gains[np.arange(6), result.device_after].sum())
+        assert cost == pytest.approx(best, rel=1e-9, abs=1e-9), (seed, situation)
+
+
+def test_unequal_uploads_keep_the_deadline_and_say_that_moves_are_not_proved() -> None:
+    """One device sends ten times the bytes: quotas stay within the least makespan of the fastest dealing."""
+    heavy = replace(device("w2", 0.7), model_bytes=CostCurve(constant=1e6, linear=5e6))
+    plan = made(System(edges=(edge("west", (20.0, 50.0), device("w1"), heavy), edge("east", (80.0, 50.0), device("e1")))), 100)
+    result = solved(plan.replanned(Situation(slow={"e1": 2.0})))
+    assert not result.fewest_proved and result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)
+
+
+def test_twenty_thousand_positions_are_replanned_in_seconds() -> None:
+    devices = [tuple(device(f"d{e}-{i}", 1 + 0.1 * i) for i in range(4)) for e in range(16)]
+    where = [(float(x), float(y)) for x in (10, 35, 60, 85) for y in (10, 35, 60, 85)]
+    plan = made(System(edges=tuple(edge(f"e{i}", where[i], *own) for i, own in enumerate(devices))), 20_000)
+    result = solved(plan.replanned(Situation(dead=frozenset({"d3-0", "e7"}), slow={"d0-0": 2.0}), tolerance=0.01))
+    gone = sum(len(plan.edges[e].cameras_of(n)) for e, n in [(3, "d3-0"), *((7, f"d7-{i}") for i in range(4))])
+    assert gone <= result.moved.sum() <= 1.4 * gone
+    assert len(result.cloud.borders[7]) == 0, "nobody owns the land of a dead edge"
+    assert result.cloud.makespan_s <= 1.01 * result.cloud.lower_bound_s * (1 + 1e-9)
+
+
+def test_an_edge_that_need_not_join_is_counted_so_and_stays_within_the_deadline() -> None:
+    """Where one device has all positions of its edge nothing is retrained: against all quotas of one edge with two devices."""
+    first, second = device("a", 1.0), device("b", 0.3)
+    one = replace(edge("one", (0.0, 0.0), first, second), aggregate_alone_s=CostCurve(constant=0.5))
+    for num_positions in (1, 2, 3, 5, 8, 13):
+        plan = made(System(edges=(one,)), num_positions)
+        result = solved(plan.replanned(Situation(slow={"a": 1.01})))
+        slowed = result.system.edges[0]
+
+        def time_s(quotas: tuple[int, int], edge: Edge = slowed) -> float:
+            pairs = list(zip(edge.devices, quotas, strict=True))
+            ready_s = max(float(device_time_s(d, n)) if n else 0.0 for d, n in pairs)
+            sent = sum(float(d.model_bytes(n)) for d, n in pairs)
+            return ready_s + edge.aggregation_s(sum(quotas), sum(n > 0 for n in quotas)) + sent / edge.uplink_bytes_per_s
+
+        found = counts(result)
+        assert result.cloud.makespan_s == pytest.approx(time_s((found["a"], found["b"])), rel=1e-12)
+        # As in `radiant plan`: quotas of the fastest devices, with what they then need to join.
+        assert result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)
+        assert not result.fewest_proved or num_positions == 0

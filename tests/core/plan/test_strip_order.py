@@ -1,0 +1,106 @@
+"""The order of devices along the strips: against all permutations, and the lengths of cuts against shapely."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+import shapely
+
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.device_split import long_axis, split_edge
+from radiant_core.plan.power_diagram import polygon_area_m2
+from radiant_core.plan.strip_order import MAX_EXCHANGED, chords_across, seams_m, shortest_order
+
+from .instances import random_edge
+
+
+def names(count: int) -> list[str]:
+    return [f"d{index:03d}" for index in range(count)]
+
+
+def convex_border(rng: np.random.Generator, size_m: float = 300.0, shift_m: float = 0.0) -> FloatArray:
+    hull = shapely.MultiPoint(rng.random((12, 2)) * [size_m, size_m / 2] + shift_m).convex_hull
+    return shapely.get_coordinates(shapely.orient_polygons(hull))[:-1]
+
+
+def shortest_of_all(quotas: np.ndarray, chords_m: FloatArray) -> float:
+    return min(seams_m(np.array(order), quotas, chords_m) for order in permutations(np.flatnonzero(quotas)))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_permutation_has_shorter_seams(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    num_devices = int(rng.integers(1, 8))
+    quotas = rng.integers(0, 9 if seed % 2 else 4, num_devices)  # small ones come twice
+    chords_m = rng.random(int(quotas.sum()) + 1) * 100.0
+    order = shortest_order(quotas, names(num_devices), chords_m)
+    np.testing.assert_array_equal(np.sort(order), np.flatnonzero(quotas))
+    if quotas.any():
+        # Lengths are compared to a billionth of the longest.
+        assert seams_m(order, quotas, chords_m) == pytest.approx(shortest_of_all(quotas, chords_m), abs=1e-6)
+
+
+def test_twelve_devices_with_quotas_of_their_own_are_ordered_exactly() -> None:
+    """One cut is far shorter than all others: of twelve quotas, exactly the order that cuts there after six of them pays."""
+    quotas = 2 ** np.arange(12)
+    chords_m = np.full(int(quotas.sum()) + 1, 100.0)
+    inside = [0, 3, 4, 7, 8, 11]
+    chords_m[quotas[inside].sum()] = 1.0
+    order = shortest_order(quotas, names(12), chords_m)
+    assert seams_m(order, quotas, chords_m) == pytest.approx(10 * 100.0 + 1.0)
+    assert sorted(order[:6].tolist()) == inside
+
+
+def test_ties_go_to_the_order_of_the_names() -> None:
+    assert shortest_order(np.array([5, 3, 4]), ["c", "a", "b"], np.full(13, 10.0)).tolist() == [1, 2, 0]
+    assert shortest_order(np.array([4, 4, 0, 4]), ["c", "a", "x", "b"], np.full(13, 10.0)).tolist() == [1, 3, 0]
+    assert shortest_order(np.array([4, 5]), ["b", "a"], np.zeros(10)).tolist() == [1, 0]  # land without width
+
+
+@pytest.mark.parametrize("num_devices", [13, 30, MAX_EXCHANGED + 5])
+def test_more_devices_than_can_be_searched_are_never_worse_than_by_name(num_devices: int) -> None:
+    rng = np.random.default_rng(num_devices)
+    quotas = rng.choice(np.arange(5, 5000), num_devices, replace=False)
+    at = np.linspace(0, 1, int(quotas.sum()) + 1)
+    chords_m = 100.0 * np.sqrt(at * (1 - at))  # land that is widest in the middle
+    order = shortest_order(quotas, names(num_devices), chords_m)
+    assert sorted(order.tolist()) == list(range(num_devices))
+    assert seams_m(order, quotas, chords_m) < seams_m(np.arange(num_devices), quotas, chords_m)
+    np.testing.assert_array_equal(order, shortest_order(quotas, names(num_devices), chords_m))
+
+
+@pytest.mark.parametrize(("seed", "shift_m"), [(0, 0.0), (1, 0.0), (2, 0.0), (3, 1e6)])
+def test_a_cut_is_as_long_as_shapely_says(seed: int, shift_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    border, angle = convex_border(rng, shift_m=shift_m), rng.uniform(0, np.pi)
+    axis, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    heights = border @ axis
+    at = np.linspace(heights.min() - 1, heights.max() + 1, 50)
+    centre = border.mean(axis=0)
+    for height, length_m in zip(at, chords_across(border, axis, at), strict=True):
+        foot = centre + (height - centre @ axis) * axis
+        line = shapely.LineString([foot - 1e4 * across, foot + 1e4 * across])
+        assert length_m == pytest.approx(shapely.Polygon(border).intersection(line).length, abs=1e-6)  # metres; steps of 1e-10 at 1e6
+
+
+def test_land_without_area_has_no_seams() -> None:
+    assert chords_across(np.zeros((0, 2)), np.array([1.0, 0.0]), np.array([0.0, 1.0])).tolist() == [0.0, 0.0]
+    assert chords_across(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.array([1.0, 0.0]), np.array([0.5])).tolist() == [0.0]
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_strips_of_a_plan_have_the_shortest_seams_of_all_orders(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    border = convex_border(rng)
+    inside = border.mean(axis=0) + (rng.random((60, 2)) - 0.5) * 60.0
+    plan = split_edge(random_edge(rng, "e", 4), inside, np.arange(60), border)
+    assert sum(polygon_area_m2(strip) for strip in plan.strips) == pytest.approx(polygon_area_m2(border))
+    quotas = np.bincount(plan.device_of_camera, minlength=4)
+    along = (inside - inside.mean(axis=0)) @ long_axis(inside)
+    order = np.array(sorted(np.flatnonzero(quotas), key=lambda device: along[plan.device_of_camera == device].max()))
+    sorted_along = np.sort(along)
+    cuts = np.concatenate([sorted_along[:1], (sorted_along[:-1] + sorted_along[1:]) / 2, sorted_along[-1:]])
+    chords_m = chords_across(border - inside.mean(axis=0), long_axis(inside), cuts)
+    assert seams_m(order, quotas, chords_m) == pytest.approx(shortest_of_all(quotas, chords_m), abs=1e-6)
