@@ -151,7 +151,8 @@ def _photographs(scene: BenchScene) -> list[NDArray[np.float64]]:
 
 
 def _row(out: Path, cell: Cell, method: str, scored: _Scored) -> MethodRow:
-    settings = {"train": asdict(cell.train), "join": asdict(aggregate_preset("paper" if method == "paper" else "default"))}
+    joining = {"paper": "paper", "ours": "default", "ours edges": "default", "even": "default"}
+    settings = {"train": asdict(cell.train), "join": asdict(aggregate_preset(joining[method])) if method in joining else None}
     key = content_key(__version__, {"cell": cell.name, "method": method, **settings})[:16]
     record = out / "rows" / f"{cell.name}-{method.replace(' ', '_')}-{key}.json"
     if record.is_file():
@@ -329,13 +330,11 @@ def _metrics(scene: str, rows: Sequence[MethodRow]) -> list[Metric]:
     metrics: list[Metric] = []
     for method, group in groups.items():
         key = f"methods.{scene}.{method.replace(' ', '_')}"
-        figures = {
-            "psnr_db": (np.mean([row.psnr_db for row in group]), "dB", "higher"),
-            "cpu_s": (np.mean([row.cpu_s for row in group]), "s", "info"),
-            "num_gaussians": (np.mean([row.num_gaussians for row in group]), "1", "info"),
-            "training_px": (np.mean([row.training_px for row in group]), "px", "info"),
-        }
-        metrics += [Metric(key=f"{key}.{n}", value=float(v), unit=unit, direction=way) for n, (v, unit, way) in figures.items()]
+        psnr = float(np.mean([row.psnr_db for row in group]))
+        metrics.append(Metric(key=f"{key}.psnr_db", value=psnr, unit="dB", direction="higher"))
+        for name, unit in (("cpu_s", "s"), ("num_gaussians", "1"), ("training_px", "px")):
+            value = float(np.mean([getattr(row, name) for row in group]))
+            metrics.append(Metric(key=f"{key}.{name}", value=value, unit=unit, direction="info"))
         if "paper" in groups and method != "paper":
             difference = paired_bootstrap(np.array([row.psnr_db for row in group]), np.array([row.psnr_db for row in groups["paper"]]))
             figures = {"mean_db": difference.mean, "low_db": difference.low, "high_db": difference.high}

@@ -5,15 +5,19 @@
     convergence.png  max|T − T̄| / T̄ before each iteration of the paper's loops, and of the exact plan
     partitions.png   all methods' regions with the latency of each
 
-Beside each stands its JSON; trainings that are measured already are not done again. PSNR of even and balanced is that of two
+Beside each stand its JSON and CSV; trainings that are measured already are not done again. PSNR of even and balanced is that of two
 runs: `radiant run --plan-method even`, and `exact`.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import tempfile
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +30,7 @@ from radiant_app.progress import tracked
 from radiant_app.sources import reconstruct_source
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
-from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.plan.comparators import Compared, compare
 from radiant_core.plan.curve_fit import FittedCurve, fit_curve
 from radiant_core.plan.edge_sites import place_edges
@@ -67,7 +71,13 @@ def _costs(folder: Path, quick: bool) -> tuple[FittedCurve, FittedCurve, list[Me
             for count in tracked(missing, "bench plan, training"):
                 rows[str(count)] = _trained(scene, images, count)
                 write_json(path, {"about": about, "rows": rows})
-    measured = {name: np.array([rows[str(count)][name] for count in counts]) for name in ("cpu_s", "model_bytes")}
+    names = ("cpu_s", "model_bytes")
+    _write_table(
+        folder / "costs.csv",
+        ["images", *names],
+        [[count, *(rows[str(count)][name] for name in names)] for count in counts],
+    )
+    measured = {name: np.array([rows[str(count)][name] for count in counts]) for name in names}
     fits = {name: fit_curve(counts, values) for name, values in measured.items()}
     xs = np.arange(1.0, max(counts) + 1)
     panels = [
@@ -160,6 +170,10 @@ def _methods(folder: Path, quick: bool) -> list[Metric]:
     detail = f"{len(positions)} cameras in five clusters, 6 edges"
     save_png(folder / "convergence.png", line_picture([panel], "Convergence of ARP", detail))
     write_json(folder / "convergence.json", {row.method: list(row.history) for row in shown})
+    table = zip_longest(*(row.history for row in shown), fillvalue="")
+    _write_table(
+        folder / "convergence.csv", ["iteration", *(row.method for row in shown)], [[n, *values] for n, values in enumerate(table)]
+    )
     return [
         Metric(key=f"plan.figures.last_imbalance.{row.method}", value=row.history[-1], unit="1", direction="lower", tolerance=1e-6)
         for row in shown
@@ -178,3 +192,11 @@ def _draw_partitions(path: Path, positions: Any, rows: list[Compared], system: S
     save_png(path.with_suffix(".png"), partitions_picture(positions, partitions, edge_ids, title))
     record = {row.method: dict(zip(edge_ids, row.edge_time_s.tolist(), strict=True)) for row in rows}
     write_json(path.with_suffix(".json"), {"edge_time_s": record})
+    seconds = [[name, *(row.edge_time_s[index] for row in rows)] for index, name in enumerate(edge_ids)]
+    _write_table(path.with_suffix(".csv"), ["edge", *(f"{row.method}_s" for row in rows)], seconds)
+
+
+def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\r\n").writerows([header, *rows])
+    write_atomic(path, text.getvalue().encode())

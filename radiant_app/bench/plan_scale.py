@@ -19,6 +19,7 @@ from radiant_app.progress import tracked
 from radiant_app.system_file import load_system
 from radiant_core.evaluate.metric import Metric
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import device_time_s, edge_table
 from radiant_core.plan.device_split import split_edges
@@ -47,11 +48,13 @@ _DRAWS = 200
 
 
 def bench_plan_scale(quick: bool) -> list[Metric]:
-    """`plan.<cameras>x<edges>.<kind>.exact.<cold|warm>_…`, `plan.2000x64.drag_…`, `plan.system<N>.<scene>.<method>.simulated_s`."""
+    """`plan.<cameras>x<edges>.<kind>.exact.<cold|warm>_…`, `plan.<cameras>x<edges>.slack_<factor>_…`, `plan.2000x64.[weight_]drag_…`,
+    `plan.system<N>.<scene>.<method>.simulated_s`."""
     metrics: list[Metric] = []
     for num_cameras, num_edges, kind in tracked(_SIZES[:2] if quick else _SIZES, "bench plan, scale"):
         metrics += _scaled(num_cameras, num_edges, kind)
-    metrics += [*_dragged(5 if quick else _DRAGS), *regret(10 if quick else 100)]
+    metrics += [*_dragged(5 if quick else _DRAGS), *weight_dragged(5 if quick else _DRAGS), *slacks(1 if quick else 3)]
+    metrics += [*regret(10 if quick else 100)]
     return [*metrics, *simulated_systems(20 if quick else _DRAWS)]
 
 
@@ -61,8 +64,15 @@ def _timed_s(work: Callable[[], CloudPlan]) -> tuple[CloudPlan, float]:
     return plan, time.process_time() - start_s
 
 
-def _plan(positions: FloatArray, system: System, start: CloudPlan | None = None) -> CloudPlan:
-    plan = plan_regions(positions, system, start=start)
+def _plan(
+    positions: FloatArray,
+    system: System,
+    start: CloudPlan | None = None,
+    *,
+    slack: float | None = None,
+    constraints: PlanConstraints | None = None,
+) -> CloudPlan:
+    plan = plan_regions(positions, system, start=start, slack=slack, constraints=constraints)
     assert isinstance(plan, CloudPlan), "devices without a memory limit hold every plan"
     return plan
 
@@ -105,6 +115,45 @@ def _dragged(num_moves: int) -> list[Metric]:
         _ms("plan.2000x64.drag_p95_ms", float(np.percentile(times_s, 95))),
         Metric(key="plan.2000x64.drag_makespan_over_bound", value=worst, unit="1", direction="lower", tolerance=1e-6),
     ]
+
+
+def weight_dragged(num_moves: int) -> list[Metric]:
+    """One of 64 weights pulled over ±800 m² at 2,000 cameras, planned around it at every step from the plan before the drag."""
+    rng = np.random.default_rng(0)
+    positions = camera_layout("uniform", 2000, rng)
+    system = place_edges(unequal_system(64, rng), positions, None, seed=0)
+    before = _plan(positions, system)
+    edge_id, weight_m2 = before.edge_ids[0], float(before.weights[0])
+    times_s, outside = [], 0
+    for shift_m2 in np.linspace(-800, 800, num_moves).tolist():
+        held = PlanConstraints(fixed_weights_m2={edge_id: weight_m2 + shift_m2})
+        plan, seconds = _timed_s(lambda held=held: _plan(positions, system, before, constraints=held))
+        times_s.append(seconds)
+        outside = max(outside, plan.num_outside)
+    return [
+        _ms("plan.2000x64.weight_drag_median_ms", float(np.median(times_s))),
+        _ms("plan.2000x64.weight_drag_p95_ms", float(np.percentile(times_s, 95))),
+        Metric(key="plan.2000x64.weight_drag_outside", value=float(outside), unit="cameras", direction="info"),
+    ]
+
+
+def slacks(num_sizes: int) -> list[Metric]:
+    """What the slacks 1, 1.1 and 1.5 buy: root mean square distance of cameras to their edges, makespan over bound, time."""
+    metrics: list[Metric] = []
+    for num_cameras, num_edges in ((1600, 16), (10_000, 16), (100_000, 64))[:num_sizes]:
+        rng = np.random.default_rng(num_cameras + num_edges)
+        positions = camera_layout("uniform", num_cameras, rng)
+        system = place_edges(unequal_system(num_edges, rng), positions, None, seed=0)
+        for slack in (1.0, 1.1, 1.5):
+            plan, seconds = _timed_s(lambda slack=slack, positions=positions, system=system: _plan(positions, system, slack=slack))
+            squared_m2 = np.sum((positions - plan.sites[plan.edge_of_camera]) ** 2, axis=1)
+            key = f"plan.{num_cameras}x{num_edges}.slack_{slack:g}"
+            metrics += [
+                _ms(f"{key}_ms", seconds),
+                Metric(key=f"{key}_rms_distance_m", value=float(np.sqrt(squared_m2.mean())), unit="m", direction="lower", tolerance=1e-6),
+                *_quality(key, plan),
+            ]
+    return metrics
 
 
 def regret(num_draws: int) -> list[Metric]:

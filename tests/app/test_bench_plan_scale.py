@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import radiant_app
-from radiant_app.bench.plan_scale import regret, simulated_systems, varied
+from radiant_app.bench.plan_scale import regret, simulated_systems, slacks, varied, weight_dragged
 from radiant_app.system_file import load_system
 
 FOLDER = Path(radiant_app.__file__).parent / "systems"
@@ -42,3 +42,15 @@ def test_exact_is_never_slower_than_what_it_is_compared_with() -> None:
 def test_one_sample_lowers_the_regret() -> None:
     metrics = {metric.key: metric.value for metric in regret(10)}
     assert 0 <= metrics["plan.regret.corrected_p50_percent"] < metrics["plan.regret.profiled_p50_percent"]
+
+
+def test_slack_brings_cameras_nearer_within_its_makespan_and_a_dragged_weight_is_planned_around() -> None:
+    found = {metric.key: metric.value for metric in slacks(1)}
+    distances_m = [found[f"plan.1600x16.slack_{slack}_rms_distance_m"] for slack in ("1", "1.1", "1.5")]
+    assert distances_m == sorted(distances_m, reverse=True) and distances_m[0] > distances_m[-1]
+    for slack in (1.0, 1.1, 1.5):
+        assert found[f"plan.1600x16.slack_{slack:g}_makespan_over_bound"] <= slack * (1 + 1e-12)
+        assert found[f"plan.1600x16.slack_{slack:g}_certified"] == 1.0
+    drag = {metric.key: metric.value for metric in weight_dragged(3)}
+    assert 0 < drag["plan.2000x64.weight_drag_median_ms"] <= drag["plan.2000x64.weight_drag_p95_ms"]
+    assert 0 <= drag["plan.2000x64.weight_drag_outside"] <= 40
