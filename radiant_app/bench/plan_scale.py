@@ -124,16 +124,18 @@ def weight_dragged(num_moves: int) -> list[Metric]:
     system = place_edges(unequal_system(64, rng), positions, None, seed=0)
     before = _plan(positions, system)
     edge_id, weight_m2 = before.edge_ids[0], float(before.weights[0])
-    times_s, outside = [], 0
+    times_s, outside, worst = [], 0, 1.0
     for shift_m2 in np.linspace(-800, 800, num_moves).tolist():
         held = PlanConstraints(fixed_weights_m2={edge_id: weight_m2 + shift_m2})
         plan, seconds = _timed_s(lambda held=held: _plan(positions, system, before, constraints=held))
         times_s.append(seconds)
         outside = max(outside, plan.num_outside)
+        worst = max(worst, plan.makespan_s / plan.lower_bound_s)
     return [
         _ms("plan.2000x64.weight_drag_median_ms", float(np.median(times_s))),
         _ms("plan.2000x64.weight_drag_p95_ms", float(np.percentile(times_s, 95))),
         Metric(key="plan.2000x64.weight_drag_outside", value=float(outside), unit="cameras", direction="info"),
+        Metric(key="plan.2000x64.weight_drag_makespan_over_bound", value=worst, unit="1", direction="info"),
     ]
 
 
