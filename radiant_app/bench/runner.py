@@ -149,7 +149,7 @@ def _measure_methods(options: BenchOptions, scene: Path, out: Path) -> Sequence[
         from radiant_viewer.curve_chart import curve_picture
         from radiant_viewer.images import save_png
 
-        detail = f"{scene.name}, {bench.layout}, {bench.long_side_px} px; CPU time after the devices' trainings"
+        detail = f"{rows[0].scene}, {bench.layout}, {bench.long_side_px} px; CPU time after the devices' trainings"
         save_png(options.plot, curve_picture(curves_of(rows), "Joining: quality against time and size", detail))
         typer.echo(f"written: {options.plot}")
     return metrics
