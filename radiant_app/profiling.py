@@ -187,8 +187,10 @@ class Measuring:
             shutil.copyfile(self.work / f"devices/{count}-{num_steps}" / "model.safetensors", place / "model.safetensors")
             save_cameras(place / "cameras.safetensors", cameras.select(np.sort(rows)))
         aggregate = aggregate_preset("default")
-        common = {"train": asdict(self.train), "backend": self.backend, "upload": UPLOAD, "teachers": []}
-        task = {"devices": names, "aggregate": asdict(replace(aggregate, num_epochs=num_epochs)), **common}
+        # A model agrees with itself: it is retrained all the same.
+        joined = asdict(replace(aggregate, num_epochs=num_epochs, agreement_db=None))
+        common = {"train": asdict(self.train), "backend": self.backend, "upload": UPLOAD, "teachers": [], "strips": [[]] * num_devices}
+        task = {"devices": names, "aggregate": joined, **common}
         seconds = self._run("edge", folder, task)
         train_s = read_json(folder / "summary.json", ("train_s",))["train_s"]
         return EdgeSample(num_cameras=count, num_devices=num_devices, seconds=seconds + train_s * (aggregate.num_epochs / num_epochs - 1))

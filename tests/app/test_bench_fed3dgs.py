@@ -39,5 +39,5 @@ def test_the_benchmark_writes_figures_with_bands_and_a_picture(tmp_path: Path) -
                 assert 0 < metrics[f"{key}.p5_s"] <= metrics[f"{key}.p95_s"]
     picture = cv2.imread(str(tmp_path / "fleet.png"))
     assert picture is not None and (picture != 255).any(axis=2).mean() > 0.01
-    with pytest.raises(BadInput, match="--plot is for the benchmarks train, plan and fed3dgs"):
+    with pytest.raises(BadInput, match="--plot is for the benchmarks train, plan, methods and fed3dgs"):
         run_bench("raster", None, BenchOptions(plot=tmp_path / "x.png"))

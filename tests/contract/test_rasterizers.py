@@ -7,7 +7,6 @@ Gaussian), RMS 1e-5; gradients 1e-4 for regular Gaussians, 5e-2 for needles, fin
 from __future__ import annotations
 
 import re
-from concurrent.futures import ThreadPoolExecutor
 from typing import get_args
 
 import numpy as np
@@ -469,20 +468,6 @@ def test_a_pass_that_stops_at_means2d_leaves_nothing_for_the_next(backend: str) 
     alone = by_means2d()
     torch.autograd.grad(output.images.square().sum(), output.means2d, retain_graph=True)
     assert torch.equal(by_means2d(), alone)
-
-
-@on_every_native_build
-def test_two_threads_may_go_back_through_one_graph(backend: str) -> None:
-    rendered = render(gaussians.regular(1000), gaussians.off_centre_cameras(64, 48, focal_px=60), backend)
-    losses = [(rendered.output.images * factor).sum() for factor in (1.0, 3.0)]
-
-    def gradient(loss: torch.Tensor) -> torch.Tensor:
-        return torch.autograd.grad(loss, rendered.leaves.means, retain_graph=True)[0]
-
-    alone = [gradient(loss) for loss in losses]
-    with ThreadPoolExecutor(2) as pool:
-        for _ in range(40):
-            assert all(torch.equal(got, truth) for got, truth in zip(pool.map(gradient, losses), alone, strict=True))
 
 
 @on_every_native_build
