@@ -159,7 +159,9 @@ def test_a_command_that_ends_just_before_it_would_be_stopped_is_told_as_ever(mon
 
 
 FOLD = """
-import sys
+import signal, sys
+# What was started in the background of a shell ignores Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path.insert(0, {root!r})
 from pathlib import Path
 from tests.app.test_emulation import BURN, TREE, executor, preparer, system
