@@ -6,7 +6,7 @@ The cloud gets virtual cameras of each edge and how long its aggregation took, n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,8 @@ from radiant_core.train.config import TrainConfig
 if TYPE_CHECKING:
     from radiant_core.aggregate.retrain import Joined
 
+CLOUD_BYTES = 1e9
+"""Memory that the default joining may take at a cloud whose system file sets no limit: beyond it a scene is cut, however large it is."""
 BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
@@ -61,7 +63,10 @@ def retrained_at_cloud(task: dict[str, Any], inbox: Inbox, stage: str, emit: Cal
     times_s = task["edge_times_s"]
     own_times_s = None if times_s is None else [times_s[task["edges"].index(name)] for name in inbox.senders]
     needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, own_times_s)
-    retrains, decision = choose_at_cloud(needs, Cloud(**task["limits"]), stage)
+    limits = Cloud(**task["limits"])
+    if aggregate.preset == "default" and limits.memory_bytes is None:
+        limits = replace(limits, memory_bytes=CLOUD_BYTES)
+    retrains, decision = choose_at_cloud(needs, limits, stage)
     emit(Decided(decision=decision))
     if not retrains:
         return None
