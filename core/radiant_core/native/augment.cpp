@@ -2,6 +2,8 @@
 
 #include <queue>
 
+#include "cell_row.h"
+
 namespace radiant {
 
 std::int64_t Holdings::held(std::size_t unit, int cell, const CameraTree& tree) const {
@@ -41,10 +43,7 @@ struct Entry {
   bool operator<(const Entry& other) const { return extra > other.extra || (extra == other.extra && unit > other.unit); }
 };
 
-struct Arc {
-  int to;
-  std::vector<Entry> heap;
-};
+using Heap = std::vector<Entry>;  // units that may move along one arc, the cheapest first
 
 struct HardCells {
   std::vector<int>& cell_of_unit;
@@ -131,17 +130,10 @@ class Augmenter {
     const double here = sites_.squared(from, tree_.x[u], tree_.y[u]);
     for (std::size_t k = begin; k < end; ++k) {
       if (near_[k] == from) continue;
-      auto& heap = arc(from, near_[k]).heap;
+      Heap& heap = arcs_[from][near_[k]];
       heap.push_back({sites_.squared(near_[k], tree_.x[u], tree_.y[u]) - here, static_cast<std::uint32_t>(u)});
       if (ordered_) std::push_heap(heap.begin(), heap.end());
     }
-  }
-
-  Arc& arc(int from, int to) {
-    for (Arc& candidate : arcs_[from])
-      if (candidate.to == to) return candidate;
-    arcs_[from].push_back({to, {}});
-    return arcs_[from].back();
   }
 
   void make_lists() {
@@ -155,12 +147,11 @@ class Augmenter {
     walk_cells(tree_, sites_, reach_ + rounding_, *this);
     ordered_ = true;
     for (auto& row : arcs_)
-      for (Arc& candidate : row) std::make_heap(candidate.heap.begin(), candidate.heap.end());
+      for (auto& [to, heap] : row) std::make_heap(heap.begin(), heap.end());
   }
 
   // The cheapest unit of `from` that may move along the arc, null where there is none.
-  const Entry* cheapest(int from, Arc& along) {
-    auto& heap = along.heap;
+  const Entry* cheapest(int from, Heap& heap) {
     while (!heap.empty() && holdings_.held(heap.front().unit, from, tree_) == 0) {
       std::pop_heap(heap.begin(), heap.end());
       heap.pop_back();
@@ -192,14 +183,14 @@ class Augmenter {
         break;
       }
       settled.push_back(cell);
-      for (Arc& along : arcs_[cell]) {
-        if (done_[along.to]) continue;
-        const Entry* entry = cheapest(cell, along);
+      for (auto& [to, heap] : arcs_[cell]) {
+        if (done_[to]) continue;
+        const Entry* entry = cheapest(cell, heap);
         if (!entry) continue;
-        const double reduced = std::max(entry->extra + w_[cell] - w_[along.to], 0.0);
-        if (distance + reduced < distance_[along.to]) {
-          distance_[along.to] = distance + reduced, previous_[along.to] = cell, unit_[along.to] = entry->unit;
-          queue.push({distance_[along.to], along.to});
+        const double reduced = std::max(entry->extra + w_[cell] - w_[to], 0.0);
+        if (distance + reduced < distance_[to]) {
+          distance_[to] = distance + reduced, previous_[to] = cell, unit_[to] = entry->unit;
+          queue.push({distance_[to], to});
         }
       }
     }
@@ -233,10 +224,10 @@ class Augmenter {
     std::vector<Bound> bounds;
     std::vector<std::vector<std::size_t>> of(sites_.size());
     for (std::size_t from = 0; from < arcs_.size(); ++from)
-      for (Arc& along : arcs_[from])
-        if (const Entry* entry = cheapest(static_cast<int>(from), along)) {
-          of[from].push_back(bounds.size()), of[along.to].push_back(bounds.size());
-          bounds.push_back({static_cast<int>(from), along.to, entry->extra});
+      for (auto& [to, heap] : arcs_[from])
+        if (const Entry* entry = cheapest(static_cast<int>(from), heap)) {
+          of[from].push_back(bounds.size()), of[to].push_back(bounds.size());
+          bounds.push_back({static_cast<int>(from), to, entry->extra});
         }
     // Cells that are not listed together stay apart by reach - drift; each may come closer by a quarter of that.
     const double step = std::max(reach_ - largest_drift_, 0.0) / 4;
@@ -259,7 +250,7 @@ class Augmenter {
   std::vector<std::int64_t> surplus_;
   std::vector<double> drift_;
   Holdings holdings_;
-  std::vector<std::vector<Arc>> arcs_;
+  std::vector<CellRow<Heap>> arcs_;
   std::vector<int> near_, listed_;
   std::vector<std::size_t> near_start_;
   bool ordered_ = false;

@@ -23,15 +23,13 @@ CameraTree tree_of_boxes(const std::vector<CameraBox>& boxes) {
 AugmentResult deal_to_cells(const CameraTree& tree, PowerSites& sites, const std::vector<std::int64_t>& wanted,
                             const std::vector<double>& start_weights, bool warm, std::int64_t& rounds) {
   std::vector<double> weights = start_weights;
-  if (!warm) {
-    std::size_t level = tree.levels.size() - 1;
-    while (level > 0 && tree.levels[level].size() < kCoarsest * sites.size()) --level;
-    for (; level > 0; level -= std::min(level, kStride)) {
-      const CameraTree coarse = tree_of_boxes(tree.levels[level]);
-      const SoftResult soft = fit_soft_counts(coarse, sites, wanted, weights, false);
-      weights = augment_to_counts(coarse, sites, wanted, soft.weights, kBand * soft.temperature).weights;
-      rounds += soft.rounds;
-    }
+  std::size_t level = tree.levels.size() - 1;
+  while (level > 0 && tree.levels[level].size() < kCoarsest * sites.size()) --level;
+  for (; level > 0; level -= std::min(level, kStride)) {
+    const CameraTree coarse = tree_of_boxes(tree.levels[level]);
+    const SoftResult soft = fit_soft_counts(coarse, sites, wanted, weights, warm);
+    weights = augment_to_counts(coarse, sites, wanted, soft.weights, kBand * soft.temperature).weights;
+    rounds += soft.rounds, warm = false;
   }
   const SoftResult soft = fit_soft_counts(tree, sites, wanted, weights, warm);
   rounds += soft.rounds;

@@ -1,5 +1,7 @@
 #include "soft_counts.h"
 
+#include "cell_row.h"
+
 namespace radiant {
 namespace {
 
@@ -8,7 +10,7 @@ constexpr double kCoarse = 3;        // a box whose differences change by less t
 constexpr double kShare = 0.05;      // of its cameras that a cell needs for a step of Newton
 constexpr std::size_t kMaxPairs = 12;  // places with more candidates leave the Hessian to the others
 
-using Row = std::vector<std::pair<int, double>>;
+using Row = CellRow<double>;
 
 // Soft counts s (E,) and the Hessian's off-diagonal, -d s_e / d w_k, summed over places.
 struct SoftCount {
@@ -18,6 +20,7 @@ struct SoftCount {
   std::vector<double> s;
   std::vector<Row> rows;
   std::vector<double> p;
+  std::vector<std::pair<int, double>> active;  // the cells that take part in a place, with their shares
   std::int64_t shared = 0;  // units that more than one cell takes part in
 
   SoftCount(const CameraTree& t, const PowerSites& power, double temp)
@@ -44,28 +47,28 @@ struct SoftCount {
       total += p[k] = gap > kReach ? 0.0 : std::exp(-gap);
     }
     std::size_t taking = 0;
+    active.clear();
     for (std::size_t k = 0; k < count; ++k) {
-      p[k] /= total;
-      taking += p[k] > 1e-3;
-      s[cells[k]] += mass * p[k];
+      if (p[k] == 0) continue;
+      const double part = p[k] / total;
+      taking += part > 1e-3;
+      s[cells[k]] += mass * part;
+      active.emplace_back(cells[k], part);
     }
     if (taking < 2) return;
     shared += units;
     if (taking > kMaxPairs) return;
-    for (std::size_t k = 0; k < count; ++k)
+    for (std::size_t k = 0; k < active.size(); ++k)
       for (std::size_t l = 0; l < k; ++l) {
-        const double curvature = mass * p[k] * p[l] / temperature;
-        if (curvature > 0) add(cells[k], cells[l], curvature), add(cells[l], cells[k], curvature);
+        const auto [low, high] = std::minmax(active[k].first, active[l].first);
+        rows[high][low] += mass * active[k].second * active[l].second / temperature;
       }
   }
 
-  void add(int from, int to, double value) {
-    for (auto& [cell, sum] : rows[from])
-      if (cell == to) {
-        sum += value;
-        return;
-      }
-    rows[from].emplace_back(to, value);
+  // The upper triangle, once all places are in; row by row, so that a row is read before anything is appended to it.
+  void mirror() {
+    for (std::size_t high = 0; high < rows.size(); ++high)
+      for (const auto& [low, value] : rows[high]) rows[static_cast<std::size_t>(low)].append(static_cast<int>(high), value);
   }
 };
 
@@ -156,6 +159,7 @@ SoftResult fit_soft_counts(const CameraTree& tree, PowerSites& sites, const std:
     sites.set(at);
     SoftCount counted(tree, sites, temperature);
     walk_cells(tree, sites, kReach * temperature, counted);
+    counted.mirror();
     ++result.rounds;
     return counted;
   };

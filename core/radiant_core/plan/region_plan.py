@@ -29,7 +29,7 @@ from radiant_core.plan.deadline import edge_tables
 from radiant_core.plan.edge_sites import separated_sites
 from radiant_core.plan.paper_arp import PaperConfig, paper_regions
 from radiant_core.plan.plans import CloudPlan, PlanStatus
-from radiant_core.plan.power_diagram import assign, cell_polygons, rectangle
+from radiant_core.plan.power_diagram import assign, bounds, cell_polygons, rectangle
 from radiant_core.plan.slack import capacities_within
 from radiant_core.plan.system import System
 from radiant_core.plan.transport import deal_with_counts, violations
@@ -61,7 +61,7 @@ class PlanInfeasible:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plane:
-    """Cameras (C,2), sites (E,2) and a rectangle (4,2) with a margin around the cameras, all in metres about `centre` (2,).
+    """Cameras (C,2), sites (E,2), their bounding box (4,2) and the same with a margin, `outline`, all in metres about `centre` (2,).
 
     side_m: longer side of the cameras' bounding box, 1 where they share one spot.
     """
@@ -69,6 +69,7 @@ class _Plane:
     cameras: FloatArray
     sites: FloatArray
     outline: FloatArray
+    box: FloatArray
     centre: FloatArray
     side_m: float
 
@@ -203,13 +204,14 @@ def _plane(positions: ArrayLike, system: System) -> _Plane:
     farthest_m = max(float(np.abs(positions).max()), float(np.abs(sites).max()))
     if farthest_m > MAX_COORDINATE_M:
         raise BadInput(f"a camera or edge is {farthest_m:.3g} m from the origin, expected at most {MAX_COORDINATE_M:g} m.")
-    low, high = positions.min(axis=0), positions.max(axis=0)
+    low, high = bounds(positions)
     centre, side_m = (low + high) / 2, float((high - low).max()) or 1.0
     margin_m = MARGIN * side_m
     return _Plane(
         cameras=positions - centre,
         sites=separated_sites(sites - centre, side_m),
         outline=rectangle(low - centre - margin_m, high - centre + margin_m),
+        box=rectangle(low - centre, high - centre),
         centre=centre,
         side_m=side_m,
     )
@@ -271,8 +273,7 @@ def _constrained_partition(
 
 def _largest_m2(plane: _Plane) -> float:
     """The largest squared distance of an edge to a corner of the cameras' bounding box."""
-    corners = rectangle(plane.cameras.min(axis=0), plane.cameras.max(axis=0))
-    return max(float(np.sum((plane.sites - corner) ** 2, axis=1).max()) for corner in corners)
+    return max(float(np.sum((plane.sites - corner) ** 2, axis=1).max()) for corner in plane.box)
 
 
 def _nearest_if_good(plane: _Plane, system: System, fastest: FastestCounts, tolerance: float) -> _Partition | None:
