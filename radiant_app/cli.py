@@ -245,6 +245,29 @@ def aggregate(
 
 
 @app.command()
+def extend(
+    old: Annotated[Path, typer.Argument(help="A finished run, or a PLY in the frame of NEW.", show_default=False)],
+    new: Annotated[Path, typer.Argument(help="The run of the new region.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="PLY of the extended scene.", show_default=False)],
+    region: Annotated[
+        Path | None,
+        typer.Option(help="GeoJSON polygons of the land that NEW takes over, else the hull of its cameras.", show_default=False),
+    ] = None,
+    margin_m: Annotated[
+        float | None, typer.Option("--margin-m", help="Half width of the strip that is fitted, else 5 % of the region's side.")
+    ] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="How often each view of the strip is shown, else twice.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Join a new region to a finished scene, which keeps its bits beyond a margin."""
+    from radiant_app.extend_command import ExtendRequest
+    from radiant_app.extend_command import extend as join
+
+    request = ExtendRequest(old=old, new=new, out=out, region=region, margin_m=margin_m, num_epochs=epochs)
+    finish(join(request, _listener()), as_json)
+
+
+@app.command()
 def render(
     model: Annotated[Path, typer.Argument(help="A run, or a PLY together with --cameras.", show_default=False)],
     out: Out,

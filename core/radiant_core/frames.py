@@ -133,6 +133,13 @@ def _require_on_globe(lat_lon_alt: FloatArray) -> None:
         raise BadInput("a latitude exceeds 90° or a longitude 180°: give latitude, longitude, altitude in degrees and metres.")
 
 
+def enu_change(from_lat_lon_alt: ArrayLike, to_lat_lon_alt: ArrayLike) -> Sim3:
+    """The rigid move from east-north-up about one origin (3,) to that about another, degrees and metres; scale 1."""
+    start, end = (checked_array("origin", origin, (3,)) for origin in (from_lat_lon_alt, to_lat_lon_alt))
+    rotation = _ecef_from_enu(end).T @ _ecef_from_enu(start)
+    return Sim3(scale=1.0, rotation=rotation, translation=enu_from_geodetic(start[None], end)[0])
+
+
 def _ecef_from_enu(origin: FloatArray) -> FloatArray:
     """Rotation (3,3) whose columns are east, north and up at the origin (3,)."""
     lat, lon = np.radians(origin[:2])

@@ -65,15 +65,18 @@ def _blind_spots(
 ) -> NDArray[np.bool_]:
     """Mask (N,) of the Gaussians of model `index` that lie in another's region where that other has nothing near."""
     filled = np.zeros(len(model), dtype=bool)
-    sizes = np.exp(model.log_scales.astype(np.float64).max(axis=1))
     for other, other_model in enumerate(models):
         foreign = np.flatnonzero(owner == other) if other != index else np.zeros(0, np.int64)
         own_of_other = other_model.means[owners[other] == other]
         if not len(foreign):
             continue
-        if not len(own_of_other):
-            filled[foreign] = True
-            continue
-        distances, _ = KDTree(own_of_other).query(model.means[foreign])
-        filled[foreign] = distances > BLIND_FACTOR * sizes[foreign]
+        filled[foreign] = far_from(model.select(foreign), own_of_other)
     return filled
+
+
+def far_from(splats: Splats, means: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) have none of `means` (M,3) m within `BLIND_FACTOR` times their own size; all where there is none."""
+    if not len(means):
+        return np.ones(len(splats), bool)
+    distances, _ = KDTree(means).query(splats.means)
+    return distances > BLIND_FACTOR * np.exp(splats.log_scales.astype(np.float64).max(axis=1))

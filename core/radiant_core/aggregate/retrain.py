@@ -92,7 +92,7 @@ def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate:
     if not aggregate.weight_by_alpha:
         views = replace(views, weights=None)
     merged = concatenate_splats([teacher.splats for teacher in teachers])
-    trained = fit_splats(merged, views, _config(train, aggregate, merged, len(views)), options)
+    trained = fit_splats(merged, views, retraining_config(train, aggregate, merged, len(views)), options)
     return Joined(trained=trained, num_given=len(merged), num_views=len(views), num_shown=len(views))
 
 
@@ -104,7 +104,7 @@ def _join(
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
     contested = np.concatenate([places.contested for places in owned])
     merged = faded(models, owned, aggregate.foreign_opacity)
-    shown = [_touched(own, merged.means, contested) for own in cameras]
+    shown = [touched_cameras(own, merged.means, contested) for own in cameras]
     num_shown = int(sum(rows.sum() for rows in shown))
     plainly_cut = Joined(
         trained=_untrained(concatenate_splats(models).select(owns)),
@@ -123,7 +123,7 @@ def _join(
         return plainly_cut
     # What no shown view can show is not held while the rest is fitted.
     before = reached_by(merged, views.cameras)
-    config = _config(train, aggregate, merged, len(views))
+    config = retraining_config(train, aggregate, merged, len(views))
     trained = fit_splats(merged.select(before), views, config, replace(options, steps=Steps(means=MEANS_RATE, end=RATES_END)))
     whole = concatenate_splats([without_dead(trained.splats)[0], merged.select(~before & owns)])
     return replace(plainly_cut, trained=replace(trained, splats=whole))
@@ -165,7 +165,7 @@ def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
     return Teacher(splats=teacher.splats, cameras=teacher.cameras.select(rows), rendered=rendered)
 
 
-def _touched(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which cameras (C,) have enough of the contested Gaussians before them, by every so-manieth Gaussian."""
     touched = np.zeros(len(cameras), bool)
     some = np.unique(np.linspace(0, len(means) - 1, NUM_ASKED).astype(np.int64))
@@ -183,7 +183,8 @@ def _agreement_db(joined: Splats, views: TrainingViews, backend: Backend) -> flo
     return min(psnr_db(view.image, views.images[index] / 255) for view, index in compared)
 
 
-def _config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
+def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
+    """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is added, grown or exposed anew."""
     num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)

@@ -192,14 +192,29 @@ def _seam_mask(
     return SeamMask(labels=labels)
 
 
+def ground_places(cameras: Cameras, index: int, depth_m: NDArray[np.floating]) -> FloatArray:
+    """Horizontal place (H,W,2) m of what each pixel of one camera sees at depths (H,W) m along its z axis, NaN where there is none."""
+    depth = _depth_or_nan(depth_m)
+    return cameras.centers[index, :2] + _rays(cameras, index, depth.shape) * depth[..., None]
+
+
+def _depth_or_nan(depth_m: NDArray[np.floating]) -> FloatArray:
+    return np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.nan).astype(np.float64)
+
+
+def _rays(cameras: Cameras, index: int, shape: tuple[int, ...]) -> FloatArray:
+    """Horizontal move (H,W,2) per unit of depth along the ray of each pixel."""
+    height, width = shape
+    K, pose = cameras.Ks[index], cameras.cam_from_world[index]
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    return np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(columns)], axis=2) @ pose[:3, :2]
+
+
 def _places(cameras: Cameras, index: int, depth_m: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
     """Horizontal place (H,W,2) of what each pixel sees, NaN without depth, and how far it is unsure (H,W) m."""
     height, width = depth_m.shape
-    depth = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.nan).astype(np.float64)
-    K, pose = cameras.Ks[index], cameras.cam_from_world[index]
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = np.stack([(columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1], np.ones_like(columns)], axis=2) @ pose[:3, :2]
-    places = cameras.centers[index, :2] + rays * depth[..., None]
+    depth, rays = _depth_or_nan(depth_m), _rays(cameras, index, depth_m.shape)
+    places = ground_places(cameras, index, depth_m)
     bends = np.zeros((height, width))
     inverse = 1 / depth
     for axis in (0, 1):

@@ -18,6 +18,14 @@ _WGS84_NAMES = ("CRS84", "4326", "4979")
 
 def geojson_rows(text: str) -> WaypointRows:
     """The waypoints of a GeoJSON text; BadInput with the reason when it is none."""
+    rows = WaypointRows()
+    for place, name, geometry in geojson_geometries(text):
+        _add_geometry(rows, place, name, geometry)
+    return rows
+
+
+def geojson_geometries(text: str) -> Iterator[tuple[str, str, Any]]:
+    """Where each geometry of a GeoJSON text stands, its feature's name, and itself, collections opened; BadInput as above."""
     try:
         value = json.loads(text, parse_constant=float)
     except (ValueError, RecursionError) as error:
@@ -25,10 +33,7 @@ def geojson_rows(text: str) -> WaypointRows:
     if not isinstance(value, dict) or not isinstance(value.get("type"), str):
         raise BadInput('it is no GeoJSON, which is an object with a "type".')
     _require_wgs84(value)
-    rows = WaypointRows()
-    for place, name, geometry in _geometries(value):
-        _add_geometry(rows, place, name, geometry)
-    return rows
+    yield from _geometries(value)
 
 
 def _require_wgs84(value: dict[str, Any]) -> None:

@@ -24,6 +24,7 @@ from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.density import DensityCounts
 from radiant_core.train.exposure import Exposures
+from radiant_core.train.held import HeldRows
 from radiant_core.train.initialize import camera_extent
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
@@ -122,6 +123,8 @@ class FitOptions:
     checkpoints: Checkpoints | None = None
     statistics_bytes: int = STATISTICS_BUDGET_BYTES
     """Memory for what the loss keeps of its targets."""
+    held: NDArray[np.bool_] | None = None
+    """Gaussians (N,) that are rendered and keep their bits; only without densification."""
 
 
 def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions = FitOptions()) -> TrainResult:
@@ -150,6 +153,9 @@ class Training:
         self._splats = SplatTensors.from_splats(initial, device=self._device)
         self._optimizer, self._rates = self._new_optimizer()
         self._density = density_policy(config, self._extent, self._splats)
+        if options.held is not None and config.densify != "none":
+            raise BadInput(f"Gaussians are held while densify is {config.densify!r}: rows change places then, set densify to 'none'.")
+        self._held = None if options.held is None else HeldRows(self._splats, options.held)
         self._exposures = Exposures(len(views), config.exposure_lr, self._device) if config.exposure == "affine" else None
         self._best = None if options.validation is None else BestModel(options.validation, config.num_looks)
         self._losses: list[float] = []
@@ -183,7 +189,7 @@ class Training:
             self._use_size(1.0)
         view = view_of_step(self.step, len(self._full), config.seed)
         if self.step % STEPS_BETWEEN_LIMITS == 0:
-            limit_shapes(self._splats, self._full.cameras.centers, config)
+            self._limit_shapes()
         for name, rate in self._rates.items():
             self._optimizer.set_rate(name, rate * (config.means_lr_end if name == "means" else self._options.steps.end) ** progress)
         try:
@@ -204,7 +210,7 @@ class Training:
         """The model, the best by validation where there is one, and what the run took. StageFailed when no step could be taken."""
         if not self._losses:
             raise StageFailed(f"training: none of {self.step} steps could be taken: check the photographs and the learning rates.")
-        shapes = limit_shapes(self._splats, self._full.cameras.centers, self._config)
+        shapes = self._limit_shapes()
         best = self._best
         splats = self._splats.to_splats() if best is None or best.splats is None else best.splats
         if self._config.densify != "none":
@@ -325,9 +331,19 @@ class Training:
             if self._exposures is not None:
                 self._exposures.require_finite()
             self._optimizer.step(output.visible if config.adam == "visible" else None)
+            self._put_back_held()
             if self._exposures is not None:
                 self._exposures.step(view, progress)
         return value
+
+    def _limit_shapes(self) -> ShapeCounts:
+        counts = limit_shapes(self._splats, self._full.cameras.centers, self._config)
+        self._put_back_held()
+        return counts
+
+    def _put_back_held(self) -> None:
+        if self._held is not None:
+            self._held.put_back(self._splats)
 
     def _sh_degree(self) -> int:
         config = self._config

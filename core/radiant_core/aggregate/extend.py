@@ -1,0 +1,163 @@
+"""A region's new model joins a finished scene: the scene beyond a margin keeps its bits. Once per new region.
+
+d(x) is how far a place lies inside the new region, negative outside, m the margin:
+
+    d < −m    the scene as it was; of the new model nothing
+    |d| ≤ m   both, each faint where the other one owns the ground, fitted together
+    d > m     the new model, untouched; of the scene only what lies where the new model has nothing
+
+What they are fitted to are pictures in which both blend over the margin, the scene counting (1 − b) and the new model
+b(d) = 3t² − 2t³ with t = (d/m + 1)/2, at the new model's cameras: those of the finished scene need not be known any more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import Polygon, boundary, contains, distance, points, prepare
+
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.crop_merge import far_from
+from radiant_core.aggregate.ownership import Ownership
+from radiant_core.aggregate.retrain import MEANS_RATE, RATES_END, Teacher, faded, reached_by, retraining_config, touched_cameras
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.seam_error import ground_places
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats, concatenate_splats
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.shapes import without_dead
+from radiant_core.train.trainer import FitOptions, Steps, fit_splats
+from radiant_core.train.views import TrainingViews
+
+OPAQUE = 0.5
+"""A pixel's place is that of the new model where it covers at least so much of it, else that of the scene."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NewRegion:
+    """Land that a new model takes over: a simple polygon (V,2) m and the half width of the strip along its border, m."""
+
+    polygon: FloatArray
+    margin_m: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "polygon", checked_array("polygon", self.polygon, (None, 2)))
+        if len(self.polygon) < 3 or not (area := Polygon(self.polygon)).is_valid or area.area <= 0:
+            raise BadInput(
+                f"the region has {len(self.polygon)} corners and no area of its own: give three or more, none crossing another side."
+            )
+        if not (np.isfinite(self.margin_m) and self.margin_m > 0):
+            raise BadInput(f"the margin is {self.margin_m} m, expected a positive half width of the strip that is fitted anew.")
+
+    def inside_m(self, places: NDArray[np.floating]) -> FloatArray:
+        """How far inside the border places (..., 2 or 3) m lie (...,), negative outside, NaN where a place is."""
+        flat = np.asarray(places, np.float64)[..., :2]
+        known = np.isfinite(flat).all(axis=-1)
+        area, xy = Polygon(self.polygon), points(flat[known])
+        prepare(area)
+        away = distance(boundary(area), xy)
+        inside = np.full(known.shape, np.nan)
+        inside[known] = np.where(contains(area, xy), away, -away)
+        return inside
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Extended:
+    """The extended scene, and how many Gaussians came from where.
+
+    The first `num_kept` are those of the scene beyond the margin, in their order and bit for bit.
+    """
+
+    splats: Splats
+    num_kept: int
+    num_replaced: int
+    """Of the scene, gone: the new model shows their place."""
+    num_filled: int
+    """Of the scene, inside the region, kept where the new model is blind."""
+    num_added: int
+    """Of the new model, further inside than the margin, as they came."""
+    num_fitted: int
+    """Of either, within the margin."""
+    num_shown: int
+    """Views that the margin was fitted to; 0 where it was only cut."""
+
+
+def extend_scene(
+    scene: Splats, addition: Teacher, region: NewRegion, train: TrainConfig, aggregate: AggregateConfig, options: FitOptions
+) -> Extended:
+    """`scene` with the new model `addition` in `region`, both in one frame; only what lies within the margin is fitted.
+
+    Raises BadInput where the new model has nothing inside the region.
+    """
+    old_m, new_m = region.inside_m(scene.means), region.inside_m(addition.splats.means)
+    if not (new_m > 0).any():
+        raise BadInput(f"none of the {len(new_m)} new Gaussians lies in the region: check that both models are in one frame.")
+    old_core = np.flatnonzero(old_m > region.margin_m)
+    filled = old_core[far_from(scene.select(old_core), addition.splats.means[new_m > 0])]
+    kept = scene.select(old_m < -region.margin_m)
+    added = addition.splats.select(new_m > region.margin_m)
+    still = concatenate_splats([kept, scene.select(filled), added])
+    # Order: the scene's own, what fills gaps, what is new, the margin.
+    near = [(scene, np.abs(old_m) <= region.margin_m), (addition.splats, np.abs(new_m) <= region.margin_m)]
+    margin = [model.select(within) for model, within in near]
+    owns = [old_m[near[0][1]] <= 0, new_m[near[1][1]] > 0]
+    fitted, num_shown = _fitted(still, margin, owns, _blended_views(scene, addition, region, margin, train), train, aggregate, options)
+    return Extended(
+        splats=concatenate_splats([still, fitted]),
+        num_kept=len(kept),
+        num_replaced=len(old_core) - len(filled),
+        num_filled=len(filled),
+        num_added=len(added),
+        num_fitted=len(fitted),
+        num_shown=num_shown,
+    )
+
+
+def _fitted(  # noqa: PLR0913
+    still: Splats,
+    margin: list[Splats],
+    owns: list[NDArray[np.bool_]],
+    views: TrainingViews | None,
+    train: TrainConfig,
+    aggregate: AggregateConfig,
+    options: FitOptions,
+) -> tuple[Splats, int]:
+    """The margin's Gaussians of either model, fitted among those that stay `still`; those that no view reaches are cut at the border."""
+    own = np.concatenate(owns)
+    if views is None:
+        return concatenate_splats(margin).select(own), 0
+    owned = [Ownership(owner=np.where(mine, index, 1 - index), contested=np.ones(len(mine), bool)) for index, mine in enumerate(owns)]
+    moving = faded(margin, owned, aggregate.foreign_opacity)
+    before = reached_by(moving, views.cameras)
+    shown = still.select(reached_by(still, views.cameras))
+    start = concatenate_splats([shown, moving.select(before)])
+    held = np.arange(len(start)) < len(shown)
+    config = retraining_config(train, aggregate, start, len(views))
+    trained = fit_splats(start, views, config, replace(options, held=held, steps=Steps(means=MEANS_RATE, end=RATES_END))).splats
+    alive = without_dead(trained.select(~held))[0]
+    return concatenate_splats([alive, moving.select(~before & own)]), len(views)
+
+
+def _blended_views(scene: Splats, addition: Teacher, region: NewRegion, margin: list[Splats], train: TrainConfig) -> TrainingViews | None:
+    """What the new model's cameras before the margin should show: both models, blended over it; None where no camera is before it."""
+    means = np.concatenate([scene.means, addition.splats.means])
+    contested = np.abs(region.inside_m(means)) <= region.margin_m
+    rows = np.flatnonzero(touched_cameras(addition.cameras, means, contested)) if any(map(len, margin)) else []
+    if not len(rows):
+        return None
+    cameras = addition.cameras.select(rows).scaled(train.long_side_px)
+    images, weights = [], []
+    for index, (old, new) in enumerate(zip(render_views(scene, cameras), render_views(addition.splats, cameras), strict=True)):
+        places = ground_places(cameras, index, np.where(new.alpha >= OPAQUE, new.depth, old.depth))
+        share = np.clip(region.inside_m(places) / region.margin_m / 2 + 0.5, 0, 1)
+        share = np.where(np.isfinite(share), share**2 * (3 - 2 * share), 0)[..., None]
+        images.append(((1 - share) * old.image + share * new.image).clip(0, 1))
+        weights.append((1 - share[..., 0]) * old.alpha + share[..., 0] * new.alpha)
+    return TrainingViews(cameras=cameras, images=tuple(map(_bytes, images)), weights=tuple(map(_bytes, weights)))
+
+
+def _bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return (values * 255).round().astype(np.uint8)
