@@ -53,9 +53,9 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     is_film = request.out.suffix.lower() in ENDINGS
     if is_film:
         require_file_to_be(request.out)
+        if request.cameras is None and request.trajectory is None and request.keyframes is None:
+            raise BadInput("a film needs a path: add --trajectory orbit, --trajectory border, --keyframes or --cameras.")
     cameras = _cameras(request)
-    if is_film and request.cameras is None and request.trajectory is None and request.keyframes is None:
-        raise BadInput("a film needs a path: add --trajectory orbit, --trajectory border, --keyframes or --cameras.")
     splats = _model(request.model)
     if is_film:
         if len(np.unique(cameras.sizes_wh, axis=0)) > 1:

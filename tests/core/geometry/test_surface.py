@@ -67,7 +67,7 @@ def test_heights_of_ground_and_roof_are_right_and_what_nobody_saw_has_none() -> 
     for found, truth in ((roof, HEIGHT_M), (ground, 0.0)):
         assert np.nanmedian(np.abs(found - truth)) < 0.03
         assert np.nanquantile(np.abs(found - truth), 0.95) < 0.15
-    assert np.isnan(grid.at(SHIFT[:2] + [[40.0, 0.0]])).all()
+    assert np.isnan(grid.at(SHIFT[None, :2] + np.array([40.0, 0.0]))).all()
     assert grid.epsg is None
 
 

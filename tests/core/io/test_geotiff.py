@@ -47,7 +47,7 @@ def test_a_place_finds_its_cell_and_none_outside() -> None:
     places = grid().north_west + np.column_stack([columns + 0.5, -(rows + 0.5)]) * 0.25
     np.testing.assert_array_equal(grid().at(places), grid().heights[rows, columns])
     assert np.isnan(grid().at(places + 1000)).all()
-    assert np.isnan(grid().at(grid().north_west + [[6 * 0.25, -4 * 0.25]])).all()
+    assert np.isnan(grid().at(grid().north_west[None] + np.array([6 * 0.25, -4 * 0.25]))).all()
     assert (hillshade(grid())[:3, 30:] < 255).all()
     assert hillshade(grid())[5, 10] == 255
 

@@ -96,7 +96,7 @@ def test_geojson_puts_regions_and_cameras_on_the_globe(tmp_path: Path) -> None:
         place = enu_from_geodetic([[lat, lon, alt]], ORIGIN)[0]
         # Nine decimals of a degree are 0.1 mm, three of a metre half a millimetre.
         assert np.abs(place - scene.cameras.centers[names.index(feature["properties"]["name"])]).max() < 1e-3
+    unscaled = replace(scene, frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)))
     with pytest.raises(BadInput, match="no GPS"):
-        unscaled = replace(scene, frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)))
         save_scene_geojson(tmp_path / "b.geojson", unscaled, town.cloud_plan, town.edge_plans, {})
     assert not (tmp_path / "b.geojson").exists()

@@ -22,14 +22,14 @@ def test_the_target_is_in_the_middle_up_is_up_and_the_lens_has_its_angle() -> No
     center = np.array([5e5, 5.2e6, 400.0])
     cameras = orbit(center, 80.0, 35.0, 24, LENS)
     assert pixels(cameras, np.tile(center, (24, 1))) == pytest.approx(np.tile([160, 90], (24, 1)), abs=1e-3)
-    above = pixels(cameras, np.tile(center + [0, 0, 5], (24, 1)))
+    above = pixels(cameras, np.tile(center + np.array([0, 0, 5]), (24, 1)))
     assert (above[:, 1] < 90).all()
     assert above[:, 0] == pytest.approx(np.full(24, 160), abs=1e-3)
     assert np.linalg.norm(cameras.centers - center, axis=1) == pytest.approx(np.full(24, 80.0))
     turns = np.degrees(np.arctan2(*(cameras.centers - center)[:, :2].T))
     assert np.diff(np.unwrap(turns, period=360)) == pytest.approx(np.full(23, 15.0), abs=1e-6)
     side = center + np.array([[np.tan(np.radians(30)) * 80, 0, 0]])
-    north = looking_at(center + [[0, -80, 0]], center[None], LENS)
+    north = looking_at(center[None] - np.array([0, 80, 0]), center[None], LENS)
     assert pixels(north, side)[0] == pytest.approx([320, 90], abs=1e-3)
 
 
