@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from radiant_core import __version__
-from radiant_core.errors import BadInput, StageFailed
+from radiant_core.errors import BadInput
 from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray, unit_quats
 from radiant_core.splats import Splats, morton_order
@@ -36,8 +36,6 @@ MAX_SIDE_PX = 16383
 LLOYD_ROUNDS = 12
 HISTOGRAM_BINS = 1 << 14
 _KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-_LOSSLESS = 101
-"""OpenCV's quality of WebP above which it is lossless."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,11 +139,10 @@ def _texture(values: NDArray[Any], shape: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def _webp(texture: NDArray[np.uint8]) -> bytes:
-    order = [2, 1, 0, 3][: texture.shape[2]]
-    encoded, data = cv2.imencode(".webp", np.ascontiguousarray(texture[..., order]), [cv2.IMWRITE_WEBP_QUALITY, _LOSSLESS])
-    if not encoded:
-        raise StageFailed(f"OpenCV wrote no WebP of {texture.shape[1]} × {texture.shape[0]} px: write PLY or SPZ.")
-    return data.tobytes()
+    content = io.BytesIO()
+    # Exact: else bytes under an alpha of 0 are dropped, as OpenCV's encoder does.
+    Image.fromarray(texture).save(content, "WEBP", lossless=True, exact=True, quality=50, method=4)
+    return content.getvalue()
 
 
 def _quat_bytes(quats: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -173,7 +170,9 @@ def _quantized(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
         sums = np.bincount(owner, counts * middles, CODES)
         book = np.where(weights > 0, sums / np.maximum(weights, 1), book)
         book = np.maximum.accumulate(book)
-    return np.searchsorted((book[:-1] + book[1:]) / 2, values).astype(np.uint8), book
+    codes = np.searchsorted((book[:-1] + book[1:]) / 2, values)
+    sizes, sums = np.bincount(codes.ravel(), minlength=CODES), np.bincount(codes.ravel(), values.ravel(), CODES)
+    return codes.astype(np.uint8), np.where(sizes > 0, sums / np.maximum(sizes, 1), book)
 
 
 def _row_palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], FloatArray]:
