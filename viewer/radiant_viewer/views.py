@@ -165,8 +165,8 @@ def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_w
     layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
     drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
     found = [finding for finding in findings if finding.found]
-    verdict = f"{len(found)} of {len(findings)} borders show a seam" if found else f"no seam found at {_count(len(findings), 'border')}"
-    subtitle = f"Colour step across borders, beyond the scene's own texture   ·   {verdict}   ·   {_worst_text(findings, cloud_plan)}"
+    verdict = f"{len(found)} of {len(findings)} borders show a seam" if found else f"No seam found at {_count(len(findings), 'border')}"
+    subtitle = f"{verdict}   ·   {_worst_text(findings, cloud_plan)}"
     return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=subtitle, unit=scene.frame.unit))
 
 
@@ -204,7 +204,8 @@ def _worst_text(findings: Sequence[SeamFinding], cloud_plan: CloudPlan) -> str:
     if not known:
         return "too few Gaussians beside the borders to say"
     first, second = (cloud_plan.edge_ids[edge] for edge in (known[0].border.first, known[0].border.second))
-    return f"largest between {first} and {second}: {known[0].step_levels:.1f} levels over the whole border"
+    levels = known[0].step_levels
+    return f"largest colour step, beyond the scene's own texture: {first} | {second} with {levels:.1f} levels over its whole length"
 
 
 def _count(number: int, what: str) -> str:
