@@ -27,7 +27,7 @@ def render(
     frames: Annotated[int, typer.Option(min=1, max=100_000, help="Frames of an orbit or a flight along a border.")] = 120,
     fps: Annotated[float, typer.Option(min=1, max=120, help="Frames a second of a film, and between keyframes.")] = 24.0,
     size: SizeOption = "960x540",
-    long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of pictures from given cameras.")] = None,
+    long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the pictures, at most as given.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Pictures or a film of a model: from given cameras, around the scene, along a border, or through keyframes."""

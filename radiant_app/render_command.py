@@ -56,6 +56,7 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
         if request.cameras is None and request.trajectory is None and request.keyframes is None:
             raise BadInput("a film needs a path: add --trajectory orbit, --trajectory border, --keyframes or --cameras.")
     cameras = _cameras(request)
+    cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
     splats = _model(request.model)
     if is_film:
         if len(np.unique(cameras.sizes_wh, axis=0)) > 1:
@@ -96,8 +97,7 @@ def _cameras(request: RenderRequest) -> Cameras:
         raise BadInput(f"{request.model} is no run folder: give --cameras, a cameras.safetensors, or --keyframes, to render a PLY.")
     if request.cameras is None:
         require_run(request.model, "evaluation/cameras.safetensors")
-    cameras = load_cameras(request.cameras or request.model / "evaluation" / "cameras.safetensors")
-    return cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
+    return load_cameras(request.cameras or request.model / "evaluation" / "cameras.safetensors")
 
 
 def _flight(request: RenderRequest, lens: Lens) -> Cameras:
