@@ -165,7 +165,11 @@ def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_w
     layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
     drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
     found = [finding for finding in findings if finding.found]
-    verdict = f"{len(found)} of {len(findings)} borders show a seam" if found else f"No seam found at {_count(len(findings), 'border')}"
+    verdict = (
+        f"Seam found at {len(found)} of {_count(len(findings), 'border')}"
+        if found
+        else f"No seam found at {_count(len(findings), 'border')}"
+    )
     subtitle = f"{verdict}   ·   {_worst_text(findings, cloud_plan)}"
     return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=subtitle, unit=scene.frame.unit))
 
@@ -196,7 +200,9 @@ def _finding_label(finding: SeamFinding, cloud_plan: CloudPlan, ground: float) -
     names = " | ".join(cloud_plan.edge_ids[edge] for edge in (finding.border.first, finding.border.second))
     what = [f"{finding.step_levels:.0f} levels"] if finding.step_levels >= VISIBLE_LEVELS else []
     text = f"{names}\nseam: {', '.join([*what, *finding.quantities])}"
-    return Label(text=text, position=np.append(finding.border.ends.mean(axis=0), ground), strong=True)
+    # Beside the line, which it must not hide.
+    beside = finding.border.ends.mean(axis=0) + 0.15 * finding.border.length_m * finding.border.toward_first
+    return Label(text=text, position=np.append(beside, ground), strong=True)
 
 
 def _worst_text(findings: Sequence[SeamFinding], cloud_plan: CloudPlan) -> str:
