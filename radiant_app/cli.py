@@ -12,10 +12,11 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
+from radiant_app.cli_output import export, render
 from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
 from radiant_app.cli_replan import replan_plan
-from radiant_app.option_types import BenchPlot, BenchScene
+from radiant_app.option_types import BenchPlot, BenchScene, SizeOption
 from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
 
@@ -267,18 +268,7 @@ def extend(
     finish(join(request, _listener()), as_json)
 
 
-@app.command()
-def render(
-    model: Annotated[Path, typer.Argument(help="A run, or a PLY together with --cameras.", show_default=False)],
-    out: Out,
-    cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without it the run's held-out cameras.")] = None,
-    long_side_px: LongSide = None,
-    as_json: AsJson = False,
-) -> None:
-    """Pictures of a model from given cameras."""
-    from radiant_app import commands
-
-    finish(commands.render(model, out, cameras, long_side_px, _listener()), as_json)
+app.command()(render)
 
 
 @app.command()
@@ -317,6 +307,10 @@ def inspect(
     run_folder: RunFolder,
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
+    size: SizeOption = "1280x900",
+    camera: Annotated[
+        str | None, typer.Option(help="A photograph's name: splats are seen from there, compare shows it alone.", show_default=False)
+    ] = None,
 ) -> None:
     """Regions, cameras, seams and splats of a run: in a window, or as a picture."""
     from radiant_app import commands
@@ -325,18 +319,12 @@ def inspect(
         from radiant_viewer.inspector import open_window
 
         raise typer.Exit(open_window(run_folder))
-    typer.echo(commands.screenshot(run_folder, view, screenshot))
+    from radiant_app.quantities import size_wh_of
+
+    typer.echo(commands.screenshot(run_folder, view, screenshot, size_wh_of(size), camera))
 
 
-@app.command()
-def export(
-    model: Annotated[Path, typer.Argument(help="A run, or a model.safetensors of a device or edge.", show_default=False)],
-    out: Annotated[Path, typer.Argument(help="PLY to write.", show_default=False)],
-) -> None:
-    """A model as a standard 3DGS PLY."""
-    from radiant_app import commands
-
-    typer.echo(commands.export(model, out))
+app.command()(export)
 
 
 @app.command()
@@ -467,11 +455,9 @@ def _job_display(title: str) -> Iterator[Any]:
 
 
 def _listener() -> Any:
-    from rich.console import Console
+    from radiant_app.progress import terminal_display
 
-    from radiant_app.progress import ProgressDisplay
-
-    return ProgressDisplay(Console(stderr=True))
+    return terminal_display()
 
 
 def _say(message: str) -> None:

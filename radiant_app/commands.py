@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from radiant_app.cloud_task import virtual_cameras_of
-from radiant_app.evaluation import png_bytes
 from radiant_app.events import StageProgress, StageStarted
 from radiant_app.nodes import sfm_record
 from radiant_app.progress import ProgressDisplay
@@ -19,9 +18,9 @@ from radiant_app.run_folder import new_folder
 from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.ply import load_ply, save_ply
-from radiant_core.io.records import load_cameras, load_plan, load_splats, save_scene
-from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.io.ply import save_ply
+from radiant_core.io.records import load_cameras, load_plan, save_scene
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.upload import load_upload
 from radiant_core.scene import SfmScene
 
@@ -92,49 +91,15 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     return {"gaussians": len(merged.splats), "retrain_s": round(seconds, 2), "filled": merged.num_filled, "model": str(out)}
 
 
-def render(model: Path, out: Path, cameras_path: Path | None, long_side_px: int | None, display: ProgressDisplay) -> dict[str, Any]:
-    """PNG pictures of a run's scene or a PLY into the new folder `out`."""
-    from radiant_core.render.rendered_view import render_views
-
-    if cameras_path is None and not model.is_dir():
-        raise BadInput(f"{model} is no run folder: give --cameras, a cameras.safetensors, to render a PLY.")
-    if cameras_path is None:
-        require_run(model, "evaluation/cameras.safetensors")
-    cameras = load_cameras(cameras_path or model / "evaluation" / "cameras.safetensors")
-    if long_side_px is not None:
-        cameras = cameras.scaled(long_side_px)
-    splats = load_ply(model / "scene.ply" if model.is_dir() else model)
-    with new_folder(out), stage_bar(display, "render") as report:
-        for done, view in enumerate(render_views(splats, cameras), 1):
-            path = out / f"{view.name}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomic(path, png_bytes(view.image_bytes))
-            report(done, len(cameras), view.name)
-    return {"pictures": len(cameras), "folder": str(out)}
-
-
-def screenshot(run: Path, view: Any, path: Path) -> str:
+def screenshot(run: Path, view: Any, path: Path, size_wh: tuple[int, int] = (1280, 900), camera: str | None = None) -> str:
     """Write one view of a run as PNG."""
     from radiant_viewer.images import save_png
     from radiant_viewer.views import screenshot as make_screenshot
 
     if path.suffix.lower() != ".png" or not path.parent.is_dir():
         raise BadInput(f"cannot write {path}: give a name that ends in .png in a folder that exists.")
-    save_png(path, make_screenshot(run, view))
+    save_png(path, make_screenshot(run, view, size_wh, camera))
     return f"written: {path}"
-
-
-def export(model: Path, out: Path) -> str:
-    """Write the scene of a run, or a model.safetensors, as PLY; an existing file is not overwritten."""
-    if out.exists():
-        raise BadInput(f"{out} exists: choose another name.")
-    if model.is_dir():
-        require_run(model, "scene.ply")
-    elif model.suffix != ".safetensors":
-        raise BadInput(f"{model} is neither a run folder nor a model.safetensors: give one of these.")
-    splats = load_ply(model / "scene.ply") if model.is_dir() else load_splats(model)
-    save_ply(out, splats)
-    return f"written: {out} ({len(splats):,} Gaussians)"
 
 
 def training_part(scene: SfmScene) -> SfmScene:

@@ -87,3 +87,8 @@ class ProgressDisplay:
     def _remove(self, stage: str) -> None:
         if stage in self._tasks:
             self._progress.remove_task(self._tasks.pop(stage))
+
+
+def terminal_display() -> ProgressDisplay:
+    """A display on standard error: standard output is for what a command gives."""
+    return ProgressDisplay(Console(stderr=True))

@@ -1,4 +1,4 @@
-"""Times and amounts of memory as people write them on the command line: 90, 90s, 5m, 1.5h; 600MB, 2GB, 1GiB."""
+"""Times, amounts of memory and sizes as people write them on the command line: 90, 90s, 5m, 1.5h; 600MB, 2GB, 1GiB; 1280x900."""
 
 from __future__ import annotations
 
@@ -29,3 +29,11 @@ def _amount(text: str, units: dict[str, float], expected: str, least: float = 0.
     if not (0 < amount < math.inf and amount >= least):
         raise BadInput(f"{text!r} is given, expected {expected}.")
     return amount
+
+
+def size_wh_of(text: str) -> tuple[int, int]:
+    """Width and height of "1280x900"; BadInput for anything else."""
+    match = re.fullmatch(r"\s*(\d{1,6})\s*[x×]\s*(\d{1,6})\s*", text, re.IGNORECASE)
+    if match is None:
+        raise BadInput(f"the size {text!r} is given, expected width x height in px, such as 1280x900.")
+    return int(match.group(1)), int(match.group(2))

@@ -10,8 +10,9 @@ import pytest
 
 from radiant_app.demo import sample_scenes_folder
 from radiant_viewer.run_view import load_run_view, required_splats
+from radiant_viewer.seam_findings import seam_band_width
 from radiant_viewer.seam_layer import color_steps, seam_pieces
-from radiant_viewer.views import View, screenshot, seam_band_width
+from radiant_viewer.views import View, screenshot
 
 RUNS = sample_scenes_folder() / "runs"
 

@@ -68,9 +68,9 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
 
 
 def comparison_picture(
-    photo: Image, render: Image, difference: Image | None = None, captions: Sequence[str] = (), title: str = ""
+    photo: Image, render: Image, difference: Image | None = None, captions: Sequence[str] = (), title: str = "", width_px: int | None = None
 ) -> Image:
-    """Photograph, render and difference (each (H,W,3)) side by side with captions, each 380 to 560 px wide.
+    """Photograph, render and difference (each (H,W,3)) side by side with captions, each 380 to 560 px wide, or `width_px` for all three.
 
     Without `difference` it is |photo − render| × 3. Raises BadInput when sizes differ.
     """
@@ -82,8 +82,9 @@ def comparison_picture(
         _require_same_size(photo, picture)
     texts = [*captions, *("Photograph", "Render", "Difference × 3")[len(captions) :]]
     height, width = photo.shape[:2]
-    scale = max(380 / width, min(1.0, 560 / width))
-    shown_w, shown_h, gap, head, foot = round(width * scale), round(height * scale), 14, 44 if title else 14, 38
+    gap, head, foot = 14, 44 if title else 14, 38
+    scale = max(380 / width, min(1.0, 560 / width)) if width_px is None else max(160, (width_px - 4 * gap) // 3) / width
+    shown_w, shown_h = round(width * scale), round(height * scale)
     page_wh = (3 * shown_w + 4 * gap, shown_h + head + foot)
     figure = new_figure(page_wh)
     figure.text(gap / page_wh[0], 1 - 14 / page_wh[1], title, size=13, weight="bold", color=INK_COLOR, va="top")

@@ -103,7 +103,12 @@ def nice_length(limit: float) -> float:
 def _add_title(figure: Figure, text: PageText, left_px: int) -> None:
     width, height = figure.get_size_inches() * DPI
     figure.text(left_px / width, 1 - 14 / height, text.title, size=14, weight="bold", color=INK_COLOR, va="top")
-    figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top")
+    line = figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top")
+    canvas = figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
+    # On a small page a long line is set smaller rather than cut off.
+    room = width - left_px - GAP_PX
+    line.set_fontsize(9.5 * min(1.0, room / max(line.get_window_extent(canvas.get_renderer()).width, 1.0)))
 
 
 def _label_axes(axes: Axes, extent: tuple[float, float, float, float], unit: str) -> None:

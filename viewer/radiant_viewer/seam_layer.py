@@ -92,17 +92,18 @@ def color_steps(splats: Splats, pieces: SeamPieces, width: float, pooled_widths:
     return np.where(known, np.sqrt(np.maximum(0.0, steps_at(0.0) ** 2 - usual)), np.nan)
 
 
-def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0) -> Layer:
+def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0, least_high: float = 0.0) -> Layer:
     """The pieces of the borders coloured by one value (S,) each; `label` names quantity and unit, NaN is drawn grey.
 
-    Raises BadInput when the number of values differs from the number of pieces.
+    The scale ends at the highest value or `least_high`, so that what nobody would see is not the brightest colour. Raises BadInput
+    when the number of values differs from the number of pieces.
     """
     # A poisoned value must not end the picture: it is one grey piece, counted in the legend.
     raw = np.asarray(values, np.float64)
     known = np.isfinite(raw)
     levels = checked_array("values of the seam", np.where(known, raw, 0.0), (len(pieces.ends),))
     low = min(0.0, float(levels.min(initial=0.0)))
-    high = _rounded_up(float(levels.max(initial=0.0)))
+    high = _rounded_up(max(float(levels.max(initial=0.0)), least_high))
     colors = np.where(known[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
     ends = np.concatenate([pieces.ends, np.full((len(pieces.ends), 2, 1), height)], axis=2)
     unknown = int((~known).sum())

@@ -6,15 +6,18 @@ Each view is a list of layers and a page; window and pictures take the layers fr
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
+from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.borders import border_distance_m
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.border_forecast import BorderForecast
+from radiant_core.plan.borders import Border
 from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
@@ -24,13 +27,15 @@ from radiant_viewer.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.charts import comparison_picture
 from radiant_viewer.forecast_layer import buffer_layer, forecast_layers
 from radiant_viewer.images import Image, load_image
-from radiant_viewer.layers import Layer
+from radiant_viewer.layers import Label, Layer
 from radiant_viewer.offscreen import render_map, render_view
-from radiant_viewer.page import PageText
+from radiant_viewer.page import PageText, compose_page, drawing_size_wh
 from radiant_viewer.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.run_view import RunView, comparison_paths, finish_command, load_run_view, required_splats
+from radiant_viewer.seam_findings import VISIBLE_LEVELS, SeamFinding, seam_band_width, seam_findings
 from radiant_viewer.seam_layer import color_steps, seam_layer, seam_pieces
-from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
+from radiant_viewer.splat_layer import sparse_point_layer
+from radiant_viewer.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
 from radiant_viewer.waypoint_layer import waypoint_layer
 
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
@@ -39,11 +44,17 @@ compare: held-out photographs beside their renders, worst, middle and best."""
 SIZE_WH = (1280, 900)
 
 
-def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH) -> Image:
-    """One view of a run (H,W,3); BadInput for an unknown view or one the run is not ready for, StoreDamaged for broken files."""
+def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None) -> Image:
+    """One view of a run (H,W,3); BadInput for an unknown view or one the run is not ready for, StoreDamaged for broken files.
+
+    `camera`, the name of a photograph, is where splats are seen from and what "compare" shows alone; BadInput for another view or name.
+    The height of "compare" is that of its rows.
+    """
     if view not in get_args(View):
         raise BadInput(f"view {view!r} is unknown: use one of {', '.join(get_args(View))}.")
     run = load_run_view(run_folder)
+    if camera is not None:
+        _require_camera(run, view, camera)
     if view == "regions":
         return plan_picture(run.scene, run.cloud_plan, run.edge_plans, run.held_out, size_wh)
     if view == "cameras":
@@ -51,8 +62,16 @@ def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH) 
     if view == "seams":
         return seams_picture(run.scene, run.cloud_plan, required_splats(run), size_wh)
     if view == "splats":
-        return splats_picture(run.scene, run.cloud_plan, required_splats(run), size_wh)
-    return comparisons(run)
+        return splats_picture(run.scene, run.cloud_plan, required_splats(run), size_wh, camera)
+    return comparisons(run, size_wh[0], camera)
+
+
+def _require_camera(run: RunView, view: str, camera: str) -> None:
+    if view not in ("splats", "compare"):
+        raise BadInput(f"a camera is of the views splats and compare, not of {view!r}: leave it out.")
+    if camera not in run.scene.cameras.names:
+        near = get_close_matches(camera, run.scene.cameras.names, 1, 0)
+        raise BadInput(f"there is no photograph {camera!r} in this run: did you mean {near[0]!r}?" if near else "the run has no cameras.")
 
 
 def plan_picture(  # noqa: PLR0913
@@ -138,62 +157,121 @@ def cameras_picture(
 
 def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
     """The map of the model with its borders coloured by the colour step across them."""
-    layer, worst = seam_of(scene, cloud_plan, splats)
-    layers = [splat_layer(splats), layer, edge_site_layer(cloud_plan, ground_height(scene))]
-    subtitle = "Colour step across borders, beyond the scene's own texture   ·   " + worst
-    return render_map(layers, size_wh, PageText(title="Seams", subtitle=subtitle, unit=scene.frame.unit))
+    findings = seam_findings(scene, cloud_plan, splats)
+    ground = ground_height(scene)
+    labels = tuple(_finding_label(finding, cloud_plan, ground) for finding in findings if finding.found)
+    # The found seams' labels find room before those of the edges.
+    seams = replace(_seam_layer_of(scene, cloud_plan, splats), labels=labels)
+    layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
+    drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
+    found = [finding for finding in findings if finding.found]
+    verdict = (
+        f"Seam found at {len(found)} of {_count(len(findings), 'border')}"
+        if found
+        else f"No seam found at {_count(len(findings), 'border')}"
+    )
+    subtitle = f"{verdict}   ·   {_worst_text(findings, cloud_plan)}"
+    return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=subtitle, unit=scene.frame.unit))
 
 
 def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[Layer, str]:
     """The layer of the borders' colour steps and one phrase about the worst; BadInput when the plan has one region only."""
+    layer = _seam_layer_of(scene, cloud_plan, splats)
+    return layer, _worst_text(seam_findings(scene, cloud_plan, splats, num_examined=0), cloud_plan)
+
+
+def worst_border(run: RunView) -> Border:
+    """The border with the largest colour step of a run's model, the longest where there is no figure; BadInput without any border."""
+    findings = seam_findings(run.scene, run.cloud_plan, required_splats(run), num_examined=0)
+    known = [finding for finding in findings if np.isfinite(finding.step_levels)]
+    return known[0].border if known else max((finding.border for finding in findings), key=lambda border: border.length_m)
+
+
+def _seam_layer_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
     width = seam_band_width(cloud_plan)
     pieces = seam_pieces(cloud_plan, width)
     if not len(pieces.ends):
         raise BadInput("the plan has one region only: there is no border and no seam to look at.")
-    steps = color_steps(splats, pieces, width)
     label = f"Colour step (8-bit levels), bands of {width:.3g} {scene.frame.unit}"
-    layer = seam_layer(pieces, steps, label, ground_height(scene))
-    whole_borders = color_steps(splats, pieces, width, pooled_widths=np.inf)
-    if not np.isfinite(whole_borders).any():
-        return layer, "too few Gaussians beside the borders to say"
-    worst = int(np.nanargmax(whole_borders))
-    first, second = (cloud_plan.edge_ids[edge] for edge in pieces.edge_pairs[worst])
-    whole = f"over its whole length the border of {first} and {second} steps by {whole_borders[worst]:.1f} levels"
-    return layer, f"{whole}, single pieces by up to {np.nanmax(steps):.0f}"
+    return seam_layer(pieces, color_steps(splats, pieces, width), label, ground_height(scene), 2 * VISIBLE_LEVELS)
 
 
-def seam_band_width(cloud_plan: CloudPlan) -> float:
-    """Width of the bands beside a border: a twentieth of the regions' diagonal, at most a third of the deepest site."""
-    corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
-    if len(corners) < 3:
-        raise BadInput("the plan has no regions: there is no border and no seam to look at.")
-    diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    middles = np.array([border.mean(axis=0) for border in cloud_plan.borders if len(border) >= 3])
-    depths = border_distance_m(middles, cloud_plan)
-    depth = float(depths[np.isfinite(depths)].max(initial=0.0))
-    return min(diagonal / 20, depth / 3) if depth > 0 else diagonal / 20
+def _finding_label(finding: SeamFinding, cloud_plan: CloudPlan, ground: float) -> Label:
+    names = " | ".join(cloud_plan.edge_ids[edge] for edge in (finding.border.first, finding.border.second))
+    what = [f"{finding.step_levels:.0f} levels"] if finding.step_levels >= VISIBLE_LEVELS else []
+    text = f"{names}\nseam: {', '.join([*what, *finding.quantities])}"
+    # Beside the line, which it must not hide.
+    beside = finding.border.ends.mean(axis=0) + 0.15 * finding.border.length_m * finding.border.toward_first
+    return Label(text=text, position=np.append(beside, ground), strong=True)
 
 
-def splats_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
-    """The model's Gaussians as points in 3D with the borders of the regions on the ground."""
-    layers = [splat_layer(splats), border_layer(cloud_plan, ground_height(scene))]
+def _worst_text(findings: Sequence[SeamFinding], cloud_plan: CloudPlan) -> str:
+    known = [finding for finding in findings if np.isfinite(finding.step_levels)]
+    if not known:
+        return "too few Gaussians beside the borders to say"
+    first, second = (cloud_plan.edge_ids[edge] for edge in (known[0].border.first, known[0].border.second))
+    levels = known[0].step_levels
+    return f"largest colour step, beyond the scene's own texture: {first} | {second} with {levels:.1f} levels over its whole length"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def splats_picture(
+    scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None
+) -> Image:
+    """The model as our renderer draws it, from all above or from one of its cameras, with the borders of the regions on the ground."""
+    ground = ground_height(scene)
+    layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)]
+    room_wh = drawing_size_wh(size_wh, is_map=False)
     subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
-    return render_view(layers, size_wh, PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit))
+    if camera is None:
+        # All regions and a tenth of their width above them: far haze and sky do not make them small.
+        corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
+        rise = [0.0, 0.0, 0.1 * float(np.ptp(corners[:, 0]))]
+        view = fitted_camera(np.concatenate([corners, corners + rise]), room_wh)
+    else:
+        view = _fitted_to(scene.cameras.named([camera]), room_wh)
+        subtitle += f"   ·   from {camera}"
+    text = PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit)
+    return compose_page(draw_splat_view(layers, splats, view), layers, size_wh, text)
 
 
-def comparisons(run: RunView) -> Image:
-    """Photograph, render and difference of the held-out photographs with the lowest, the middle and the highest PSNR, one below the
-    other; BadInput before evaluation."""
+def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:
+    shown = [(edge, border) for edge, border in zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True) if len(border) >= 3]
+    labels = tuple(Label(text=edge, position=np.append(border.mean(axis=0), ground), strong=True) for edge, border in shown)
+    return Layer(name="Regions", labels=labels)
+
+
+def _fitted_to(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
+    """The same camera with a picture as large as there is room: all it sees, and more at two sides."""
+    old_wh = camera.sizes_wh[0]
+    scale = float(np.min(np.array(room_wh) / old_wh))
+    K = camera.Ks[0].copy()
+    K[:2] *= scale
+    K[:2, 2] += (np.array(room_wh) - scale * old_wh) / 2
+    return Cameras(names=camera.names, Ks=K[None], cam_from_world=camera.cam_from_world, sizes_wh=np.array([room_wh], np.int64))
+
+
+def comparisons(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
+    """Photograph, render and difference of the held-out photographs with the lowest, the middle and the highest PSNR, or of `camera`, one
+    below the other; BadInput before evaluation, or where `camera` was trained on."""
     if not run.psnr_db:
         raise BadInput(f"{run.folder} has no figures of held-out photographs: {finish_command(run.folder)}.")
     psnr_db = run.psnr_db
+    if camera is not None and camera not in psnr_db:
+        raise BadInput(f"{camera!r} was trained on, so nothing compares it: choose one of {', '.join(sorted(psnr_db)[:4])} …")
     ordered = sorted(psnr_db, key=lambda name: psnr_db[name])
     # Keyed by name: with one or two photographs a row is not shown twice.
     shown = {ordered[0]: "lowest", ordered[len(ordered) // 2]: "middle", ordered[-1]: "highest"} | {ordered[0]: "lowest"}
+    if camera is not None:
+        shown = {camera: f"number {ordered.index(camera) + 1} from below"}
     rows = []
     for name, place in shown.items():
         photo, render, difference = (load_image(path) for path in comparison_paths(run, name))
-        rows.append(comparison_picture(photo, render, difference, title=f"{name}: {psnr_db[name]:.2f} dB, {place} of {len(ordered)}"))
+        title = f"{name}: {psnr_db[name]:.2f} dB, {place} of {len(ordered)}"
+        rows.append(comparison_picture(photo, render, difference, title=title, width_px=width_px))
     width = max(row.shape[1] for row in rows)
     return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows])
 

@@ -1,4 +1,5 @@
-"""What Open3D computes for core besides file formats: ICP with scale between two sets of surface points. Once per pair of models.
+"""What Open3D computes for core besides file formats: ICP with scale between two sets of surface points, once per pair of models; a mesh
+from depth views by a truncated signed distance, and its heights, once per surface model.
 
     (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target within the radius, anew in each iteration; radii fall.
 A free scale may collapse: a shrunken cloud has a near neighbour everywhere. So the result says how it fared both ways.
@@ -7,7 +8,7 @@ Sources: Besl and McKay, PAMI 14 (1992); Umeyama, PAMI 13 (1991).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,23 @@ MAX_ITERATIONS = 60
 MAX_SCALE_CHANGE = 0.2
 MIN_POINTS = 50
 SURFACE_OPACITY = 0.4
+TRUNCATION_VOXELS = 4.0
+MIN_PIECE_VOXELS = 12.0
+MIN_WEIGHT = 1.5
+"""A voxel counts from two views on: what one view alone saw may be a floater."""
+BLOCK_VOXELS, FIRST_BLOCKS = 16, 10_000
+"""The grid's table grows by itself."""
+RAYS_AT_ONCE = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DepthView:
+    """image (H,W,3) uint8; depth (H,W) along the axis, 0 where nothing is known; K (3,3) px; cam_from_world (4,4)."""
+
+    image: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    K: FloatArray
+    cam_from_world: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,3 +90,65 @@ def icp_with_scale(source: ArrayLike, target: ArrayLike, start: Sim3, radii_m: S
     U, _, Vt = np.linalg.svd(matrix[:3, :3])
     fit = Sim3(scale=scale, rotation=U @ Vt, translation=matrix[:3, 3])
     return IcpFit(target_from_source=fit, overlap=overlap, residual_m=residual_m)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """vertices (V,3) float64; triangles (T,3) int64; colors (V,3) uint8."""
+
+    vertices: FloatArray
+    triangles: NDArray[np.int64]
+    colors: NDArray[np.uint8]
+
+
+def fused_mesh(views: Iterable[DepthView], voxel: float, max_depth: float) -> Mesh:
+    """The surface that depth views agree on: their truncated signed distances averaged in voxels, then marching cubes; pieces smaller than
+    a square of `MIN_PIECE_VOXELS` are left out. May be empty. Source: Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid."""
+    import open3d as o3d
+
+    core, cpu = o3d.core, o3d.core.Device("CPU:0")
+    # The older ScalableTSDFVolume of open3d 0.20 gives an empty mesh.
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight", "color"), (core.float32,) * 3, ((1,), (1,), (3,)), voxel, BLOCK_VOXELS, FIRST_BLOCKS, cpu
+    )
+    for view in views:
+        depth = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(view.depth[..., None], np.float32)))
+        image = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(view.image, np.float32) / 255))
+        # Open3D's first pixel centre is at 0, ours at 0.5.
+        K = core.Tensor(view.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]))
+        pose = core.Tensor(np.ascontiguousarray(view.cam_from_world))
+        blocks = grid.compute_unique_block_coordinates(depth, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
+        grid.integrate(blocks, depth, image, K, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
+    mesh = grid.extract_triangle_mesh(weight_threshold=MIN_WEIGHT).to_legacy()
+    if len(mesh.triangles):
+        labels, _, areas = mesh.cluster_connected_triangles()
+        small = np.asarray(areas)[np.asarray(labels)] < (MIN_PIECE_VOXELS * voxel) ** 2
+        mesh.remove_triangles_by_mask(small)
+        mesh.remove_unreferenced_vertices()
+    return Mesh(
+        vertices=np.array(mesh.vertices, np.float64).reshape(-1, 3),
+        triangles=np.array(mesh.triangles, np.int64).reshape(-1, 3),
+        colors=np.rint(255 * np.asarray(mesh.vertex_colors)).astype(np.uint8).reshape(-1, 3),
+    )
+
+
+def heights_from_above(mesh: Mesh, places: ArrayLike) -> FloatArray:
+    """Height (P,) of the topmost surface over places (P,2); NaN where there is none. Rays in float32: keep coordinates near the origin."""
+    import open3d as o3d
+
+    places = checked_array("places", places, (None, 2))
+    if not len(mesh.triangles):
+        return np.full(len(places), np.nan)
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)), o3d.core.Tensor(np.ascontiguousarray(mesh.triangles, np.uint32))
+    )
+    top = float(mesh.vertices[:, 2].max()) + 1.0
+    heights = np.full(len(places), np.nan)
+    for start in range(0, len(places), RAYS_AT_ONCE):
+        rows = slice(start, start + RAYS_AT_ONCE)
+        rays = np.zeros((len(places[rows]), 6), np.float32)
+        rays[:, :2], rays[:, 2], rays[:, 5] = places[rows], top, -1.0
+        distance = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        heights[rows] = np.where(np.isfinite(distance), top - distance, np.nan)
+    return heights

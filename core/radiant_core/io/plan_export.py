@@ -11,12 +11,12 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon, box, get_coordinates, segmentize
 from shapely.affinity import translate
 from shapely.geometry import mapping
@@ -72,11 +72,16 @@ def save_regions_geojson(
     of these waypoints, or as `atomic_writer`. Memory does not grow with the waypoints.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
+    write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers))
+
+
+def write_features(path: Path, features: Iterable[dict[str, Any]]) -> None:
+    """One FeatureCollection of GeoJSON at `path`, atomically, a feature a line; BadInput as `atomic_writer`."""
     with atomic_writer(path) as file:
         file.write(b'{"type": "FeatureCollection", "features": [\n')
         lines: list[str] = []
         first = True
-        for feature in _features(cloud_plan, edge_plans, waypoints, buffers):
+        for feature in features:
             lines.append(("" if first else ",\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
             first = False
             if len(lines) == _LINES_AT_ONCE:
@@ -102,7 +107,18 @@ def _device_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.
 def _features(
     cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints, buffers: Sequence[EdgeBuffer]
 ) -> Iterator[dict[str, Any]]:
-    origin = waypoints.origin
+    yield from land_features(cloud_plan, edge_plans, waypoints.origin)
+    kinds = [("waypoint", plan) for plan in edge_plans] + [("buffer", buffer) for buffer in buffers]
+    for kind, plan in kinds:
+        for camera, device in zip(plan.camera_indices.tolist(), plan.device_of_camera.tolist(), strict=True):
+            about = {"kind": kind, "name": waypoints.names[camera], "edge": plan.edge_id}
+            if device >= 0:
+                about["device"] = plan.device_ids[device]
+            yield point_feature(waypoints.lat_lon_alt[camera], about)
+
+
+def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin: FloatArray) -> Iterator[dict[str, Any]]:
+    """A GeoJSON feature per region and per device strip that has land, about the origin (3,) [deg, deg, m] of the plan's metres."""
     for index, (edge_id, border) in enumerate(zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True)):
         cameras, planned_s = int(cloud_plan.counts[index]), float(cloud_plan.edge_time_s[index])
         about = {"kind": "region", "name": edge_id, "edge": edge_id, "cameras": cameras, "planned_s": planned_s}
@@ -112,14 +128,12 @@ def _features(
         for device_id, strip, count, time_s in zip(plan.device_ids, plan.strips, counts, plan.device_time_s.tolist(), strict=True):
             about = {"kind": "strip", "name": device_id, "edge": plan.edge_id, "device": device_id, "cameras": count, "planned_s": time_s}
             yield from _polygon_feature(strip, origin, about)
-    kinds = [("waypoint", plan) for plan in edge_plans] + [("buffer", buffer) for buffer in buffers]
-    for kind, plan in kinds:
-        for camera, device in zip(plan.camera_indices.tolist(), plan.device_of_camera.tolist(), strict=True):
-            lat, lon, alt = waypoints.lat_lon_alt[camera].tolist()
-            about = {"kind": kind, "name": waypoints.names[camera], "edge": plan.edge_id}
-            if device >= 0:
-                about["device"] = plan.device_ids[device]
-            yield _feature({"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), round(alt, 3)]}, about)
+
+
+def point_feature(lat_lon_alt: ArrayLike, about: dict[str, Any]) -> dict[str, Any]:
+    """A GeoJSON point at (3,) [deg, deg, m] with its properties."""
+    lat, lon, alt = np.asarray(lat_lon_alt, np.float64).tolist()
+    return _feature({"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), round(alt, 3)]}, about)
 
 
 def _feature(geometry: dict[str, Any], about: dict[str, Any]) -> dict[str, Any]:

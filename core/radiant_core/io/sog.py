@@ -1,0 +1,197 @@
+"""Models as SOG (Spatially Ordered Gaussians, version 2), the small format of web viewers: lossless WebP textures in a zip. Once per model.
+
+Of Gaussian i of N, pixel i of each W × H texture, rows first:
+    means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)), m = sign(x) ln(|x| + 1) per axis
+    quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z was largest and left out
+    scales, sh0        per channel one of 256 values of ln scale, of sh0; alpha of sh0 is the opacity in 255 steps
+    shN                16-bit label of one of 65,536 rows at most, whose numbers are again one of 256 values
+The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until there are enough. Coordinates stay those
+of the 3DGS PLY, as converters keep them. Source: PlayCanvas, "The SOG Format".
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from radiant_core import __version__
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import write_atomic
+from radiant_core.numerics import FloatArray, unit_quats
+from radiant_core.splats import Splats, morton_order
+
+CODES = 256
+MAX_ROWS = 1 << 16
+ROWS_PER_LINE = 64
+MAX_SIDE_PX = 16383
+"""WebP's limit of a side."""
+LLOYD_ROUNDS = 12
+HISTOGRAM_BINS = 1 << 14
+_KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SogErrors:
+    """How far the stored values are from the model's: greatest error of a centre, and root mean square errors of ln scales, sh0 and shN."""
+
+    position_max_m: float
+    log_scale_rms: float
+    sh0_rms: float
+    shN_rms: float
+
+
+def save_sog(path: Path, splats: Splats) -> SogErrors:
+    """Write at least one Gaussian to `path`, atomically, along a Z curve; BadInput without any, or when it cannot be written."""
+    if not len(splats):
+        raise BadInput(f"cannot write {path}: the model has no Gaussians, and SOG cannot say so.")
+    ordered = splats.select(morton_order(splats.means))
+    textures, meta, errors = _encoded(ordered)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in {"meta.json": json.dumps(meta).encode(), **{name: _webp(image) for name, image in textures.items()}}.items():
+            # A fixed time: the same model gives the same bytes.
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data)
+    write_atomic(path, content.getvalue())
+    return errors
+
+
+def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any], SogErrors]:
+    count = len(splats)
+    shape = _texture_shape(count)
+    means = splats.means.astype(np.float64)
+    logs = np.sign(means) * np.log1p(np.abs(means))
+    low, high = logs.min(axis=0), logs.max(axis=0)
+    span = np.where(high > low, high - low, 1.0)
+    steps = np.rint(65535 * (logs - low) / span).astype(np.uint16)
+    stored = low + span * (steps / 65535)
+    scale_codes, scale_book = _quantized(splats.log_scales.astype(np.float64))
+    color_codes, color_book = _quantized(splats.sh0[:, 0].astype(np.float64))
+    opacities = np.rint(255 / (1 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -50, 50)))).astype(np.uint8)
+    textures = {
+        "means_l.webp": _texture(steps & 0xFF, shape),
+        "means_u.webp": _texture(steps >> 8, shape),
+        "quats.webp": _texture(_quat_bytes(splats.quats), shape),
+        "scales.webp": _texture(scale_codes, shape),
+        "sh0.webp": _texture(np.column_stack([color_codes, opacities]), shape),
+    }
+    meta: dict[str, Any] = {
+        "version": 2,
+        "asset": {"generator": f"radiant {__version__}"},
+        "count": count,
+        "antialias": splats.antialiased,
+        "means": {"mins": low.tolist(), "maxs": (low + span).tolist(), "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": scale_book.tolist(), "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
+    }
+    rest_rms = _add_harmonics(splats, shape, textures, meta) if splats.sh_degree else 0.0
+    errors = SogErrors(
+        position_max_m=float(np.abs(np.sign(stored) * np.expm1(np.abs(stored)) - means).max()),
+        log_scale_rms=_rms(scale_book[scale_codes] - splats.log_scales),
+        sh0_rms=_rms(color_book[color_codes] - splats.sh0[:, 0]),
+        shN_rms=rest_rms,
+    )
+    return textures, meta, errors
+
+
+def _add_harmonics(splats: Splats, shape: tuple[int, int], textures: dict[str, NDArray[np.uint8]], meta: dict[str, Any]) -> float:
+    """Put the harmonics of degree 1 and up (N,K,3) into textures and meta; returns their root mean square error."""
+    bases = splats.shN.shape[1]
+    flat = splats.shN.reshape(len(splats), -1)
+    labels, rows = _row_palette(flat)
+    codes, book = _quantized(rows)
+    lines = -(-len(rows) // ROWS_PER_LINE)
+    palette = np.zeros((lines * ROWS_PER_LINE, bases, 3), np.uint8)
+    palette[: len(rows)] = codes.reshape(len(rows), bases, 3)
+    textures["shN_centroids.webp"] = palette.reshape(lines, ROWS_PER_LINE * bases, 3)
+    textures["shN_labels.webp"] = _texture(np.column_stack([labels & 0xFF, labels >> 8, np.zeros_like(labels)]), shape)
+    files = ["shN_centroids.webp", "shN_labels.webp"]
+    meta["shN"] = {"count": len(rows), "bands": splats.sh_degree, "codebook": book.tolist(), "files": files}
+    return _rms(book[codes][labels] - flat)
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def _texture_shape(count: int) -> tuple[int, int]:
+    """Rows and columns of a nearly square texture, both multiples of 4."""
+    width = 4 * int(np.ceil(np.sqrt(count) / 4))
+    height = 4 * int(np.ceil(count / width / 4))
+    if max(width, height) > MAX_SIDE_PX:
+        raise BadInput(f"{count:,} Gaussians do not fit into SOG's textures of {MAX_SIDE_PX}² pixels: write PLY or SPZ.")
+    return height, width
+
+
+def _texture(values: NDArray[Any], shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """Bytes (N,3) or (N,4) as a texture (H,W,3) or (H,W,4), filled up with the last ones."""
+    pad = shape[0] * shape[1] - len(values)
+    filled = np.concatenate([values.astype(np.uint8), np.repeat(values[-1:].astype(np.uint8), pad, axis=0)])
+    return filled.reshape(*shape, -1)
+
+
+def _webp(texture: NDArray[np.uint8]) -> bytes:
+    content = io.BytesIO()
+    # Exact: else bytes under an alpha of 0 are dropped, as OpenCV's encoder does.
+    Image.fromarray(texture).save(content, "WEBP", lossless=True, exact=True, quality=50, method=4)
+    return content.getvalue()
+
+
+def _quat_bytes(quats: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Bytes (N,4) of rotations (N,4) wxyz."""
+    unit = unit_quats(quats)
+    largest = np.abs(unit).argmax(axis=1)
+    rows = np.arange(len(unit))
+    unit = unit * np.where(unit[rows, largest] < 0, -1.0, 1.0)[:, None]
+    kept = unit[rows[:, None], _KEPT[largest]]
+    return np.column_stack([np.clip(np.rint(255 * (0.5 + kept / np.sqrt(2))), 0, 255), 252 + largest]).astype(np.uint8)
+
+
+def _quantized(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
+    """Codes of the shape of `values`, and 256 rising values: Lloyd's iteration on a histogram, begun with a density ∝ f^⅓."""
+    low, high = float(values.min()), float(values.max())
+    if high <= low:
+        return np.zeros(values.shape, np.uint8), np.full(CODES, low)
+    counts, edges = np.histogram(values, HISTOGRAM_BINS, (low, high))
+    middles = (edges[:-1] + edges[1:]) / 2
+    mass = np.cumsum(np.cbrt(counts) + 1e-9)
+    book = np.interp((np.arange(CODES) + 0.5) / CODES * mass[-1], mass, middles)
+    for _ in range(LLOYD_ROUNDS):
+        owner = np.searchsorted((book[:-1] + book[1:]) / 2, middles)
+        weights = np.bincount(owner, counts, CODES)
+        sums = np.bincount(owner, counts * middles, CODES)
+        book = np.where(weights > 0, sums / np.maximum(weights, 1), book)
+        book = np.maximum.accumulate(book)
+    codes = np.searchsorted((book[:-1] + book[1:]) / 2, values)
+    sizes, sums = np.bincount(codes.ravel(), minlength=CODES), np.bincount(codes.ravel(), values.ravel(), CODES)
+    return codes.astype(np.uint8), np.where(sizes > 0, sums / np.maximum(sizes, 1), book)
+
+
+def _row_palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], FloatArray]:
+    """Labels (N,) and palette (R,F), R ≤ 65,536, of rows (N,F): the rows themselves where they are few enough."""
+    if len(rows) <= MAX_ROWS:
+        return np.arange(len(rows)), rows.astype(np.float64)
+    labels = np.zeros(len(rows), np.int64)
+    for _ in range(int(np.log2(MAX_ROWS))):
+        count = int(labels.max()) + 1
+        means = _group_means(rows, labels, count)
+        spread = _group_means((rows - means[labels]) ** 2, labels, count)
+        axis = spread.argmax(axis=1)[labels]
+        every = np.arange(len(rows))
+        above = rows[every, axis] > means[labels, axis]
+        # Groups of equal rows are not split: their numbers stay free.
+        labels = np.unique(2 * labels + above, return_inverse=True)[1].reshape(-1)
+    return labels, _group_means(rows, labels, int(labels.max()) + 1)
+
+
+def _group_means(rows: NDArray[Any], labels: NDArray[np.int64], count: int) -> FloatArray:
+    sizes = np.bincount(labels, minlength=count)
+    return np.stack([np.bincount(labels, column, count) for column in rows.T], axis=1) / sizes[:, None]

@@ -1,0 +1,121 @@
+"""`radiant export`, `render` and `inspect --screenshot` on a made-up run: what is written, what is said, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from typer.testing import CliRunner
+
+from radiant_app.cli import app
+from radiant_core.errors import BadInput
+from radiant_core.io.ply import load_ply
+from tests.viewer.made_up_run import made_up_town, save_run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("output") / "run"
+    save_run(folder, made_up_town(step_levels=40))
+    return folder
+
+
+def radiant(*arguments: object) -> str:
+    """Standard output of one command; its exception where it failed."""
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None:
+        raise result.exception
+    return result.stdout
+
+
+def test_every_format_is_written_by_its_ending_and_says_what_it_rounds(run: Path, tmp_path: Path) -> None:
+    said = {}
+    for name in ("a.ply", "a.spz", "a.sog", "a.geojson", "colmap"):
+        said[name] = json.loads(radiant("export", run, tmp_path / name, "--json"))
+        assert (tmp_path / name).exists()
+    assert [said[name]["format"] for name in said] == ["ply", "spz", "sog", "geojson", "colmap"]
+    assert len(load_ply(tmp_path / "a.ply")) == said["a.sog"]["gaussians"] == 9000
+    assert 0 < said["a.sog"]["position_max_m"] < 0.01
+    assert said["a.geojson"]["cameras"] == said["colmap"]["cameras"] == 24
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    held_out = [f["properties"] for f in features if f["properties"].get("held_out")]
+    assert sorted(row["psnr_db"] for row in held_out) == [20.0, 21.0, 22.0]
+
+
+def test_a_surface_model_lies_on_the_ground_of_the_town(tmp_path: Path) -> None:
+    town = made_up_town()
+    # Larger Gaussians close the ground.
+    save_run(tmp_path / "run", replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
+    run = tmp_path / "run"
+    said = json.loads(radiant("export", run, tmp_path / "a.tif", "--resolution", 1, "--long-side-px", 96, "--json"))
+    assert said["crs"] == "EPSG:32631"
+    assert said["known"] > 0.5
+    values = np.asarray(tifffile.imread(tmp_path / "a.tif"))
+    # Gaussians of 1.5 m at heights of 0 to 1 m.
+    assert 0 < np.median(values[values > -9000]) < 3
+    with pytest.raises(BadInput, match="exists"):
+        radiant("export", run, tmp_path / "a.tif")
+
+
+def test_a_film_follows_keyframes_and_a_border(run: Path, tmp_path: Path) -> None:
+    keys = [{"time_s": 0, "position": [-80, -80, 60], "target": [0, 0, 0]}, {"time_s": 0.5, "position": [80, -80, 60], "target": [0, 0, 0]}]
+    (tmp_path / "keys.json").write_text(json.dumps({"keyframes": keys}))
+    size = ("--size", "96x64", "--json")
+    said = json.loads(radiant("render", run, "--out", tmp_path / "a.mp4", "--keyframes", tmp_path / "keys.json", "--fps", 10, *size))
+    assert said["frames"] == 6
+    film = cv2.VideoCapture(str(tmp_path / "a.mp4"))
+    frames = []
+    while (read := film.read())[0]:
+        frames.append(read[1].astype(int))
+    assert len(frames) == 6
+    assert frames[0].shape == (64, 96, 3)
+    assert np.abs(frames[0] - frames[-1]).mean() > 5, "the camera moved"
+    radiant("render", run, "--out", tmp_path / "frames", "--border", "harbour,north", "--frames", 3, *size)
+    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [f"frame_{index:05d}.png" for index in range(3)]
+    radiant("render", run, "--out", tmp_path / "orbit.gif", "--trajectory", "orbit", "--frames", 3, *size)
+    assert (tmp_path / "orbit.gif").read_bytes()[:4] == b"GIF8"
+
+
+def test_pictures_take_a_size_and_a_camera(run: Path, tmp_path: Path) -> None:
+    radiant("inspect", run, "--screenshot", tmp_path / "a.png", "--view", "splats", "--size", "700x450", "--camera", "DJI_0008.JPG")
+    image = cv2.imread(str(tmp_path / "a.png"))
+    assert image is not None
+    assert image.shape == (450, 700, 3)
+    radiant("inspect", run, "--screenshot", tmp_path / "b.png", "--view", "compare", "--camera", "DJI_0008.JPG")
+    one = cv2.imread(str(tmp_path / "b.png"))
+    assert one is not None
+    assert one.shape[0] < 450, "one row"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("export", "RUN", "OUT/a.xyz"), "--format"),
+        (("export", "RUN", "OUT/a.ply", "--resolution", 1), "--resolution"),
+        (("export", "RUN", "OUT/a.png", "--format", "dsm"), r"\.tif"),
+        (("export", "RUN", "OUT/none/a.ply"), "no folder"),
+        (("export", "RUN/scene.ply", "OUT/a.geojson"), "needs the cameras"),
+        (("render", "RUN", "--out", "OUT/a.mp4"), "needs a path"),
+        (("render", "RUN", "--out", "OUT/f", "--border", "harbour,moon"), "harbour,north"),
+        (("render", "RUN", "--out", "OUT/f", "--trajectory", "orbit", "--keyframes", "OUT/k.json"), "keep one"),
+        (("render", "RUN", "--out", "OUT/f", "--keyframes", "RUN/metrics.json"), "no list of keyframes"),
+        (("render", "RUN", "--out", "OUT/f", "--trajectory", "orbit", "--size", "big"), "width x height"),
+        (("inspect", "RUN", "--screenshot", "OUT/a.png", "--size", "10x10"), "at least"),
+        (("inspect", "RUN", "--screenshot", "OUT/a.png", "--view", "splats", "--camera", "DJI_9.JPG"), "did you mean"),
+        (("inspect", "RUN", "--screenshot", "OUT/a.png", "--camera", "DJI_0008.JPG"), "splats and compare"),
+        (("inspect", "RUN", "--screenshot", "OUT/a.png", "--view", "compare", "--camera", "DJI_0001.JPG"), "trained on"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_sentence_and_nothing_is_left(
+    run: Path, tmp_path: Path, arguments: tuple[object, ...], sentence: str
+) -> None:
+    filled = [str(argument).replace("RUN", str(run)).replace("OUT", str(tmp_path)) for argument in arguments]
+    with pytest.raises(BadInput, match=sentence) as caught:
+        radiant(*filled)
+    assert len(str(caught.value).splitlines()) == 1
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,98 @@
+"""A surface model of a made-up block on flat ground has its heights, holes where nothing was seen, and its place on the globe."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame, geodetic_from_enu
+from radiant_core.geometry.surface import Surface, extract_surface, surface_grid
+from radiant_core.map_projection import utm_from_geodetic
+from radiant_core.render.trajectories import Lens, looking_at
+from radiant_core.splats import SH_C0, Splats
+
+SHIFT = np.array([300.0, -200.0, 50.0])
+BLOCK_M, HEIGHT_M = 3.0, 4.0
+LOCAL = Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3))
+ON_EARTH = Frame(kind="metric", origin_lat_lon_alt=np.array([47.37, 8.54, 430.0]))
+
+
+@cache
+def block() -> Splats:
+    """Ground of 24 × 24 m with a block of 6 × 6 × 4 m in the middle, opaque discs 0.3 m apart, and thin haze above."""
+    rng = np.random.default_rng(0)
+    xy = np.stack(np.meshgrid(np.arange(-12, 12.1, 0.3), np.arange(-12, 12.1, 0.3)), axis=-1).reshape(-1, 2)
+    roof = (np.abs(xy) <= BLOCK_M).all(axis=1)
+    surface = np.column_stack([xy, np.where(roof, HEIGHT_M, 0.0)])
+    haze = rng.uniform([-12, -12, 6], [12, 12, 10], (400, 3))
+    means = np.concatenate([surface, haze]) + SHIFT
+    flat, count = np.log([0.25, 0.25, 0.01]), len(means)
+    return Splats(
+        means=means,
+        quats=np.tile([1.0, 0, 0, 0], (count, 1)),
+        log_scales=np.concatenate([np.tile(flat, (len(surface), 1)), np.full((400, 3), np.log(0.6))]),
+        logit_opacities=np.concatenate([np.full(len(surface), 4.0), np.full(400, -2.5)]),
+        sh0=np.full((count, 1, 3), 0.2 / SH_C0),
+        shN=np.zeros((count, 0, 3)),
+    )
+
+
+@cache
+def flight() -> Cameras:
+    xy = np.stack(np.meshgrid([-6, 0, 6], [-6, 0, 6]), axis=-1).reshape(-1, 2)
+    stands = np.column_stack([xy, np.full(9, 20.0)]) + SHIFT
+    return looking_at(stands, stands * [1, 1, 0] + [0.0, 0.0, SHIFT[2]], Lens(size_wh=(192, 144), field_of_view_deg=60))
+
+
+@cache
+def surface() -> Surface:
+    return extract_surface(block(), flight(), resolution=0.2)
+
+
+def test_heights_of_ground_and_roof_are_right_and_what_nobody_saw_has_none() -> None:
+    grid = surface_grid(surface(), LOCAL)
+    x, y = np.meshgrid(np.arange(-11, 11.1, 0.5), np.arange(-11, 11.1, 0.5))
+    places = np.column_stack([x.ravel(), y.ravel()])
+    reach = np.abs(places).max(axis=1)
+    heights = grid.at(places + SHIFT[:2]) - SHIFT[2]
+    roof, ground = heights[reach < BLOCK_M - 0.5], heights[(reach > BLOCK_M + 1.5) & (reach < 10)]
+    assert np.isfinite(roof).all()
+    assert np.isfinite(ground).mean() > 0.98
+    # A voxel is 0.2 m; haze of 8 % opacity 6 to 10 m above would lift a mean depth by decimetres.
+    for found, truth in ((roof, HEIGHT_M), (ground, 0.0)):
+        assert np.nanmedian(np.abs(found - truth)) < 0.03
+        assert np.nanquantile(np.abs(found - truth), 0.95) < 0.15
+    assert np.isnan(grid.at(SHIFT[None, :2] + np.array([40.0, 0.0]))).all()
+    assert grid.epsg is None
+
+
+def test_on_the_globe_the_grid_lies_in_its_utm_zone_and_heights_are_altitudes() -> None:
+    grid = surface_grid(surface(), ON_EARTH, cell=0.25)
+    assert grid.epsg == 32632
+    for offset, height in (((0.0, 0.0), HEIGHT_M), ((7.0, -6.0), 0.0)):
+        place = geodetic_from_enu([[*(SHIFT[:2] + offset), SHIFT[2] + height]], ON_EARTH.origin_lat_lon_alt)[0]
+        found = grid.at(utm_from_geodetic(place[None, :2], 32632))[0]
+        assert found == pytest.approx(place[2], abs=0.05)
+    # The block's edge, seen in the grid, lies where the map says: half a cell and a voxel.
+    east = np.arange(BLOCK_M - 2, BLOCK_M + 2, 0.05)
+    along = np.column_stack([SHIFT[0] + east, np.full(len(east), SHIFT[1]), np.full(len(east), SHIFT[2] + HEIGHT_M)])
+    utm = utm_from_geodetic(geodetic_from_enu(along, ON_EARTH.origin_lat_lon_alt)[:, :2], 32632)
+    high = grid.at(utm) > 430 + SHIFT[2] + HEIGHT_M / 2
+    assert abs(east[high].max() - BLOCK_M) < 0.45
+
+
+def test_bad_input_says_what_to_do() -> None:
+    with pytest.raises(BadInput, match="no camera"):
+        extract_surface(block(), flight().select([]))
+    with pytest.raises(BadInput, match="coarser"):
+        extract_surface(block(), flight(), resolution=1e-4)
+    away = replace(block(), means=block().means + np.float32(1e4))
+    with pytest.raises(BadInput, match="sees the model"):
+        extract_surface(away, flight())
+    with pytest.raises(BadInput, match="larger cells"):
+        surface_grid(surface(), LOCAL, cell=1e-3)

@@ -1,0 +1,72 @@
+"""A GeoTIFF as tifffile's own reader of geographic tags sees it, and a mesh as Open3D does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+import pytest
+import tifffile
+
+from radiant_core.errors import BadInput
+from radiant_core.io.geotiff import NO_DATA, HeightGrid, hillshade, save_geotiff
+from radiant_core.io.mesh_ply import save_mesh
+
+
+def grid(epsg: int | None = 32632) -> HeightGrid:
+    heights = np.add.outer(np.linspace(400, 410, 70), np.linspace(0, 5, 90))
+    heights[3:9, 5:20] = np.nan
+    return HeightGrid(heights=heights, north_west=np.array([465300.5, 5246400.25]), cell=0.25, epsg=epsg)
+
+
+def test_place_scale_system_and_heights_come_back(tmp_path: Path) -> None:
+    save_geotiff(tmp_path / "a.tif", grid())
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        page = file.pages[0]
+        assert isinstance(page, tifffile.TiffPage)
+        values, tags = page.asarray(), page.geotiff_tags
+        assert float(page.tags[42113].value) == NO_DATA
+    assert tags["ProjectedCSTypeGeoKey"] == 32632
+    assert int(tags["GTRasterTypeGeoKey"]) == 1, "a pixel is an area, its corner is the tie point"
+    assert list(tags["ModelPixelScale"])[:2] == [0.25, 0.25]
+    assert list(tags["ModelTiepoint"]) == [0, 0, 0, 465300.5, 5246400.25, 0]
+    assert values.dtype == np.float32
+    known = np.isfinite(grid().heights)
+    assert (values[~known] == NO_DATA).all()
+    assert np.abs(values[known] - grid().heights[known]).max() < 2e-5
+    save_geotiff(tmp_path / "b.tif", grid(None))
+    with tifffile.TiffFile(tmp_path / "b.tif") as file:
+        page = file.pages[0]
+        assert isinstance(page, tifffile.TiffPage)
+        assert "ProjectedCSTypeGeoKey" not in page.geotiff_tags
+
+
+def test_a_place_finds_its_cell_and_none_outside() -> None:
+    rows, columns = np.array([0, 69, 30]), np.array([0, 89, 41])
+    places = grid().north_west + np.column_stack([columns + 0.5, -(rows + 0.5)]) * 0.25
+    np.testing.assert_array_equal(grid().at(places), grid().heights[rows, columns])
+    assert np.isnan(grid().at(places + 1000)).all()
+    assert np.isnan(grid().at(grid().north_west[None] + np.array([6 * 0.25, -4 * 0.25]))).all()
+    assert (hillshade(grid())[:3, 30:] < 255).all()
+    assert hillshade(grid())[5, 10] == 255
+
+
+@pytest.mark.parametrize(
+    ("heights", "cell"), [(np.zeros((0, 3)), 1.0), (np.zeros(4), 1.0), (np.full((2, 2), np.inf), 1.0), (np.zeros((2, 2)), 0.0)]
+)
+def test_what_is_no_grid_is_refused(heights: np.ndarray, cell: float) -> None:
+    with pytest.raises(BadInput, match="expected"):
+        HeightGrid(heights=heights, north_west=np.zeros(2), cell=cell, epsg=None)
+
+
+def test_open3d_reads_the_mesh_as_it_is(tmp_path: Path) -> None:
+    vertices = np.array([[465300.123456, 5246400.5, 1], [465301, 5246400, 2], [465300, 5246401, 3.0]])
+    colors = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255]])
+    save_mesh(tmp_path / "a.ply", vertices, [[0, 1, 2]], colors)
+    mesh = o3d.io.read_triangle_mesh(str(tmp_path / "a.ply"))
+    np.testing.assert_array_equal(np.asarray(mesh.vertices), vertices)
+    np.testing.assert_array_equal(np.asarray(mesh.triangles), [[0, 1, 2]])
+    np.testing.assert_array_equal(np.rint(255 * np.asarray(mesh.vertex_colors)), colors)
+    with pytest.raises(BadInput, match="vertex 3 of 3"):
+        save_mesh(tmp_path / "b.ply", vertices, [[0, 1, 3]], colors)

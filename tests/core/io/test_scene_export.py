@@ -1,0 +1,102 @@
+"""Exports as other programs read them: PLY and SPZ by Open3D, COLMAP by pycolmap, GeoJSON by json and shapely."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+import pycolmap
+import pytest
+from shapely.geometry import Point, shape
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame, enu_from_geodetic
+from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
+from radiant_core.io.ply import save_ply
+from radiant_core.io.scene_export import save_colmap, save_scene_geojson, save_spz
+from radiant_core.scene import SfmScene
+from tests.core.io.test_sog import model
+from tests.viewer.made_up_run import made_up_town
+
+ORIGIN = np.array([47.37, 8.54, 430.0])
+
+
+def test_open3d_reads_ply_exactly_and_spz_within_its_steps(tmp_path: Path) -> None:
+    splats = model(500)
+    save_ply(tmp_path / "a.ply", splats)
+    points = o3d.t.io.read_point_cloud(tmp_path / "a.ply").point
+    np.testing.assert_array_equal(points["positions"].numpy(), splats.means)
+    np.testing.assert_array_equal(points["opacity"].numpy()[:, 0], splats.logit_opacities)
+    assert points["scale"].numpy() == pytest.approx(np.exp(splats.log_scales), rel=1e-6)
+    far = replace(splats, means=np.where(np.arange(500)[:, None] == 7, 3000.0, splats.means), log_scales=splats.log_scales + 8)
+    cuts = save_spz(tmp_path / "a.spz", far)
+    assert cuts.num_left_out == 1
+    assert cuts.num_shrunk > 100
+    points = o3d.t.io.read_point_cloud(tmp_path / "a.spz").point
+    kept = np.delete(far.means, 7, axis=0)
+    assert np.abs(points["positions"].numpy() - kept).max() <= SPZ_MEAN_STEP
+    with pytest.raises(BadInput, match="none of 500"):
+        save_spz(tmp_path / "b.spz", replace(far, means=far.means + 1e5))
+    assert not (tmp_path / "b.spz").exists()
+
+
+def seen_scene() -> SfmScene:
+    """The made-up town with 300 points, each seen by the cameras whose picture it falls into."""
+    scene = made_up_town().scene
+    points = scene.points[:300]
+    pairs = []
+    for index, (pose, K) in enumerate(zip(scene.cameras.cam_from_world, scene.cameras.Ks, strict=True)):
+        in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+        pixels = (in_camera @ K.T)[:, :2] / in_camera[:, 2:]
+        inside = ((pixels > 0) & (pixels < (640, 480))).all(axis=1)
+        pairs.append(np.column_stack([np.flatnonzero(inside), np.full(inside.sum(), index)]))
+    observations = np.unique(np.concatenate(pairs), axis=0)
+    return SfmScene(cameras=scene.cameras, points=points, colors=scene.colors[:300], observations=observations, frame=scene.frame)
+
+
+def test_pycolmap_reads_the_model_and_projects_every_point_where_it_was_seen(tmp_path: Path) -> None:
+    scene = seen_scene()
+    save_colmap(tmp_path / "colmap", scene)
+    model = pycolmap.Reconstruction(str(tmp_path / "colmap"))
+    assert (model.num_images(), model.num_points3D()) == (24, 300)
+    assert model.compute_num_observations() == len(scene.observations)
+    worst_px = worst_m = 0.0
+    for image in model.images.values():
+        index = scene.cameras.names.index(image.name)
+        worst_m = max(worst_m, float(np.abs(image.projection_center() - scene.cameras.centers[index]).max()))
+        for point2d in image.get_observation_points2D():
+            projected = image.project_point(model.points3D[point2d.point3D_id].xyz)
+            worst_px = max(worst_px, float(np.abs(projected - point2d.xy).max()))
+    assert worst_m < 1e-9
+    assert worst_px < 1e-6
+    order = sorted(model.points3D)
+    np.testing.assert_array_equal([model.points3D[point].xyz for point in order], scene.points)
+    np.testing.assert_array_equal([model.points3D[point].color for point in order], scene.colors)
+    with pytest.raises(BadInput, match="no cameras"):
+        save_colmap(tmp_path / "none", scene.restricted_to(np.zeros(0, np.int64)))
+
+
+def test_geojson_puts_regions_and_cameras_on_the_globe(tmp_path: Path) -> None:
+    town = made_up_town()
+    scene = replace(town.scene, frame=Frame(kind="metric", origin_lat_lon_alt=ORIGIN))
+    names = scene.cameras.names
+    about = {name: {"edge": town.cloud_plan.edge_ids[edge]} for name, edge in zip(names, town.cloud_plan.edge_of_camera, strict=True)}
+    save_scene_geojson(tmp_path / "a.geojson", scene, town.cloud_plan, town.edge_plans, about)
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    kinds = [feature["properties"]["kind"] for feature in features]
+    assert (kinds.count("region"), kinds.count("strip"), kinds.count("camera")) == (3, 6, 24)
+    regions = {f["properties"]["edge"]: shape(f["geometry"]) for f in features if f["properties"]["kind"] == "region"}
+    assert all(region.is_valid for region in regions.values())
+    for feature in features[-24:]:
+        lon, lat, alt = feature["geometry"]["coordinates"]
+        assert regions[feature["properties"]["edge"]].covers(Point(lon, lat))
+        place = enu_from_geodetic([[lat, lon, alt]], ORIGIN)[0]
+        # Nine decimals of a degree are 0.1 mm, three of a metre half a millimetre.
+        assert np.abs(place - scene.cameras.centers[names.index(feature["properties"]["name"])]).max() < 1e-3
+    unscaled = replace(scene, frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)))
+    with pytest.raises(BadInput, match="no GPS"):
+        save_scene_geojson(tmp_path / "b.geojson", unscaled, town.cloud_plan, town.edge_plans, {})
+    assert not (tmp_path / "b.geojson").exists()

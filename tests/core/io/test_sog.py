@@ -1,0 +1,134 @@
+"""SOG as another program reads it: a decoder written from the specification alone, with OpenCV for the textures."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.io import sog
+from radiant_core.io.sog import save_sog
+from radiant_core.splats import Splats, morton_order
+
+
+def model(count: int, degree: int = 2, seed: int = 0) -> Splats:
+    rng = np.random.default_rng(seed)
+    bases = (degree + 1) ** 2 - 1
+    return Splats(
+        means=rng.normal(0, [80, 50, 8], (count, 3)),
+        quats=rng.normal(0, 1, (count, 4)),
+        log_scales=rng.normal(-3, 1, (count, 3)),
+        logit_opacities=rng.normal(0, 3, count),
+        sh0=rng.normal(0, 1, (count, 1, 3)),
+        shN=0.1 * rng.normal(0, 1, (count, bases, 3)),
+    )
+
+
+def decoded(path: Path) -> dict[str, np.ndarray]:
+    """Means, quats wxyz, log scales, opacities, sh0, shN in the order of the file, as sections 3.1 to 3.5 of the specification say."""
+    archive = zipfile.ZipFile(path)
+    meta = json.loads(archive.read("meta.json"))
+    assert meta["version"] == 2
+    count = meta["count"]
+
+    def image(name: str) -> np.ndarray:
+        data = archive.read(name)
+        assert data[:4] == b"RIFF"
+        assert data[8:16] == b"WEBPVP8L" or data[8:16] == b"WEBPVP8X", "lossless, or extended by an alpha channel"
+        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert bgr is not None
+        # Where all is opaque the file has no alpha: it is 255.
+        opaque = np.full((*bgr.shape[:2], 4 - bgr.shape[2]), 255, np.uint8)
+        return np.concatenate([bgr, opaque], axis=2)[..., [2, 1, 0, 3]]
+
+    def pixels(name: str) -> np.ndarray:
+        array = image(name)
+        assert array.shape[0] * array.shape[1] >= count
+        return array.reshape(-1, 4)[:count].astype(np.int64)
+
+    low, high = (pixels(name) for name in meta["means"]["files"])
+    share = ((high[:, :3] << 8) | low[:, :3]) / 65535
+    logs = np.array(meta["means"]["mins"]) + share * (np.array(meta["means"]["maxs"]) - meta["means"]["mins"])
+    quat_px = pixels(meta["quats"]["files"][0])
+    quats = np.zeros((count, 4))
+    for row, (r, g, b, a) in enumerate(quat_px):
+        assert 252 <= a <= 255
+        kept = [(c / 255 - 0.5) * 2 / np.sqrt(2) for c in (r, g, b)]
+        kept.insert(a - 252, np.sqrt(max(0.0, 1 - sum(c * c for c in kept))))
+        quats[row] = kept
+    color_px = pixels(meta["sh0"]["files"][0])
+    found = {
+        "means": np.sign(logs) * (np.exp(np.abs(logs)) - 1),
+        "quats": quats,
+        "log_scales": np.array(meta["scales"]["codebook"])[pixels(meta["scales"]["files"][0])[:, :3]],
+        "sh0": np.array(meta["sh0"]["codebook"])[color_px[:, :3]],
+        "opacities": color_px[:, 3] / 255,
+    }
+    if "shN" in meta:
+        bases = (3, 8, 15)[meta["shN"]["bands"] - 1]
+        palette = image(meta["shN"]["files"][0])[..., :3]
+        assert palette.shape[1] == 64 * bases
+        label_px = pixels(meta["shN"]["files"][1])
+        labels = label_px[:, 0] + (label_px[:, 1] << 8)
+        assert labels.max() < meta["shN"]["count"]
+        columns = (labels % 64)[:, None] * bases + np.arange(bases)
+        found["shN"] = np.array(meta["shN"]["codebook"])[palette[(labels // 64)[:, None], columns]]
+    return found
+
+
+def test_another_decoder_reads_what_was_written_within_the_errors_that_were_said(tmp_path: Path) -> None:
+    splats = model(3001)
+    errors = save_sog(tmp_path / "scene.sog", splats)
+    found, truth = decoded(tmp_path / "scene.sog"), splats.select(morton_order(splats.means))
+    assert np.abs(found["means"] - truth.means).max() == pytest.approx(errors.position_max_m, rel=1e-3)
+    # Half of 1/65535 of the logarithmic range of ±300 m, at 300 m.
+    assert errors.position_max_m < 0.5 / 65535 * 2 * np.log(301) * 301
+    for name, said, atol in (("log_scales", errors.log_scale_rms, 0.02), ("sh0", errors.sh0_rms, 0.02), ("shN", errors.shN_rms, 0.005)):
+        rms = float(np.sqrt(np.mean((found[name] - getattr(truth, name).reshape(found[name].shape)) ** 2)))
+        assert rms == pytest.approx(said, rel=1e-3)
+        assert rms < atol, f"{name}: 256 values leave less"
+    # 3 components in 255 steps of √2: at most half a step each, and the fourth by what they leave.
+    unit = truth.quats / np.linalg.norm(truth.quats, axis=1, keepdims=True)
+    assert np.abs((found["quats"] * unit).sum(axis=1)).min() > np.cos(0.01)
+    opacities = 1 / (1 + np.exp(-truth.logit_opacities.astype(float)))
+    assert np.abs(found["opacities"] - opacities).max() <= 0.5 / 255 + 1e-6
+
+
+def test_more_rows_than_the_palette_holds_share_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sog, "MAX_ROWS", 256)
+    splats = model(4000, degree=1)
+    errors = save_sog(tmp_path / "scene.sog", splats)
+    found, truth = decoded(tmp_path / "scene.sog"), splats.select(morton_order(splats.means))
+    rms = float(np.sqrt(np.mean((found["shN"] - truth.shN) ** 2)))
+    assert rms == pytest.approx(errors.shN_rms, rel=1e-3)
+    # Nine dimensions in 256 cells: 1.85 cells an axis, so at least half of the spread of 0.1 is left out, and not all of it is kept.
+    assert 0.03 < rms < 0.08
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_degenerate_models_come_back(tmp_path: Path, degree: int) -> None:
+    one = model(1, degree)
+    save_sog(tmp_path / "one.sog", one)
+    found = decoded(tmp_path / "one.sog")
+    assert found["means"] == pytest.approx(one.means, abs=1e-4)
+    assert ("shN" in found) == (degree > 0)
+    same = model(70, degree).select(np.zeros(70, np.int64))
+    save_sog(tmp_path / "same.sog", same)
+    assert decoded(tmp_path / "same.sog")["log_scales"] == pytest.approx(same.log_scales, abs=1e-6)
+    far = model(2, degree).select([0, 1, 0])
+    errors = save_sog(tmp_path / "far.sog", Splats(**{**far.arrays(), "means": far.means * np.float32(1e5)}))
+    assert np.isfinite(errors.position_max_m)
+
+
+def test_the_same_model_gives_the_same_bytes_and_none_gives_one_sentence(tmp_path: Path) -> None:
+    for name in ("a.sog", "b.sog"):
+        save_sog(tmp_path / name, model(50))
+    assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
+    with pytest.raises(BadInput, match="no Gaussians"):
+        save_sog(tmp_path / "c.sog", model(0))
+    assert not (tmp_path / "c.sog").exists()
