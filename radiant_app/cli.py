@@ -291,7 +291,7 @@ def evaluate(
 
 @app.command()
 def inspect(
-    run_folder: RunFolder,
+    run_folder: Annotated[Path, typer.Argument(help="A run, or for the window a 3DGS .ply file.", show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
 ) -> None:
@@ -299,9 +299,10 @@ def inspect(
     from radiant_app import commands
 
     if screenshot is None:
+        from radiant_app.inspect_feeds import feeds_of
         from radiant_viewer.inspector import open_window
 
-        raise typer.Exit(open_window(run_folder))
+        raise typer.Exit(open_window(run_folder, feeds_of(run_folder)))
     typer.echo(commands.screenshot(run_folder, view, screenshot))
 
 

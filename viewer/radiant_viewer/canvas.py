@@ -44,7 +44,9 @@ class Canvas:
         heading.setStyleSheet("font-weight: 600")
         layout.addWidget(heading)
         self.plotter = QtInteractor(self.frame, auto_update=False, multi_samples=4)
-        self.plotter.setToolTip("")
+        # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its own.
+        self.plotter.reset_key_events()
+        self.plotter.iren.interactor.RemoveObservers("CharEvent")
         layout.addWidget(self.plotter, stretch=1)
         self.plotter.iren.add_observer("LeftButtonPressEvent", self._on_press)
         self.plotter.iren.add_observer("LeftButtonReleaseEvent", self._on_release)

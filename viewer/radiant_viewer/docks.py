@@ -74,8 +74,17 @@ def add_docks(window: InspectorWindow, run: RunView | None, splats: Splats | Non
     ):
         window.setCorner(corner, area)
     window.setTabPosition(right | bottom, QTabWidget.TabPosition.North)
-    window.resizeDocks([window.layer_dock, *rights[:1]], [LEFT_PX, RIGHT_PX][: 1 + len(rights[:1])], Qt.Orientation.Horizontal)
-    window.resizeDocks(bottoms[:1], [BOTTOM_PX], Qt.Orientation.Vertical)
     for dock in (*rights[-1:], *bottoms[:1]):
         dock.raise_()
     return docks
+
+
+def share_room(window: InspectorWindow) -> None:
+    """Give each side its share of the window; Qt forgets it where it is asked before the window is shown."""
+    docks = window.docks
+    right = docks.photo or docks.splats
+    sides = [(window.layer_dock, LEFT_PX), *([] if right is None else [(right, RIGHT_PX)])]
+    window.resizeDocks([dock for dock, _ in sides], [width for _, width in sides], Qt.Orientation.Horizontal)
+    lower = docks.cameras or docks.fly
+    if lower is not None:
+        window.resizeDocks([lower], [BOTTOM_PX], Qt.Orientation.Vertical)

@@ -19,7 +19,7 @@ from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
 from radiant_viewer.camera_layer import highlight_layer
 from radiant_viewer.canvas import TOP_SLOT, Canvas
-from radiant_viewer.docks import Docks, add_docks
+from radiant_viewer.docks import Docks, add_docks, share_room
 from radiant_viewer.images import Image, save_png
 from radiant_viewer.layer_dock import LayerDock
 from radiant_viewer.layers import Layer, drawn_positions
@@ -32,6 +32,7 @@ from radiant_viewer.view_pose import pose_of_camera
 HIDDEN_AT_FIRST = frozenset({"Device strips", "Gaussians", "Cameras by device", "Cameras by split", "Cameras by PSNR"})
 """Layers that cover others: one click away."""
 SELECTED = "Selected camera"
+SIZE_WH = (1280, 800)
 PICK_PX = 14
 """A click this near to a camera selects it."""
 _Result = TypeVar("_Result")
@@ -51,9 +52,8 @@ class InspectorWindow(QMainWindow):
         self.theme: Theme = LIGHT
         self.selected: int | None = None
         self._marks: dict[str, Layer] = {}
-        self._is_drawing = False
+        self._was_shown = False
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
-        self.resize(1280, 800)
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
         splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin)
@@ -225,7 +225,12 @@ class InspectorWindow(QMainWindow):
         super().closeEvent(event)
 
     def _on_first_shown(self) -> None:
-        if self.isVisible():
+        if self.isVisible() and not self._was_shown:
+            self._was_shown = True
+            # Before the docks are laid out Qt takes a window for wider than it needs to be.
+            room = self.screen().availableSize()
+            self.resize(min(SIZE_WH[0], room.width()), min(SIZE_WH[1], room.height()))
+            share_room(self)
             self.reset_views()
 
     def _add_actions(self) -> None:
