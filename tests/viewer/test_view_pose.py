@@ -27,7 +27,8 @@ def vtk_pixel(pose: ViewPose, place: np.ndarray, size_wh: tuple[int, int]) -> np
 
 @pytest.mark.parametrize("origin", [np.zeros(3), UTM])
 def test_a_view_projects_as_vtk_does(origin: np.ndarray) -> None:
-    pose = ViewPose(position=origin + [3, -20, 15], focal_point=origin + [1, 2, 0], up=np.array([0.1, 0, 3.0]), angle_deg=37)
+    eye, target = origin + np.array([3, -20, 15]), origin + np.array([1, 2, 0])
+    pose = ViewPose(position=eye, focal_point=target, up=np.array([0.1, 0, 3.0]), angle_deg=37)
     camera = pose.camera((640, 360))
     for offset in ([0, 0, 0], [4, 3, 1], [-5, 1, 2]):
         place = origin + offset
@@ -58,7 +59,7 @@ def test_views_that_see_nothing_are_refused() -> None:
 
 
 def test_a_flight_passes_its_keyframes_and_overshoots_none() -> None:
-    keys = [pose_toward(UTM + [40 * index, 0, 0], 30.0 + index, (200 - 30 * index, 40)) for index in range(4)]
+    keys = [pose_toward(UTM + np.array([40 * index, 0, 0]), 30.0 + index, (200 - 30 * index, 40)) for index in range(4)]
     frames = flight(keys, seconds_per_leg=2.0, frames_per_s=10)
     assert len(frames) == 61
     for index, key in enumerate(keys):
@@ -76,9 +77,7 @@ def test_a_flight_over_the_top_and_one_on_the_spot_keep_a_direction() -> None:
     assert len(flight([over[0], over[0]], 1.0, 5)) == 6
 
 
-@pytest.mark.parametrize(
-    ("count", "seconds", "rate"), [(1, 1, 24), (2, 0, 24), (2, float("nan"), 24), (2, 1, 500), (2, 1e6, 24), (2, 0.01, 1)]
-)
+@pytest.mark.parametrize(("count", "seconds", "rate"), [(1, 1, 24), (2, 0, 24), (2, np.nan, 24), (2, 1, 500), (2, 1e6, 24), (2, 0.01, 1)])
 def test_flights_that_cannot_be_flown_are_refused(count: int, seconds: float, rate: float) -> None:
     with pytest.raises(BadInput):
         flight([pose_toward(np.zeros(3), 10.0)] * count, seconds, rate)

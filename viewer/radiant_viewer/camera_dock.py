@@ -86,7 +86,7 @@ class CameraDock(QDockWidget):
             self.filter.clear()
             row = self.sorted_cameras.mapFromSource(self.cameras.index(index, 0))
         self.table.selectRow(row.row())
-        self.table.scrollTo(row)
+        self.table.scrollTo(row, QAbstractItemView.ScrollHint.PositionAtCenter)
 
     def color_by(self, what: str) -> None:
         """Show cameras in the colours of "Region", "Device", "Held-out" or "PSNR" alone."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QDockWidget, QTabWidget
+from PySide6.QtWidgets import QDockWidget, QTabWidget, QWidget
 
 from radiant_core.splats import Splats
 from radiant_viewer.camera_dock import CameraDock
@@ -65,6 +65,9 @@ def add_docks(window: InspectorWindow, run: RunView | None, splats: Splats | Non
         window.addDockWidget(right, dock)
     for dock in bottoms:
         window.addDockWidget(bottom, dock)
+    for dock in (dock for group in (rights, bottoms) if len(group) > 1 for dock in group):
+        # The tab says the same, and at 1280×800 a title more is a row of the table less.
+        dock.setTitleBarWidget(QWidget())
     for first, other in zip([*rights[:-1], *bottoms[:-1]], [*rights[1:], *bottoms[1:]], strict=True):
         window.tabifyDockWidget(first, other)
     for corner, area in (

@@ -12,8 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer, Signal
-from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
+from PySide6.QtGui import QCloseEvent, QColor, QKeySequence, QPalette, QShortcut, QShowEvent
+from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
 
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
@@ -169,6 +169,7 @@ class InspectorWindow(QMainWindow):
     def set_theme(self, name: ThemeName) -> None:
         """Light or dark, views included."""
         self.theme = THEMES[name]
+        QApplication.setPalette(_palette(self.theme))
         self.setStyleSheet(style_sheet(self.theme))
         for canvas in (self.map, self.view):
             canvas.set_theme(self.theme)
@@ -182,7 +183,9 @@ class InspectorWindow(QMainWindow):
         self.render_views()
 
     def render_views(self) -> None:
-        """Draw both views now."""
+        """Draw both views now; before the window is shown there is nothing to draw into."""
+        if not self.isVisible():
+            return
         for canvas in (self.map, self.view):
             canvas.render()
 
@@ -297,8 +300,7 @@ class InspectorWindow(QMainWindow):
             self._draw(layer)
         for layer in list(self._marks.values()):
             self.draw_mark(layer)
-        if self.isVisible():
-            self.render_views()
+        self.render_views()
 
     def _draw(self, layer: Layer) -> None:
         slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
@@ -341,3 +343,27 @@ class InspectorWindow(QMainWindow):
         box = QMessageBox(QMessageBox.Icon.NoIcon, "Shortcuts", f"<table>{rows}</table>", QMessageBox.StandardButton.Close, self)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         box.open()
+
+
+def _palette(theme: Theme) -> QPalette:
+    """Qt's colours of a theme."""
+    roles = {
+        QPalette.ColorRole.Window: theme.panel,
+        QPalette.ColorRole.Base: theme.field,
+        QPalette.ColorRole.AlternateBase: theme.panel,
+        QPalette.ColorRole.Button: theme.panel,
+        QPalette.ColorRole.ToolTipBase: theme.field,
+        QPalette.ColorRole.WindowText: theme.text,
+        QPalette.ColorRole.Text: theme.text,
+        QPalette.ColorRole.ButtonText: theme.text,
+        QPalette.ColorRole.ToolTipText: theme.text,
+        QPalette.ColorRole.PlaceholderText: theme.soft_text,
+        QPalette.ColorRole.Highlight: theme.accent,
+        QPalette.ColorRole.HighlightedText: theme.field,
+    }
+    palette = QPalette()
+    for role, color in roles.items():
+        palette.setColor(role, QColor(*color))
+    for role in (QPalette.ColorRole.WindowText, QPalette.ColorRole.Text, QPalette.ColorRole.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, role, QColor(*theme.soft_text))
+    return palette
