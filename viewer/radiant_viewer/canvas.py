@@ -24,7 +24,7 @@ from radiant_viewer.themes import LIGHT, Theme, themed
 from radiant_viewer.view_pose import ViewPose
 
 CLICK_PX = 4
-CLOUD_POINT_PX = 2.0
+CLOUD_POINT_PX, CLOUD_POINT_3D_PX = 2.6, 3.2
 TOP_SLOT = 400
 """Slot of the map on which marks of selections and tools lie: above a hundred layers."""
 Clicked = Callable[["Canvas", tuple[int, int]], bool]
@@ -69,7 +69,7 @@ class Canvas:
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in self.actors[layer.name][-1:]:
                 # A view of the window is a quarter of a picture's size: points as large would bury what lies below.
-                actor.prop.point_size = CLOUD_POINT_PX
+                actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
         if layer.labels and self.is_map:
             self.actors[layer.name].append(self._labels(layer, height))
         self.show(layer.name, visible)

@@ -61,8 +61,11 @@ class InspectorWindow(QMainWindow):
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
         splitter.setSizes([320, 320])
         self.setCentralWidget(splitter)
-        known = [name for name in HIDDEN_AT_FIRST if subject.run is not None]
-        self.layer_dock = LayerDock(self, self.layers, frozenset(known), self._on_visibility)
+        # Where there are no sparse points below them, the Gaussians are the ground.
+        has_ground = any(layer.name == "Sparse points" for layer in self.layers)
+        self.layer_dock = LayerDock(
+            self, self.layers, HIDDEN_AT_FIRST if has_ground else HIDDEN_AT_FIRST - {"Gaussians"}, self._on_visibility
+        )
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
