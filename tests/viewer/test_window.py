@@ -307,7 +307,7 @@ def run_python(code: str, *arguments: str, **environment: str) -> subprocess.Com
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     env = {name: value for name, value in os.environ.items() if name not in hidden} | environment
     command = [sys.executable, "-W", "error", "-c", code, *arguments]
-    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=900, check=False)
+    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=120, check=False)
 
 
 def test_the_window_of_a_run(tmp_path: Path, display: str) -> None:

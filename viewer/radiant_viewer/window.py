@@ -276,7 +276,7 @@ class InspectorWindow(QMainWindow):
                 button.setToolTip(f"{tip} ({key})")
                 button.setShortcut(QKeySequence(key))
             else:
-                QShortcut(QKeySequence(key), self, activated=action)
+                QShortcut(QKeySequence(key), self).activated.connect(action)
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
             ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
