@@ -102,6 +102,7 @@ class SplatDock(QDockWidget):
         camera, key = self._camera(1)
         if key != self._last_key:
             self._last_key, self._moved_s = key, time.monotonic()
+            self.shown_is_full = False
         if not process.is_ready or process.is_busy:
             return
         rests = time.monotonic() - self._moved_s > REST_S
