@@ -304,7 +304,7 @@ def evaluate(
 
 @app.command()
 def inspect(
-    run_folder: RunFolder,
+    run_folder: Annotated[Path, typer.Argument(help="A run, or for the window a 3DGS .ply file.", show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
     size: SizeOption = "1280x900",
@@ -316,9 +316,10 @@ def inspect(
     from radiant_app import commands
 
     if screenshot is None:
+        from radiant_app.inspect_feeds import feeds_of
         from radiant_viewer.inspector import open_window
 
-        raise typer.Exit(open_window(run_folder))
+        raise typer.Exit(open_window(run_folder, feeds_of(run_folder)))
     from radiant_app.quantities import size_wh_of
 
     typer.echo(commands.screenshot(run_folder, view, screenshot, size_wh_of(size), camera))

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidget
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers import Layer
-from radiant_viewer.palette import INK, ColorArray, heat_table
+from radiant_viewer.palette import GREY, ColorArray, heat_table
 
 NAME, SOLO = 0, 1
 MAX_OPEN_ROWS = 8
@@ -30,7 +30,8 @@ class LayerDock(QDockWidget):
         self.tree.header().setSectionResizeMode(NAME, QHeaderView.ResizeMode.Stretch)
         self.tree.header().setSectionResizeMode(SOLO, QHeaderView.ResizeMode.ResizeToContents)
         self.tree.headerItem().setToolTip(SOLO, "Show this layer alone; clear the box to see the others again")
-        self.tree.setIndentation(14)
+        self.tree.setIndentation(12)
+        self.tree.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self._items: dict[str, QTreeWidgetItem] = {}
         for layer in reversed(layers):
             self._add(layer, visible=layer.name not in hidden)
@@ -77,9 +78,10 @@ class LayerDock(QDockWidget):
         item.setCheckState(SOLO, Qt.CheckState.Unchecked)
         item.setToolTip(NAME, f"Show or hide {layer.name}")
         item.setToolTip(SOLO, f"Show {layer.name} alone")
-        _add_legend(item, layer)
         self._items[layer.name] = item
+        # Rows span both columns only once they are in the tree.
         self.tree.insertTopLevelItem(0 if on_top else self.tree.topLevelItemCount(), item)
+        _add_legend(item, layer)
         item.setExpanded(visible and len(layer.legend) <= MAX_OPEN_ROWS)
 
     def _item(self, name: str) -> QTreeWidgetItem:
@@ -116,8 +118,8 @@ def _check_state(checked: bool) -> Qt.CheckState:
 
 
 def color_icon(colors: ColorArray) -> QIcon:
-    """An icon with a dark rim from colours (1,K,3), one or a whole scale from left to right."""
-    icon = np.tile(np.array(INK, np.uint8), (14, 14, 1))
+    """An icon with a grey rim, seen on light and on dark ground, from colours (1,K,3), one or a whole scale from left to right."""
+    icon = np.tile(np.array(GREY, np.uint8), (14, 14, 1))
     columns = np.linspace(0, colors.shape[1] - 1, 12).round().astype(int)
     icon[1:-1, 1:-1] = colors[:, columns]
     return QIcon(QPixmap.fromImage(QImage(icon.tobytes(), 14, 14, 42, QImage.Format.Format_RGB888)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QPushButton, QSlider, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSlider, QToolButton, QVBoxLayout, QWidget
 
 from radiant_core.errors import BadInput
 from radiant_viewer.images import Image, load_image
@@ -42,10 +42,11 @@ class PhotoDock(QDockWidget):
         self.name = QLabel("No camera is selected")
         self.name.setStyleSheet("font-weight: 600")
         self.name.setSizePolicy(self.name.sizePolicy().horizontalPolicy().Ignored, self.name.sizePolicy().verticalPolicy())
-        self.previous, self.next = QPushButton("‹ Worse"), QPushButton("Better ›")
+        self.previous, self.next, self.worst = QToolButton(), QToolButton(), QToolButton()
+        for button, text in ((self.previous, "‹ Worse"), (self.next, "Better ›"), (self.worst, "Worst")):
+            button.setText(text)
         self.previous.setToolTip("The next worse held-out photograph (Alt+Left)")
         self.next.setToolTip("The next better held-out photograph (Alt+Right)")
-        self.worst = QPushButton("Worst")
         self.worst.setToolTip("The held-out photograph with the lowest PSNR (W)")
         self.previous.clicked.connect(lambda: self.step(-1))
         self.next.clicked.connect(lambda: self.step(1))
@@ -116,7 +117,9 @@ class PhotoDock(QDockWidget):
             return {}
 
     def _show(self) -> None:
-        wanted = PAIRS[self.mode.currentIndex()] if self.mode.currentIndex() < len(PAIRS) else (SINGLES[self.mode.currentIndex() - len(PAIRS)],)
+        wanted = (
+            PAIRS[self.mode.currentIndex()] if self.mode.currentIndex() < len(PAIRS) else (SINGLES[self.mode.currentIndex() - len(PAIRS)],)
+        )
         pictures = self._pictures
         if not pictures:
             self.picture.show_picture(None, message=self.picture.message)
@@ -130,8 +133,11 @@ class PhotoDock(QDockWidget):
 
     def _text(self, name: str) -> str:
         known = self._figures.get(name, {})
-        parts = [f"{figure.heading.replace(' (dB)', '')} {known[figure.key]:.{figure.decimals}f}{' dB' * ('(dB)' in figure.heading)}"
-                 for figure in FIGURES if figure.key in known]
+        parts = [
+            f"{figure.heading.replace(' (dB)', '')} {known[figure.key]:.{figure.decimals}f}{' dB' * ('(dB)' in figure.heading)}"
+            for figure in FIGURES
+            if figure.key in known
+        ]
         if name in self.worst_first:
             parts.insert(0, f"{_place(self.worst_first.index(name) + 1)} of {len(self.worst_first)}")
         return "   ·   ".join(parts) or "Trained on: figures are measured on held-out photographs."

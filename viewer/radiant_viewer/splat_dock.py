@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -18,6 +19,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
+from radiant_viewer.images import Image
 from radiant_viewer.picture_label import PictureLabel
 from radiant_viewer.splat_process import Frame, Kind, SplatProcess
 
@@ -64,6 +66,7 @@ class SplatDock(QDockWidget):
         self.setWidget(body)
         self.decision: Decision | None = None
         self.shown_is_full = False
+        self.last_image: Image | None = None
         self._processes: dict[Kind, SplatProcess] = {}
         self._seconds: dict[Kind, float] = {}
         self._trial: tuple[Kind, int] | None = None
@@ -99,7 +102,8 @@ class SplatDock(QDockWidget):
         camera, key = self._camera(1)
         if key != self._last_key:
             self._last_key, self._moved_s = key, time.monotonic()
-        if process is None or not process.is_ready or process.is_busy:
+            self.shown_is_full = False
+        if not process.is_ready or process.is_busy:
             return
         rests = time.monotonic() - self._moved_s > REST_S
         if rests and self._drawn == (key, True):
@@ -119,11 +123,11 @@ class SplatDock(QDockWidget):
         key = camera.cam_from_world.tobytes() + camera.Ks.tobytes() + self._window.theme.name.encode() + self.kind.encode()
         return camera, key + (b"" if box is None else box.tobytes())
 
-    def _process(self, kind: Kind) -> SplatProcess | None:
+    def _process(self, kind: Kind) -> SplatProcess:
         if kind not in self._processes:
             process = SplatProcess(self, kind, self.ply_path)
-            process.drawn.connect(lambda frame, kind=kind: self._on_drawn(kind, frame))
-            process.failed.connect(lambda reason, kind=kind: self._on_failed(kind, reason))
+            process.drawn.connect(partial(self._on_drawn, kind))
+            process.failed.connect(partial(self._on_failed, kind))
             self._processes[kind] = process
         return self._processes[kind]
 
@@ -131,15 +135,24 @@ class SplatDock(QDockWidget):
         if frame.request == 1:
             self._on_trial(kind, frame)
             return
+        self.last_image = frame.image
         self.picture.show_picture(frame.image)
         self._drawn = self._asked
         self.shown_is_full = self._drawn is not None and self._drawn[1]
         width, height = frame.image.shape[1], frame.image.shape[0]
         detail = "full" if self.shown_is_full else "coarse while moving"
-        why = "" if self.decision is None or self.choice.currentIndex() else f" · {self.decision.reason}"
-        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms, {detail}{why}")
+        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms, {detail}{self._why()}")
         if self.decision is not None:
             self.note.setToolTip(self.decision.reason)
+
+    def _why(self) -> str:
+        """What decided between the renderers, where that decided."""
+        if self.decision is None or self.choice.currentIndex():
+            return ""
+        others = [
+            f"{NAMES[kind]} {1000 * seconds:.0f} ms" for kind, seconds in self._seconds.items() if NAMES[kind] != self.decision.choice
+        ]
+        return f" ({', '.join(others) or 'the other does not run here'})"
 
     def _compare(self) -> None:
         """Once a full picture stands, let both renderers draw it in turn and take the faster one."""
@@ -147,12 +160,14 @@ class SplatDock(QDockWidget):
             return
         kind, number = self._trial or ("own", 0)
         process = self._process(kind)
-        if process is not None and process.is_ready and not process.is_busy:
+        if process.is_ready and not process.is_busy:
             self._trial = (kind, number)
             process.ask(1, self._camera(1)[0], self._window.theme.view, None)
 
     def _on_trial(self, kind: Kind, frame: Frame) -> None:
-        assert self._trial is not None
+        if self._trial is None:
+            # Somebody chose a renderer while it was tried.
+            return
         self._seconds[kind] = frame.seconds
         number = self._trial[1] + 1
         if number < TRIALS:

@@ -12,14 +12,14 @@ from typing import TypeVar
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer, Signal
-from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
+from PySide6.QtGui import QAction, QCloseEvent, QColor, QKeySequence, QPalette, QShortcut, QShowEvent
+from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
 
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
 from radiant_viewer.camera_layer import highlight_layer
 from radiant_viewer.canvas import TOP_SLOT, Canvas
-from radiant_viewer.docks import Docks, add_docks
+from radiant_viewer.docks import Docks, add_docks, share_room
 from radiant_viewer.images import Image, save_png
 from radiant_viewer.layer_dock import LayerDock
 from radiant_viewer.layers import Layer, drawn_positions
@@ -32,6 +32,7 @@ from radiant_viewer.view_pose import pose_of_camera
 HIDDEN_AT_FIRST = frozenset({"Device strips", "Gaussians", "Cameras by device", "Cameras by split", "Cameras by PSNR"})
 """Layers that cover others: one click away."""
 SELECTED = "Selected camera"
+SIZE_WH = (1280, 800)
 PICK_PX = 14
 """A click this near to a camera selects it."""
 _Result = TypeVar("_Result")
@@ -51,17 +52,20 @@ class InspectorWindow(QMainWindow):
         self.theme: Theme = LIGHT
         self.selected: int | None = None
         self._marks: dict[str, Layer] = {}
-        self._is_drawing = False
+        self._was_shown = False
+        self._dark_button: list[QAction] = []
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
-        self.resize(1280, 800)
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
         splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin)
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
         splitter.setSizes([320, 320])
         self.setCentralWidget(splitter)
-        known = [name for name in HIDDEN_AT_FIRST if subject.run is not None]
-        self.layer_dock = LayerDock(self, self.layers, frozenset(known), self._on_visibility)
+        # Where there are no sparse points below them, the Gaussians are the ground.
+        has_ground = any(layer.name == "Sparse points" for layer in self.layers)
+        self.layer_dock = LayerDock(
+            self, self.layers, HIDDEN_AT_FIRST if has_ground else HIDDEN_AT_FIRST - {"Gaussians"}, self._on_visibility
+        )
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
@@ -169,6 +173,11 @@ class InspectorWindow(QMainWindow):
     def set_theme(self, name: ThemeName) -> None:
         """Light or dark, views included."""
         self.theme = THEMES[name]
+        for button in self._dark_button:
+            button.blockSignals(True)
+            button.setChecked(name == "dark")
+            button.blockSignals(False)
+        QApplication.setPalette(_palette(self.theme))
         self.setStyleSheet(style_sheet(self.theme))
         for canvas in (self.map, self.view):
             canvas.set_theme(self.theme)
@@ -182,7 +191,9 @@ class InspectorWindow(QMainWindow):
         self.render_views()
 
     def render_views(self) -> None:
-        """Draw both views now."""
+        """Draw both views now; before the window is shown there is nothing to draw into."""
+        if not self.isVisible():
+            return
         for canvas in (self.map, self.view):
             canvas.render()
 
@@ -225,7 +236,12 @@ class InspectorWindow(QMainWindow):
         super().closeEvent(event)
 
     def _on_first_shown(self) -> None:
-        if self.isVisible():
+        if self.isVisible() and not self._was_shown:
+            self._was_shown = True
+            # Before the docks are laid out Qt takes a window for wider than it needs to be.
+            room = self.screen().availableSize()
+            self.resize(min(SIZE_WH[0], room.width()), min(SIZE_WH[1], room.height()))
+            share_room(self)
             self.reset_views()
 
     def _add_actions(self) -> None:
@@ -260,7 +276,7 @@ class InspectorWindow(QMainWindow):
                 button.setToolTip(f"{tip} ({key})")
                 button.setShortcut(QKeySequence(key))
             else:
-                QShortcut(QKeySequence(key), self, activated=action)
+                QShortcut(QKeySequence(key), self).activated.connect(action)
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
             ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
@@ -273,6 +289,8 @@ class InspectorWindow(QMainWindow):
             button.setToolTip(f"{tip} ({key})")
             button.setShortcut(QKeySequence(key))
             button.toggled.connect(toggle)
+            if text == "Dark":
+                self._dark_button.append(button)
             if text == "Crop" and crop is not None:
                 crop.active.toggled.connect(button.setChecked)
 
@@ -292,8 +310,7 @@ class InspectorWindow(QMainWindow):
             self._draw(layer)
         for layer in list(self._marks.values()):
             self.draw_mark(layer)
-        if self.isVisible():
-            self.render_views()
+        self.render_views()
 
     def _draw(self, layer: Layer) -> None:
         slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
@@ -336,3 +353,27 @@ class InspectorWindow(QMainWindow):
         box = QMessageBox(QMessageBox.Icon.NoIcon, "Shortcuts", f"<table>{rows}</table>", QMessageBox.StandardButton.Close, self)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         box.open()
+
+
+def _palette(theme: Theme) -> QPalette:
+    """Qt's colours of a theme."""
+    roles = {
+        QPalette.ColorRole.Window: theme.panel,
+        QPalette.ColorRole.Base: theme.field,
+        QPalette.ColorRole.AlternateBase: theme.panel,
+        QPalette.ColorRole.Button: theme.panel,
+        QPalette.ColorRole.ToolTipBase: theme.field,
+        QPalette.ColorRole.WindowText: theme.text,
+        QPalette.ColorRole.Text: theme.text,
+        QPalette.ColorRole.ButtonText: theme.text,
+        QPalette.ColorRole.ToolTipText: theme.text,
+        QPalette.ColorRole.PlaceholderText: theme.soft_text,
+        QPalette.ColorRole.Highlight: theme.accent,
+        QPalette.ColorRole.HighlightedText: theme.field,
+    }
+    palette = QPalette()
+    for role, color in roles.items():
+        palette.setColor(role, QColor(*color))
+    for role in (QPalette.ColorRole.WindowText, QPalette.ColorRole.Text, QPalette.ColorRole.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, role, QColor(*theme.soft_text))
+    return palette
