@@ -18,6 +18,7 @@ from radiant_core.plan.system import System
 from radiant_viewer.edit_log import KeptEdits, edit_of_record, edit_record, load_edits, plan_key, save_edits
 from radiant_viewer.edited_plan import PlanSubject, dragged_weight_m2
 from radiant_viewer.plan_difference import plan_difference
+from radiant_viewer.plan_editor import PlanEditor
 from radiant_viewer.plan_edits import (
     AddDevice,
     AddEdge,
@@ -33,7 +34,6 @@ from radiant_viewer.plan_edits import (
     RemoveEdge,
     SetSlack,
 )
-from radiant_viewer.plan_editor import PlanEditor
 
 Plan = tuple[CloudPlan, tuple[EdgePlan, ...]]
 UTM = (5.0e5, 5.2e6)
