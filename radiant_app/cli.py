@@ -291,17 +291,19 @@ def evaluate(
 
 @app.command()
 def inspect(
-    run_folder: RunFolder,
+    run_folder: Annotated[Path, typer.Argument(help="Folder of a run; a plan, or the folder it lies in; a .ply.", show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
+    system: Annotated[Path | None, typer.Option(help="TOML of edges and devices with which the plan is changed; else its own.")] = None,
+    scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.")] = None,
 ) -> None:
-    """Regions, cameras, seams and splats of a run: in a window, or as a picture."""
+    """Regions, cameras, seams and splats of a run, or a plan to be changed: in a window, or as a picture."""
     from radiant_app import commands
 
     if screenshot is None:
-        from radiant_viewer.inspector import open_window
+        from radiant_app.inspect_command import open_inspector
 
-        raise typer.Exit(open_window(run_folder))
+        raise typer.Exit(open_inspector(run_folder, system, scene))
     typer.echo(commands.screenshot(run_folder, view, screenshot))
 
 

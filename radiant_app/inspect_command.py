@@ -28,10 +28,10 @@ def plan_file_of(source: Path) -> Path | None:
     Raises BadInput for a folder with several plans.
     """
     if source.is_file():
-        return source
+        return source if source.suffix == ".json" else None
     if not source.is_dir() or (source / "manifest.json").is_file():
         return None
-    found = [path for path in sorted(source.glob("*.json")) if _is_plan(path)]
+    found = [path for path in sorted(source.glob("*.json")) if not path.stem.endswith("_start") and _is_plan(path)]
     if len(found) > 1 and source / "plan.json" not in found:
         raise BadInput(f"{source} holds {len(found)} plans, {found[0].name} and {found[1].name} among them: name one of the files.")
     return (source / "plan.json" if source / "plan.json" in found else found[0]) if found else None
@@ -39,37 +39,37 @@ def plan_file_of(source: Path) -> Path | None:
 
 def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None) -> int:
     """Show a run or a plan until its window is closed; returns the exit code. BadInput as `plan_file_of` and the readers."""
-    from radiant_viewer.inspector import open_plan_window, open_window
+    from radiant_viewer.inspector import open_window
 
     plan = plan_file_of(source)
     if plan is None:
         if scene is not None:
             raise BadInput("a run knows its scene: leave out --scene, or give a plan file.")
-        return open_window(source, run_setting(source, system))
+        return open_window(source, setting=run_setting(source, system) if source.is_dir() else None)
     known = None if scene is None else training_part(load_scene_of(scene))
-    return open_plan_window(plan, known, plan_setting(plan, system))
+    return open_window(plan, setting=plan_setting(plan, system), scene=known)
 
 
 def run_setting(run: Path, system: Path | None = None) -> PlanSetting:
     """With which machines the plan of a run may be changed: those it was planned for."""
     reason = f"The plan cannot be changed: {run.name} has no {SYSTEM_NAME}, it was planned by an earlier version; name one by --system."
-    return _setting(system or run / SYSTEM_NAME, reason, run / f"plan{EDITS}", None)
+    own = run / SYSTEM_NAME
+    return _setting(system or (own if own.is_file() else None), reason, run / f"plan{EDITS}", None)
 
 
 def plan_setting(plan: Path, system: Path | None = None) -> PlanSetting:
     """As `run_setting`, of a plan file."""
     places = [path for path in (beside(plan, SYSTEM), plan.parent / SYSTEM_NAME) if path.is_file()]
-    chosen = system or (places[0] if places else plan.parent / SYSTEM_NAME)
     reason = "The plan cannot be changed: its machines are not known; name the system file it was made with by --system."
-    return _setting(chosen, reason, beside(plan, EDITS), load_plan_waypoints(plan))
+    return _setting(system or (places[0] if places else None), reason, beside(plan, EDITS), load_plan_waypoints(plan))
 
 
-def _setting(system: Path, reason: str, keep_in: Path, waypoints: Waypoints | None) -> PlanSetting:
+def _setting(system: Path | None, reason: str, keep_in: Path, waypoints: Waypoints | None) -> PlanSetting:
     from radiant_viewer.plan_files import PlanSetting
 
     return PlanSetting(
-        system=load_system(system, curves=True) if system.is_file() else None,
-        reason="" if system.is_file() else reason,
+        system=None if system is None else load_system(system, curves=True),
+        reason=reason if system is None else "",
         keep_in=keep_in,
         waypoints=waypoints,
         system_text=dump_system,

@@ -43,7 +43,7 @@ class PlanEditor:
         self._key = plan_key(*plan)
         self._done: list[_Step] = []
         self._undone: list[_Step] = []
-        self._pending: Edit | None = None
+        self._pending: tuple[Edit, ...] = ()
         self.keeping_failed = ""
         """Why edits cannot be kept, one sentence, empty where they are."""
 
@@ -92,22 +92,22 @@ class PlanEditor:
             raise
         return self.finish(edit, after)
 
-    def begin(self, edit: Edit) -> None:
-        """Keep an edit in the file before it is solved."""
-        self._pending = edit
+    def begin(self, *edits: Edit) -> None:
+        """Keep an edit, and those that wait behind it, in the file before it is solved."""
+        self._pending = edits
         self._keep()
 
     def finish(self, edit: Edit, after: EditedPlan) -> EditedPlan:
         """Take the plan that an edit gave on the present state; what was undone before can no longer be redone."""
         self._done.append(_Step(edit=edit, after=after))
         self._undone.clear()
-        self._pending = None
+        self._pending = ()
         self._keep()
         return after
 
     def abandon(self) -> None:
         """The edit that was begun could not be done."""
-        self._pending = None
+        self._pending = ()
         self._keep()
 
     def undo(self) -> EditedPlan:
@@ -162,10 +162,9 @@ class PlanEditor:
     def _keep(self) -> None:
         if self.keep_in is None:
             return
-        pending = () if self._pending is None else (self._pending,)
         # With an edit on the way, what was undone before is out of reach.
-        undone = () if pending else tuple(step.edit for step in self._undone)
-        kept = KeptEdits(done=(*self.edits, *pending), undone=undone)
+        undone = () if self._pending else tuple(step.edit for step in self._undone)
+        kept = KeptEdits(done=(*self.edits, *self._pending), undone=undone)
         self.keeping_failed = ""
         try:
             if kept.done or kept.undone:

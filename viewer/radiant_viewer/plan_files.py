@@ -26,6 +26,8 @@ from radiant_viewer.edited_plan import EditedPlan, PlanSubject
 from radiant_viewer.plan_edits import AdoptPlan
 from radiant_viewer.run_view import RunView
 
+SAME_PLACE_M = 1e-6
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSetting:
@@ -56,7 +58,7 @@ def subject_of(run: RunView) -> PlanSubject:
 
 
 def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting: PlanSetting) -> tuple[Path, ...]:
-    """Write a plan and what goes with it; returns the files. BadInput for a name that does not end in .json, or where nothing can be written."""
+    """Write a plan and what goes with it; returns the files. BadInput for a name that does not end in .json, and as `write_atomic`."""
     if path.suffix != ".json":
         raise BadInput(f"{path.name} is no name for a plan: choose one that ends in .json.")
     waypoints, shift = _on_the_globe(subject, setting)
@@ -89,7 +91,9 @@ def load_other_plan(path: Path, subject: PlanSubject) -> AdoptPlan:
             raise BadInput(f"{path.name} is a plan of other cameras, {strange!r} for one: open it by itself.")
         cloud, edges = _reordered((cloud, edges), waypoints.names, subject.names)
         if subject.origin is not None:
-            cloud, edges = moved_plan((cloud, edges), enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2])
+            shift = enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]
+            # The same origin gives roundings, which would change the plan's bits.
+            cloud, edges = moved_plan((cloud, edges), shift if np.hypot(*shift) > SAME_PLACE_M else np.zeros(2))
     return AdoptPlan(name=path.name, cloud=cloud, edges=edges)
 
 

@@ -23,6 +23,8 @@ from radiant_viewer.camera_roles import camera_roles
 from radiant_viewer.run_view import RunView
 
 IMAGE_WIDTH_PX = 4000
+HIGHEST_FLIGHT_M = 500.0
+"""Larger altitudes are heights above the sea, as for `radiant plan`."""
 
 
 def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
@@ -50,9 +52,10 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
 
 
 def scene_before_capture(waypoints: Waypoints, optics: Optics | None = None) -> SfmScene:
-    """The cameras that waypoints will become, without points, in metres about the waypoints' origin."""
+    """The cameras that waypoints will become, without points, in metres about the waypoints' origin; z counts from the ground, which is
+    at altitude 0 where flights may be that high, and else from the lowest waypoint."""
     optics = optics or Optics()
-    positions = waypoints.positions_m
+    positions = _above_ground(waypoints)
     views = views_before_capture(positions[:, :2], np.ones(len(positions)), optics, waypoints.heading_pitch_deg)
     return SfmScene(
         cameras=_looking(waypoints.names, positions, views.corner_rays, optics),
@@ -61,6 +64,14 @@ def scene_before_capture(waypoints: Waypoints, optics: Optics | None = None) -> 
         observations=np.zeros((0, 2), np.int64),
         frame=Frame(kind="metric", origin_lat_lon_alt=waypoints.origin),
     )
+
+
+def _above_ground(waypoints: Waypoints) -> FloatArray:
+    positions = waypoints.positions_m.copy()
+    altitudes = waypoints.lat_lon_alt[:, 2]
+    is_above_ground = altitudes.min() > 0 and altitudes.max() <= HIGHEST_FLIGHT_M
+    positions[:, 2] += waypoints.origin[2] - (0.0 if is_above_ground else float(altitudes.min()))
+    return positions
 
 
 def _looking(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:

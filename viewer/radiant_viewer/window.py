@@ -24,12 +24,17 @@ from radiant_viewer.images import Image, save_png
 from radiant_viewer.layer_dock import LayerDock
 from radiant_viewer.layers import Layer, drawn_positions
 from radiant_viewer.measure_tool import MeasureTool
+from radiant_viewer.plan_files import PlanSetting
+from radiant_viewer.planning import Planning, add_planning
 from radiant_viewer.run_feeds import RunFeeds
+from radiant_viewer.run_view import RunView
 from radiant_viewer.subject import Subject
 from radiant_viewer.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet
 from radiant_viewer.view_pose import pose_of_camera
 
-HIDDEN_AT_FIRST = frozenset({"Device strips", "Gaussians", "Cameras by device", "Cameras by split", "Cameras by PSNR"})
+HIDDEN_AT_FIRST = frozenset(
+    {"Device strips", "Gaussians", "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"}
+)
 """Layers that cover others: one click away."""
 SELECTED = "Selected camera"
 PICK_PX = 14
@@ -42,7 +47,9 @@ class InspectorWindow(QMainWindow):
 
     wants_reload = Signal()
 
-    def __init__(self, subject: Subject, feeds: RunFeeds | None = None, theme: ThemeName = "light") -> None:
+    def __init__(
+        self, subject: Subject, feeds: RunFeeds | None = None, theme: ThemeName = "light", setting: PlanSetting | None = None
+    ) -> None:
         super().__init__()
         self.subject, self.run = subject, subject.run
         self.layers: list[Layer] = list(subject.layers)
@@ -67,6 +74,7 @@ class InspectorWindow(QMainWindow):
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
         self.docks: Docks = add_docks(self, subject.run, subject.splats, feeds or RunFeeds(), subject.unit)
+        self.planning: Planning | None = add_planning(self, setting)
         self._add_actions()
         self.set_theme(theme)
         self.tell(subject.summary)
@@ -100,6 +108,17 @@ class InspectorWindow(QMainWindow):
             self.layers.append(layer)
         self.layer_dock.update_legend(layer)
         self._draw(layer)
+
+    def draw_on_map(self, layer: Layer) -> None:
+        """Draw a layer on the map alone, as in a drag; `replace_layer` ends it."""
+        slot = next((index for index, other in enumerate(self.layers) if other.name == layer.name), len(self.layers))
+        self.map.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
+
+    def take_run(self, run: RunView) -> None:
+        """Show the same run with another plan, as after an edit."""
+        self.run = run
+        if self.docks.cameras is not None:
+            self.docks.cameras.take_run(run)
 
     def visible_layers(self) -> list[Layer]:
         """Those that are drawn now, from the ground up."""
@@ -220,6 +239,8 @@ class InspectorWindow(QMainWindow):
                 dock.end()
         if self.docks.fly is not None:
             self.docks.fly.stop()
+        if self.planning is not None:
+            self.planning.end()
         for canvas in (self.map, self.view):
             canvas.plotter.close()
         super().closeEvent(event)
@@ -262,6 +283,7 @@ class InspectorWindow(QMainWindow):
             else:
                 QShortcut(QKeySequence(key), self, activated=action)
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
+            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", self.planning.set_active)] if self.planning else []),
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
             ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
             ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: self.set_theme("dark" if dark else "light")),
