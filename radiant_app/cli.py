@@ -298,13 +298,11 @@ def inspect(
     scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.")] = None,
 ) -> None:
     """Regions, cameras, seams and splats of a run, or a plan to be changed: in a window, or as a picture."""
-    from radiant_app import commands
+    from radiant_app.inspect_command import open_inspector, save_picture
 
     if screenshot is None:
-        from radiant_app.inspect_command import open_inspector
-
         raise typer.Exit(open_inspector(run_folder, system, scene))
-    typer.echo(commands.screenshot(run_folder, view, screenshot))
+    typer.echo(save_picture(run_folder, view, screenshot, scene))
 
 
 @app.command()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from radiant_app import commands
 from radiant_app.commands import training_part
 from radiant_app.constraints_file import dump_constraints
 from radiant_app.plan_pictures import SYSTEM, beside
@@ -48,6 +49,27 @@ def open_inspector(source: Path, system: Path | None = None, scene: Path | None 
         return open_window(source, setting=run_setting(source, system) if source.is_dir() else None)
     known = None if scene is None else training_part(load_scene_of(scene))
     return open_window(plan, setting=plan_setting(plan, system), scene=known)
+
+
+def save_picture(source: Path, view: str, path: Path, scene: Path | None = None) -> str:
+    """Write one view of a run, or of a plan as PNG; BadInput where there is no such view of it."""
+    plan = plan_file_of(source)
+    if plan is None:
+        return commands.screenshot(source, view, path)
+    if path.suffix.lower() != ".png" or not path.parent.is_dir():
+        raise BadInput(f"cannot write {path}: give a name that ends in .png in a folder that exists.")
+    if view not in ("regions", "cameras"):
+        raise BadInput(f"a plan has no {view} yet, nothing was trained: use --view regions or cameras.")
+    from radiant_viewer.images import save_png
+    from radiant_viewer.plan_view import load_plan_view
+    from radiant_viewer.views import cameras_picture, plan_picture
+
+    shown = load_plan_view(plan, None if scene is None else training_part(load_scene_of(scene)))
+    if view == "regions":
+        save_png(path, plan_picture(shown.scene, shown.cloud_plan, shown.edge_plans))
+    else:
+        save_png(path, cameras_picture(shown.scene, shown.roles))
+    return f"written: {path}"
 
 
 def run_setting(run: Path, system: Path | None = None) -> PlanSetting:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from shapely.geometry import Point, Polygon
+from shapely.geometry import box as shapely_box
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.constraints import PlanConstraints
@@ -63,15 +64,20 @@ def test_footprint_layers_have_outlines_cells_and_say_what_sees_nothing() -> Non
     town = made_up_town()
     footprints = footprints_of(town)
     roles = camera_roles(town.scene.cameras, town.cloud_plan, town.edge_plans, ())
-    assert len(footprint_layer(footprints, roles).segments) == 24 * 8
+    outlines = footprint_layer(footprints, roles, town.cloud_plan)
+    low, high = (getattr(np.concatenate(town.cloud_plan.borders), end)(axis=0) for end in ("min", "max"))
+    assert ((outlines.segments[..., :2] >= low - 1e-9) & (outlines.segments[..., :2] <= high + 1e-9)).all()
+    box = shapely_box(*low, *high)
+    lengths = sum(Polygon(polygon).exterior.intersection(box).length for polygon in footprints.polygons)
+    assert np.linalg.norm(np.diff(outlines.segments, axis=1), axis=2).sum() == pytest.approx(lengths)
     layer = overlap_layer(footprints, town.cloud_plan, cells_a_side=20)
     assert layer.heat is not None and layer.heat.high > 1 and 0 < len(layer.polygons) <= 20 * 12
     blind = Footprints(polygons=footprints.polygons, areas_m2=np.zeros(24))
-    assert "Without sight of the ground: 24" in footprint_layer(blind, roles).legend[-1].text
+    assert "Without sight of the ground: 24" in footprint_layer(blind, roles, town.cloud_plan).legend[-1].text
     assert overlap_layer(blind, town.cloud_plan).polygons == ()
     assert np.isnan(neighbours_of(blind)).all()
     with pytest.raises(BadInput, match="give one each"):
-        footprint_layer(Footprints(polygons=footprints.polygons[:3], areas_m2=footprints.areas_m2[:3]), roles)
+        footprint_layer(Footprints(polygons=footprints.polygons[:3], areas_m2=footprints.areas_m2[:3]), roles, town.cloud_plan)
     with pytest.raises(BadInput, match="give regions"):
         overlap_layer(footprints, replace(town.cloud_plan, borders=(np.zeros((0, 2)),) * 3))
 

@@ -14,7 +14,8 @@ from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.layers import Layer, LegendEntry, at_height, outline_segments
 from radiant_viewer.palette import INK, VERMILLION, YELLOW
 
-RING_PX = 13.0
+RING_PX = 9.0
+"""By how much a ring is wider than the dot of a camera."""
 
 
 def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
@@ -25,7 +26,7 @@ def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
         name="Changed hands",
         points=shown,
         point_colors=np.tile(np.array(YELLOW, np.uint8), (len(shown), 1)),
-        point_size_px=float(np.clip(300 / np.sqrt(max(len(positions), 1)), 6.0, RING_PX)),
+        point_size_px=_ring_px(len(positions)),
         point_rim=True,
         legend=legend,
     )
@@ -65,7 +66,7 @@ def selection_layer(positions: FloatArray) -> Layer:
         name="Selection",
         points=positions,
         point_colors=np.tile(np.array(VERMILLION, np.uint8), (len(positions), 1)),
-        point_size_px=RING_PX,
+        point_size_px=_ring_px(len(positions)),
         point_rim=True,
         legend=(LegendEntry(text=f"Selected ({len(positions)})", color=VERMILLION, marker="ring"),) if len(positions) else (),
     )
@@ -75,3 +76,8 @@ def _drawn_in(border: FloatArray, share: float = 0.02) -> FloatArray:
     """A convex border (V,2) shrunk about its middle, so that two neighbours' rims do not cover each other."""
     middle = border.mean(axis=0)
     return middle + (1 - share) * (border - middle)
+
+
+def _ring_px(count: int) -> float:
+    """Around dots as `camera_layer` draws so many of them."""
+    return float(np.clip(100 / np.sqrt(max(count, 1)), 3.0, 7.0)) + RING_PX

@@ -22,8 +22,9 @@ CELLS_A_SIDE = 72
 """Cells along the longer side of the regions."""
 
 
-def footprint_layer(footprints: Footprints, roles: CameraRoles, height: float = 0.0) -> Layer:
-    """The outlines of the footprints of C images in their regions' colours, evenly thinned above 2,000; BadInput for other numbers."""
+def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
+    """The outlines of the footprints of C images in their regions' colours, cut where the regions' box ends and evenly thinned above 2,000;
+    BadInput for other numbers."""
     if len(footprints) != len(roles.edge_of_camera):
         raise BadInput(f"there are {len(footprints)} footprints of {len(roles.edge_of_camera)} cameras: give one each.")
     seeing = np.flatnonzero(footprints.areas_m2 > 0)
@@ -32,13 +33,17 @@ def footprint_layer(footprints: Footprints, roles: CameraRoles, height: float = 
     corners = footprints.polygons[shown]
     sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     colors = np.concatenate([category_colors(len(roles.edge_ids)), np.array([WHITE], np.uint8)])[roles.edge_of_camera[shown]]
+    box = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
+    kept = np.zeros(len(sides), bool)
+    if len(box):
+        sides, kept = _clipped(sides, box.min(axis=0), box.max(axis=0))
     text = f"Footprint of an image ({len(seeing)})" if every == 1 else f"Footprint, one of {every} of {len(seeing)}"
     blind = len(footprints) - len(seeing)
     more = (LegendEntry(text=f"Without sight of the ground: {blind}", color=WHITE, marker="line"),) if blind else ()
     return Layer(
         name="Footprints",
-        segments=np.concatenate([sides, np.full((*sides.shape[:2], 1), height)], axis=2),
-        segment_colors=np.repeat(colors, corners.shape[1], axis=0),
+        segments=np.concatenate([sides, np.full((*sides.shape[:2], 1), height)], axis=2)[kept],
+        segment_colors=np.repeat(colors, corners.shape[1], axis=0)[kept],
         line_width_px=1.2,
         legend=(LegendEntry(text=text, color=BLUE, marker="line"), *more),
     )
@@ -80,3 +85,18 @@ def overlap_counts(footprints: Footprints, low: FloatArray, size: float, shape_x
             inside &= (there[0] - here[0]) * (y - here[1]) - (there[1] - here[1]) * (x - here[0]) >= 0
         counts[first[1] : last[1], first[0] : last[0]] += inside
     return counts
+
+
+def _clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Segments (S,2,2) cut to a box, and which of them (S,) have a part in it (Liang, Barsky 1984)."""
+    start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([(low - start) / along, (high - start) / along])
+    # Along an axis it does not move on, a segment is inside for its whole length or not at all.
+    level = along == 0
+    inside = (start >= low) & (start <= high)
+    first = np.where(level, np.where(inside, -np.inf, np.inf), ends.min(axis=0)).max(axis=1).clip(0, None)
+    last = np.where(level, np.where(inside, np.inf, -np.inf), ends.max(axis=0)).min(axis=1).clip(None, 1)
+    kept = first < last
+    shares = np.where(kept[:, None], np.stack([first, last], axis=1), 0.0)
+    return start[:, None] + shares[..., None] * along[:, None], kept

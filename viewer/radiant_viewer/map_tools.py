@@ -98,6 +98,7 @@ class MapTools(QObject):
         self._pressed_on: CloudPlan | None = None
         self._box_from: QPoint | None = None
         self._band = QRubberBand(QRubberBand.Shape.Rectangle, self._widget)
+        self._last_place: FloatArray | None = None
         self._borders: tuple[CloudPlan, tuple[Border, ...]] | None = None
         self._widget.setMouseTracking(True)
         self._widget.installEventFilter(self)
@@ -112,6 +113,11 @@ class MapTools(QObject):
         self.is_active = active
         self._let_go()
         self._widget.unsetCursor()
+
+    def close(self) -> None:
+        """Stop watching: the view is about to go."""
+        self.is_active = False
+        self._widget.removeEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Qt asks before the view sees an event; True keeps it from the view."""
@@ -138,8 +144,6 @@ class MapTools(QObject):
         if grip is None or cloud is None or place is None:
             return None
         return grip.edit(place, cloud)
-
-    _last_place: FloatArray | None = None
 
     def _on_press(self, event: QMouseEvent) -> bool:
         if event.modifiers() & Qt.KeyboardModifier.ShiftModifier:

@@ -84,6 +84,7 @@ class PlanDock(QDockWidget):
         area.setWidgetResizable(True)
         area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         area.setWidget(body)
+        area.setMinimumWidth(body.minimumSizeHint().width() + area.verticalScrollBar().sizeHint().width())
         self.setWidget(area)
 
     def choose(self, edge: str, device: str | None) -> None:
@@ -147,7 +148,7 @@ class PlanDock(QDockWidget):
             ("− Edge", len(editor.state.wishes.system.edges) > 1, f"Remove {edge} and its devices"),
             ("+ Device", True, f"A device more at {edge}, like {device}"),
             ("− Device", self.device is not None, f"Remove {self.device or 'the device that is chosen in the table'}"),
-            ("Free everything", bool(constraints) or editor.state.wishes.slack is not None, "Nothing locked, dragged, pinned or slack"),
+            ("Free all", bool(constraints) or editor.state.wishes.slack is not None, "Nothing locked, dragged, pinned or slack"),
         ):
             self.buttons[name].setEnabled(enabled)
             self.buttons[name].setToolTip(tip)
@@ -156,7 +157,7 @@ class PlanDock(QDockWidget):
         row = QHBoxLayout()
         for name, action in (("Undo", self._planning.undo), ("Redo", self._planning.redo)):
             row.addWidget(self._button(name, action))
-        row.addWidget(self._button("Free everything", self._planning.free_everything), stretch=1)
+        row.addWidget(self._button("Free all", self._planning.free_everything), stretch=1)
         return row
 
     def _add_cameras(self, layout: QVBoxLayout) -> None:

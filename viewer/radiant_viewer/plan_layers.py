@@ -65,7 +65,7 @@ def sight_layers(scene: SfmScene, run: RunView, ground: float) -> list[Layer]:
     if footprints is None:
         return []
     try:
-        return [overlap_layer(footprints, run.cloud_plan, ground), footprint_layer(footprints, run.roles, ground)]
+        return [overlap_layer(footprints, run.cloud_plan, ground), footprint_layer(footprints, run.roles, run.cloud_plan, ground)]
     except BadInput:
         # A plan whose regions have no borders: there is no map to lay cells on.
         return []

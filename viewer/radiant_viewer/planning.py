@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QFileDialog, QMainWindow
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtWidgets import QFileDialog
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
@@ -67,6 +66,7 @@ class Planning:
         self.session: PlanSession | None = None
         self.selected: tuple[str, ...] = ()
         self.comparison: PlanDifference | None = None
+        self._was_drawn = False
         self._footprints = scene_footprints(run.scene, ground_height(run.scene))
         self.figures: CameraFigures = self._figures_of(run)
         reason = self._open_session()
@@ -85,6 +85,11 @@ class Planning:
         self.session.busy.connect(self.dock.working.setVisible)
         told = self.session.editor.restore()
         self._show_state(restored=told)
+        if told or self.session.editor.edits:
+            count = len(self.session.editor.edits)
+            sentence = " ".join([f"{count} edit{'s' if count != 1 else ''} of the last time restored (Ctrl+Z takes them back).", *told])
+            # After the window's own greeting.
+            QTimer.singleShot(0, lambda: window.tell(sentence))
 
     def do(self, edit: Edit) -> None:
         """Do an edit beside the window; told where it cannot be."""
@@ -254,6 +259,7 @@ class Planning:
     def end(self) -> None:
         """The window closes: a drag counts as released, and what is being solved is kept in the file."""
         edit = self.tools.end_drag()
+        self.tools.close()
         if self.session is not None:
             if edit is not None:
                 self.session.edit(edit)
@@ -281,7 +287,6 @@ class Planning:
         if bottom is not None:
             window.tabifyDockWidget(bottom, self.loads)
             bottom.raise_()
-        _add_shortcuts(window, self)
 
     def _show_state(self, restored: Sequence[str] = ()) -> None:
         assert self.session is not None
@@ -301,10 +306,7 @@ class Planning:
         self._was_drawn = True
         self.dock.show_plan(state, changes)
         self.loads.show_rows(load_rows(state.cloud, state.edges, state.wishes.system, state.wishes.constraints))
-        if restored or editor.edits:
-            self.window.tell(restored[0] if restored else f"{editor.undo_text}: {editor.since_last_edit.text}")
-
-    _was_drawn = False
+        self.window.tell(f"{editor.undo_text}: {editor.since_last_edit.text}" if editor.edits else "The plan is as it was opened.")
 
     def _show_preview(self, plan: EditedPlan) -> None:
         assert self.session is not None
@@ -326,6 +328,8 @@ class Planning:
                 self.window.replace_layer(layer)
             else:
                 self.window.draw_on_map(layer)
+        if not self.window.isVisible():
+            return
         if both:
             self.window.render_views()
         else:
@@ -338,12 +342,6 @@ class Planning:
         start = self.run.folder if self.run.folder.is_dir() else self.run.folder.parent
         path, _ = QFileDialog.getOpenFileName(self.window, title, str(start), "Plan (*.json)")
         return Path(path) if path else None
-
-
-def _add_shortcuts(window: QMainWindow, planning: Planning) -> None:
-    entries = (("Ctrl+Z", planning.undo), ("Ctrl+Shift+Z", planning.redo), ("Ctrl+Shift+P", planning.ask_save))
-    for keys, action in entries:
-        QShortcut(QKeySequence(keys), window, activated=action)
 
 
 def _new_name(stem: str, taken: set[str]) -> str:

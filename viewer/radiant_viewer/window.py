@@ -254,6 +254,7 @@ class InspectorWindow(QMainWindow):
         bar.setMovable(False)
         bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
         photo, seams, fly, crop = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.crop
+        planning = self.planning
         # Text, tip, key and what is done; an entry without a text has its button in a dock.
         entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
             ("Fit", "Fit all layers into both views", "F", self.reset_views),
@@ -266,6 +267,9 @@ class InspectorWindow(QMainWindow):
             ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
             ("", "Take the last measured corner back", "Backspace", self.measure.undo),
             ("", "Add the 3D view as a keyframe", "K", fly.add_view if fly else None),
+            ("", "Undo the last edit of the plan", "Ctrl+Z", planning.undo if planning else None),
+            ("", "Redo it", "Ctrl+Shift+Z", planning.redo if planning else None),
+            ("", "Save the edited plan", "Ctrl+Shift+P", planning.ask_save if planning else None),
             ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
             ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
             ("", "Read the run anew", "F5", self.reload),
@@ -283,7 +287,7 @@ class InspectorWindow(QMainWindow):
             else:
                 QShortcut(QKeySequence(key), self, activated=action)
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
-            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", self.planning.set_active)] if self.planning else []),
+            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", planning.set_active)] if planning else []),
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
             ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
             ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: self.set_theme("dark" if dark else "light")),
