@@ -291,7 +291,7 @@ def evaluate(
 
 @app.command()
 def inspect(
-    run_folder: Annotated[Path, typer.Argument(help="Folder of a run; a plan, or the folder it lies in; a .ply.", show_default=False)],
+    run_folder: Annotated[Path, typer.Argument(help="A run; for the window also a 3DGS .ply; a plan, or its folder.", show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
     system: Annotated[Path | None, typer.Option(help="TOML of edges and devices with which the plan is changed; else its own.")] = None,

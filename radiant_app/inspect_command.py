@@ -40,13 +40,14 @@ def plan_file_of(source: Path) -> Path | None:
 
 def open_inspector(source: Path, system: Path | None = None, scene: Path | None = None) -> int:
     """Show a run or a plan until its window is closed; returns the exit code. BadInput as `plan_file_of` and the readers."""
+    from radiant_app.inspect_feeds import feeds_of
     from radiant_viewer.inspector import open_window
 
     plan = plan_file_of(source)
     if plan is None:
         if scene is not None:
             raise BadInput("a run knows its scene: leave out --scene, or give a plan file.")
-        return open_window(source, setting=run_setting(source, system) if source.is_dir() else None)
+        return open_window(source, feeds_of(source), setting=run_setting(source, system) if source.is_dir() else None)
     known = None if scene is None else training_part(load_scene_of(scene))
     return open_window(plan, setting=plan_setting(plan, system), scene=known)
 

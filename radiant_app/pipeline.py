@@ -17,6 +17,7 @@ import numpy as np
 from radiant_app.config import RunConfig
 from radiant_app.dealing import SharedDealer, deal_files, evaluation_task
 from radiant_app.evaluation import LPIPS_NAME, PICTURE_KINDS
+from radiant_app.event_file import EventFile
 from radiant_app.events import Listener, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.local import run_task
@@ -81,11 +82,11 @@ def run(
     if config.plan is not None:
         require_plan(config.plan, system)
     lpips = None if config.lpips_weights is None else load_lpips(config.lpips_weights, config.lpips_network)
-    with opened_run(config, resume) as manifest:
+    with opened_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
-        progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
+        progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
         missing: dict[str, Any] = {}
         if config.frames == "shared":
             cloud_plan, tree, refused = _run_shared(config, system, progress)

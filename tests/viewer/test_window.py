@@ -1,4 +1,4 @@
-"""The real window under a real X server, in a process of its own: shows a run, hides a layer, marks a camera, saves a picture."""
+"""The real window under a real X server, in a process of its own: one window of a run for all that it does, one of a PLY from elsewhere."""
 
 from __future__ import annotations
 
@@ -12,33 +12,65 @@ from pathlib import Path
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.io.ply import save_ply
 from radiant_viewer.desktop import require_desktop
 from tests.viewer.made_up_run import made_up_town, save_run
 
 DRIVER = """
-import sys
+import json, sys
 from pathlib import Path
 import numpy as np
-from PySide6.QtCore import QTimer, Qt
+from PySide6.QtCore import QPoint, QTimer, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QTableView
+from PySide6.QtWidgets import QApplication, QMessageBox
 from radiant_core.errors import BadInput
+from radiant_core.io.ply import load_ply
 from radiant_viewer import inspector
+from radiant_viewer.images import load_image
+from radiant_viewer.run_feeds import RunFeeds, RunProgress, StageState
+from radiant_viewer.charts import TimelineSpan
+from radiant_viewer.gantt_chart import GanttRow
 from radiant_viewer.window import InspectorWindow
 
-run_folder, out = Path(sys.argv[1]), Path(sys.argv[2])
+run_folder, out, what = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
 failures = []
+progress = RunProgress(stages=(StageState(stage="devices/a", state="running", done=1, total=4),), is_running=True, status="running")
+row = GanttRow(name="devices/a", predicted=(TimelineSpan(stage="train", start_s=0, stop_s=9),))
+feeds = RunFeeds(gantt_rows=lambda: [row], progress=lambda: progress)
+
+def windows():
+    return [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, InspectorWindow)]
+
+def until(done, seconds=30):
+    for _ in range(20 * seconds):
+        if done():
+            return
+        QTest.qWait(50)
+    raise AssertionError(f"nothing came within {seconds} s")
 
 def drive():
     try:
-        steps(next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, InspectorWindow)))
+        QTest.qWait(300)
+        {"run": steps_of_run, "model": steps_of_model}[what](windows()[0])
     except BaseException as error:
+        import traceback
+        traceback.print_exc()
         failures.append(repr(error))
     finally:
         QApplication.closeAllWindows()
 
-def steps(window):
-    QTest.qWait(300)
+def steps_of_run(window):
+    assert (window.width(), window.height()) == (1280, 800)
+    layers(window)
+    cameras(window)
+    comparison(window)
+    seams(window)
+    tools(window)
+    themes(window)
+    film_and_splats(window)
+    live(window)
+
+def layers(window):
     before = window.screenshot()
     assert before.std() > 10, "the views are empty"
     window.set_layer_visible("Regions", False)
@@ -46,26 +78,210 @@ def steps(window):
     assert (before != without).any(axis=2).mean() > 0.005, "hiding the regions changed nothing"
     window.set_layer_visible("Regions", True)
     assert np.array_equal(before, window.screenshot()), "showing the regions again gave another picture"
+    window.layer_dock.set_solo("Borders")
+    assert [layer.name for layer in window.visible_layers()] == ["Borders"]
+    alone = window.screenshot()
+    assert (alone == 255).all(axis=2).mean() > 0.9 > (before == 255).all(axis=2).mean(), "more than one layer is left"
+    window.layer_dock.set_solo(None)
+    assert np.array_equal(before, window.screenshot()), "ending solo gave another picture"
+    refused(window, lambda: window.set_layer_visible("none", True))
+
+def refused(window, wrong):
+    try:
+        wrong()
+    except BadInput:
+        return
+    failures.append("something wrong was accepted")
+
+def vermillion(image):
+    return int((np.abs(image.astype(int) - (213, 94, 0)).max(axis=2) < 8).sum())
+
+def cameras(window):
+    before = vermillion(window.screenshot())
+    dock = window.docks.cameras
+    # A click into the 3D view, where that view itself draws the camera's centre.
+    index = window.run.scene.cameras.names.index("DJI_0009.JPG")
+    for canvas, name, at in ((window.view, "DJI_0009.JPG", index), (window.map, "DJI_0010.JPG", index + 1)):
+        x, y = canvas.pixels_of(window.run.scene.cameras.centers[[at]])[0]
+        spot = QPoint(round(x), round(canvas.size_wh[1] - 1 - y))
+        QTest.mouseClick(canvas.plotter, Qt.MouseButton.LeftButton, pos=spot)
+        assert window.selected == at, f"a click on {name} selected {window.selected}"
+        assert name in window.statusBar().currentMessage()
+        assert dock.table.selectionModel().selectedRows()[0].data() == name
+    marked = vermillion(window.screenshot())
+    assert marked > before + 50, "the selected camera is not marked"
+    window.select_camera("DJI_0011.JPG")
+    assert abs(vermillion(window.screenshot()) - marked) < 0.5 * marked, "an old mark stayed"
+    refused(window, lambda: window.select_camera("none.jpg"))
+    dock.table.sortByColumn(4, Qt.SortOrder.DescendingOrder)
+    assert dock.sorted_cameras.index(0, 0).data() == "DJI_0016.JPG", "the best photograph is not first"
+    dock.filter.setText("held out")
+    dock.save_csv(out / "cameras.csv")
+    lines = (out / "cameras.csv").read_text().splitlines()
+    assert len(lines) == 4 and lines[1].startswith("DJI_0016.JPG,"), lines
+    center = window.run.scene.cameras.centers[16]
+    assert np.allclose([float(cell) for cell in lines[1].split(",")[-3:]], center, atol=1e-12), "the table lost digits"
     window.select_camera("DJI_0009.JPG")
-    marked = window.screenshot()
-    vermillion = lambda image: (np.abs(image.astype(int) - (213, 94, 0)).max(axis=2) < 8).sum()
-    assert vermillion(marked) > vermillion(before) + 50, "the selected camera is not marked"
-    assert "DJI_0009.JPG" in window.statusBar().currentMessage()
-    window.select_camera("DJI_0010.JPG")
-    assert abs(int(vermillion(window.screenshot())) - int(vermillion(marked))) < 0.5 * vermillion(marked), "an old mark stayed"
-    window.table.sortByColumn(4, Qt.SortOrder.DescendingOrder)
-    first = window.sorted_cameras.index(0, 0).data()
-    assert first == "DJI_0016.JPG", f"the best photograph is {first}"
-    for wrong in (lambda: window.select_camera("none.jpg"), lambda: window.set_layer_visible("none", True)):
-        try:
-            wrong()
-            failures.append("an unknown name was accepted")
-        except BadInput:
-            pass
-    window.save_screenshot(out)
+    assert dock.filter.text() == "" and window.selected == index, "a filter hid what was selected"
+    window.fly_to_selected()
+    eye = window.view.pose.camera((640, 480))
+    assert np.allclose(eye.cam_from_world[0], window.run.scene.cameras.cam_from_world[index], atol=1e-4)
+    window.reset_views()
+
+def comparison(window):
+    dock = window.docks.photo
+    window.select_camera("DJI_0009.JPG")
+    owner = window.run.roles.device_ids[window.run.roles.device_of_camera[9]]
+    assert not dock.picture.has_picture and f"stays with device {owner}" in dock.picture.message, dock.picture.message
+    window.raise_dock(dock)
+    dock.show_worst()
+    QTest.qWait(50)
+    assert dock.name.text() == "DJI_0000.JPG" and "PSNR 20.00 dB" in dock.figures_text.text()
+    def mean_level():
+        picture = dock.picture.grab().toImage()
+        colors = [picture.pixelColor(picture.width() * k // 20, picture.height() // 2).red() for k in range(5, 16)]
+        return sum(colors) / len(colors)
+    dock.slider.setValue(1000)
+    photograph = mean_level()
+    dock.slider.setValue(0)
+    render = mean_level()
+    assert abs(photograph - 200) < 8 and abs(render - 180) < 8, (photograph, render)
+    dock.mode.setCurrentText("Difference")
+    assert abs(mean_level() - 60) < 8
+    dock.step(1)
+    assert dock.name.text() == "DJI_0008.JPG"
+    dock.step(-5)
+    assert dock.name.text() == "DJI_0000.JPG"
+
+def seams(window):
+    dock = window.docks.seams
+    dock.go(0)
+    worst = dock.stops[0]
+    assert "harbour" in worst.title, worst.title
+    for canvas in (window.map, window.view):
+        x, y = canvas.pixels_of(np.array([[*worst.worst, window.subject.ground]]))[0]
+        width, height = canvas.size_wh
+        assert abs(x - width / 2) < 3 and abs(y - height / 2) < 3, (canvas.is_map, x, y)
+    for expected in (1, 2, 0):
+        dock.step(1)
+        assert dock.at == expected
+    dock.step(-1)
+    assert dock.at == 2 and dock.table.currentRow() == 2
+
+def tools(window):
+    window.reset_views()
+    window.measure.set_active(True)
+    for x, y in ((-60, -30), (60, -30), (60, 30)):
+        pixel = window.map.pixels_of(np.array([[x, y, 0.0]]))[0]
+        spot = QPoint(round(pixel[0]), round(window.map.size_wh[1] - 1 - pixel[1]))
+        QTest.mouseClick(window.map.plotter, Qt.MouseButton.LeftButton, pos=spot)
+    assert np.allclose(window.measure.corners, [[-60, -30], [60, -30], [60, 30]], atol=2), window.measure.corners
+    length, area = (float(part.split()[-2]) for part in window.statusBar().currentMessage().split("·"))
+    assert abs(length - 180) < 4 and abs(area - 3600) < 250, (length, area)
+    window.measure.undo()
+    assert window.statusBar().currentMessage().startswith("Distance 1")
+    window.measure.set_active(False)
+    before = window.screenshot()
+    crop = window.docks.crop
+    crop.active.setChecked(True)
+    crop.set_box(np.array([[-50, -30, -5], [50, 30, 70.0]]))
+    assert (before != window.screenshot()).any(axis=2).mean() > 0.02, "the crop box hid nothing"
+    count = crop.save_inside(out / "inside.ply")
+    inside = load_ply(out / "inside.ply").means
+    assert len(inside) == count > 100 and (abs(inside) <= (50, 30, 70)).all()
+    crop.set_box(np.full((2, 3), 1e4))
+    refused(window, lambda: crop.save_inside(out / "nothing.ply"))
+    window.attempt(lambda: crop.save_inside(out / "nothing.ply"))
+    boxes = window.findChildren(QMessageBox)
+    assert len(boxes) == 1 and "no Gaussian" in boxes[0].text() and not (out / "nothing.ply").exists()
+    boxes[0].close()
+    crop.active.setChecked(False)
+    crop.reset.click()
+    assert np.array_equal(before, window.screenshot()), "the crop box left something behind"
+
+def themes(window):
+    light = window.screenshot()
+    window.set_theme("dark")
+    dark = window.screenshot()
+    assert dark.mean() < 0.6 * light.mean(), (dark.mean(), light.mean())
+    for widget in (window.docks.cameras.table, window.layer_dock.tree, window.docks.photo.name):
+        colors = widget.grab().toImage()
+        assert colors.pixelColor(1 + colors.width() // 2, colors.height() - 3).lightness() < 90, "a panel stayed light"
+    window.set_theme("light")
+    assert np.array_equal(window.screenshot(), light), "light again gave another picture"
+
+def film_and_splats(window):
+    fly, splats = window.docks.fly, window.docks.splats
+    window.attempt(fly.poses)
+    window.findChildren(QMessageBox)[-1].close()
+    fly.add_view()
+    window.docks.seams.go(0)
+    fly.add_view()
+    fly.seconds.setValue(0.2)
+    for source, name in (("Splats", "splats.gif"), ("Layers as visible", "layers.gif")):
+        fly.write(out / name, source=source, size_wh=(96, 64))
+        until(lambda: fly.job is None)
+        assert fly.note.text().startswith("Saved 6 frames"), fly.note.text()
+    fly.write(out / "given_up.gif", size_wh=(96, 64))
+    fly.stop()
+    assert fly.job is None and not list(out.glob("*given_up*"))
+    window.raise_dock(splats)
+    until(lambda: splats.shown_is_full)
+    splats.choice.setCurrentIndex(1)
+    assert splats.kind == "own"
+    window.view.plotter.camera.azimuth += 20
+    QTest.qWait(150)
+    until(lambda: splats.shown_is_full, 5)
+    ours = splats.last_image
+    from radiant_core.render.rendered_view import render_views
+    height, width = ours.shape[:2]
+    exact = next(render_views(window.run.splats, window.view.pose.camera((width, height))))
+    over = 255 * (exact.image + 1 - exact.alpha[..., None])
+    assert np.abs(ours - over).mean() < 1, "the splat view does not follow the 3D view"
+
+def live(window):
+    global progress
+    gantt, dock = window.docks.gantt, window.docks.progress
+    window.raise_dock(gantt)
+    until(lambda: gantt.image is not None)
+    assert gantt.image.std() > 10
+    assert dock.table.rowCount() == 1 and dock.table.cellWidget(0, 2).value() == 25
+    done = StageState(stage="devices/a", state="done", seconds=9.0)
+    progress = RunProgress(stages=(done, StageState(stage="edges/e", state="done", seconds=2.0)), status="done")
+    dock.read()
+    assert dock.table.rowCount() == 2 and "F5" in window.statusBar().currentMessage()
+    window.save_screenshot(out / "shot.png")
+    window.save_window_picture(out / "window.png")
+    assert load_image(out / "window.png").shape == (800, 1280, 3)
+    # A run that breaks while it is shown: what is shown stays.
+    plan = run_folder / "plan.json"
+    text = plan.read_bytes()
+    plan.write_bytes(text[:100])
+    window.reload()
+    assert windows() == [window] and "plan.json" in window.statusBar().currentMessage()
+    plan.write_bytes(text)
+    window.reload()
+    QTest.qWait(300)
+    fresh = next(other for other in windows() if other.isVisible())
+    assert fresh is not window and fresh.screenshot().std() > 10
+    # Closed in the middle of a film: no half of it stays.
+    for _ in range(2):
+        fresh.docks.fly.add_view()
+    fresh.docks.fly.write(out / "closed.mp4", size_wh=(640, 360))
+    fresh.close()
+    assert not list(out.glob("*closed*"))
+
+def steps_of_model(window):
+    assert window.run is None and window.docks.cameras is None and window.docks.seams is None
+    assert window.screenshot().std() > 5
+    until(lambda: window.docks.splats.shown_is_full)
+    window.fly_to_selected()
+    assert "No camera" in window.statusBar().currentMessage()
+    window.docks.crop.active.setChecked(True)
+    assert window.docks.crop.save_inside(out / "part.ply") > 0
 
 QTimer.singleShot(0, drive)
-code = inspector.open_window(run_folder)
+code = inspector.open_window(run_folder, feeds)
 assert not failures, failures
 sys.exit(code)
 """
@@ -91,15 +307,26 @@ def run_python(code: str, *arguments: str, **environment: str) -> subprocess.Com
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     env = {name: value for name, value in os.environ.items() if name not in hidden} | environment
     command = [sys.executable, "-W", "error", "-c", code, *arguments]
-    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=900, check=False)
 
 
-def test_the_window_shows_hides_marks_and_saves(tmp_path: Path, display: str) -> None:
+def test_the_window_of_a_run(tmp_path: Path, display: str) -> None:
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
-    save_run(tmp_path / "run", made_up_town())
-    result = run_python(DRIVER, str(tmp_path / "run"), str(tmp_path / "shot.png"), DISPLAY=display, QT_QPA_PLATFORM="xcb")
-    assert result.returncode == 0, result.stderr
-    assert (tmp_path / "shot.png").stat().st_size > 5000
+    save_run(tmp_path / "run", made_up_town(step_levels=60))
+    out = tmp_path / "out"
+    out.mkdir()
+    result = run_python(DRIVER, str(tmp_path / "run"), str(out), "run", DISPLAY=display, QT_QPA_PLATFORM="xcb")
+    assert result.returncode == 0, result.stderr[-4000:]
+    written = ["cameras.csv", "inside.ply", "layers.gif", "shot.png", "splats.gif", "window.png"]
+    assert sorted(path.name for path in out.iterdir()) == written
+    assert (out / "shot.png").stat().st_size > 5000
+
+
+def test_the_window_of_a_ply_from_elsewhere(tmp_path: Path, display: str) -> None:
+    pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
+    save_ply(tmp_path / "model.ply", made_up_town().splats)
+    result = run_python(DRIVER, str(tmp_path / "model.ply"), str(tmp_path), "model", DISPLAY=display, QT_QPA_PLATFORM="xcb")
+    assert result.returncode == 0, result.stderr[-4000:]
 
 
 def test_without_a_display_there_is_one_sentence_and_no_crash(tmp_path: Path) -> None:

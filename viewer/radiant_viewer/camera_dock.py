@@ -86,7 +86,7 @@ class CameraDock(QDockWidget):
             self.filter.clear()
             row = self.sorted_cameras.mapFromSource(self.cameras.index(index, 0))
         self.table.selectRow(row.row())
-        self.table.scrollTo(row)
+        self.table.scrollTo(row, QAbstractItemView.ScrollHint.PositionAtCenter)
 
     def take_run(self, run: RunView) -> None:
         """Show the same cameras with another plan; sorting, filter and selection stay."""
@@ -95,9 +95,9 @@ class CameraDock(QDockWidget):
 
     def color_by(self, what: str) -> None:
         """Show cameras in the colours of "Region", "Device", "Held-out" or "PSNR" alone."""
-        for name in COLORINGS:
+        for name, layer in COLORINGS.items():
             if self.coloring.findText(name) >= 0:
-                self._window.set_layer_visible(COLORINGS[name], name == what)
+                self._window.set_layer_visible(layer, name == what)
         self.coloring.setCurrentText(what)
 
     def shown_order(self) -> list[int]:

@@ -16,12 +16,13 @@ from pyvistaqt import QtInteractor
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
 from radiant_viewer.images import Image
-from radiant_viewer.layers import Layer
+from radiant_viewer.layers import CLOUD_SIZE, Layer
 from radiant_viewer.offscreen import aim_camera
 from radiant_viewer.themes import LIGHT, Theme, themed
 from radiant_viewer.view_pose import ViewPose
 
 CLICK_PX = 4
+CLOUD_POINT_PX = 2.0
 TOP_SLOT = 400
 """Slot of the map on which marks of selections and tools lie: above a hundred layers."""
 Clicked = Callable[["Canvas", tuple[int, int]], bool]
@@ -44,7 +45,9 @@ class Canvas:
         heading.setStyleSheet("font-weight: 600")
         layout.addWidget(heading)
         self.plotter = QtInteractor(self.frame, auto_update=False, multi_samples=4)
-        self.plotter.setToolTip("")
+        # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its own.
+        self.plotter.reset_key_events()
+        self.plotter.iren.interactor.RemoveObservers("CharEvent")
         layout.addWidget(self.plotter, stretch=1)
         self.plotter.iren.add_observer("LeftButtonPressEvent", self._on_press)
         self.plotter.iren.add_observer("LeftButtonReleaseEvent", self._on_release)
@@ -62,6 +65,10 @@ class Canvas:
         self.actors[layer.name] = add_layer(
             self.plotter, themed(layer, self.theme), self.origin, flat_height=height if self.is_map else None
         )
+        if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
+            for actor in self.actors[layer.name][-1:]:
+                # A view of the window is a quarter of a picture's size: points as large would bury what lies below.
+                actor.prop.point_size = CLOUD_POINT_PX
         if layer.labels and self.is_map:
             self.actors[layer.name].append(self._labels(layer, height))
         self.show(layer.name, visible)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QDockWidget, QTabWidget
+from PySide6.QtWidgets import QDockWidget, QTabWidget, QWidget
 
 from radiant_core.splats import Splats
 from radiant_viewer.camera_dock import CameraDock
@@ -65,6 +65,9 @@ def add_docks(window: InspectorWindow, run: RunView | None, splats: Splats | Non
         window.addDockWidget(right, dock)
     for dock in bottoms:
         window.addDockWidget(bottom, dock)
+    for dock in (dock for group in (rights, bottoms) if len(group) > 1 for dock in group):
+        # The tab says the same, and at 1280×800 a title more is a row of the table less.
+        dock.setTitleBarWidget(QWidget())
     for first, other in zip([*rights[:-1], *bottoms[:-1]], [*rights[1:], *bottoms[1:]], strict=True):
         window.tabifyDockWidget(first, other)
     for corner, area in (
@@ -74,8 +77,17 @@ def add_docks(window: InspectorWindow, run: RunView | None, splats: Splats | Non
     ):
         window.setCorner(corner, area)
     window.setTabPosition(right | bottom, QTabWidget.TabPosition.North)
-    window.resizeDocks([window.layer_dock, *rights[:1]], [LEFT_PX, RIGHT_PX][: 1 + len(rights[:1])], Qt.Orientation.Horizontal)
-    window.resizeDocks(bottoms[:1], [BOTTOM_PX], Qt.Orientation.Vertical)
     for dock in (*rights[-1:], *bottoms[:1]):
         dock.raise_()
     return docks
+
+
+def share_room(window: InspectorWindow) -> None:
+    """Give each side its share of the window; Qt forgets it where it is asked before the window is shown."""
+    docks = window.docks
+    right = docks.photo or docks.splats
+    sides = [(window.layer_dock, LEFT_PX), *([] if right is None else [(right, RIGHT_PX)])]
+    window.resizeDocks([dock for dock, _ in sides], [width for _, width in sides], Qt.Orientation.Horizontal)
+    lower = docks.cameras or docks.fly
+    if lower is not None:
+        window.resizeDocks([lower], [BOTTOM_PX], Qt.Orientation.Vertical)

@@ -49,8 +49,8 @@ class FlyDock(QDockWidget):
         self.list.setToolTip("Double click flies to a keyframe")
         self.list.itemDoubleClicked.connect(lambda _: self._go_to_current())
         self.seconds, self.rate = _spin(3.0, 0.1, 60, " s per leg"), _spin(24.0, 1, 60, " frames/s")
-        self.size, self.source = QComboBox(), QComboBox()
-        self.size.addItems(list(SIZES))
+        self.frame_size, self.source = QComboBox(), QComboBox()
+        self.frame_size.addItems(list(SIZES))
         self.source.addItems([SPLATS, LAYERS] if window.docks.splats is not None else [LAYERS])
         self.source.setToolTip("What the film shows: the model by our own renderer, or the layers that are visible now")
         self.add, self.remove, self.play = QPushButton("Add view"), QPushButton("Remove"), QPushButton("Play")
@@ -92,7 +92,7 @@ class FlyDock(QDockWidget):
 
     def write(self, path: Path, *, source: str | None = None, size_wh: tuple[int, int] | None = None) -> None:
         """Begin to write the flight; BadInput when it cannot be. `job.ended` tells how it went."""
-        size = size_wh or SIZES[self.size.currentText()]
+        size = size_wh or SIZES[self.frame_size.currentText()]
         poses = self.poses()
         writer = MovieWriter(path, size, self.rate.value())
         dock = self._window.docks.splats
@@ -162,7 +162,9 @@ class FlyDock(QDockWidget):
         grid = QGridLayout(body)
         grid.setContentsMargins(4, 2, 4, 4)
         grid.addWidget(self.list, 0, 0, 4, 1)
-        for row, widgets in enumerate(((self.add, self.remove, self.play), (self.seconds, self.rate, self.size), (self.source, self.export))):
+        for row, widgets in enumerate(
+            ((self.add, self.remove, self.play), (self.seconds, self.rate, self.frame_size), (self.source, self.export))
+        ):
             line = QHBoxLayout()
             for widget in widgets:
                 line.addWidget(widget)

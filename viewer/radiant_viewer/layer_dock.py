@@ -30,7 +30,8 @@ class LayerDock(QDockWidget):
         self.tree.header().setSectionResizeMode(NAME, QHeaderView.ResizeMode.Stretch)
         self.tree.header().setSectionResizeMode(SOLO, QHeaderView.ResizeMode.ResizeToContents)
         self.tree.headerItem().setToolTip(SOLO, "Show this layer alone; clear the box to see the others again")
-        self.tree.setIndentation(14)
+        self.tree.setIndentation(12)
+        self.tree.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self._items: dict[str, QTreeWidgetItem] = {}
         for layer in reversed(layers):
             self._add(layer, visible=layer.name not in hidden)
@@ -77,9 +78,10 @@ class LayerDock(QDockWidget):
         item.setCheckState(SOLO, Qt.CheckState.Unchecked)
         item.setToolTip(NAME, f"Show or hide {layer.name}")
         item.setToolTip(SOLO, f"Show {layer.name} alone")
-        _add_legend(item, layer)
         self._items[layer.name] = item
+        # Rows span both columns only once they are in the tree.
         self.tree.insertTopLevelItem(0 if on_top else self.tree.topLevelItemCount(), item)
+        _add_legend(item, layer)
         item.setExpanded(visible and len(layer.legend) <= MAX_OPEN_ROWS)
 
     def _item(self, name: str) -> QTreeWidgetItem:

@@ -5,7 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QTimer
-from PySide6.QtWidgets import QDockWidget, QHBoxLayout, QHeaderView, QLabel, QProgressBar, QPushButton, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QDockWidget,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from radiant_core.errors import RadiantError
 from radiant_viewer.region_layer import duration_text
@@ -26,6 +37,7 @@ class ProgressDock(QDockWidget):
         self.setObjectName("progress")
         self._window, self._feeds = window, feeds
         self.shown = RunProgress()
+        self._filled: tuple[StageState, ...] = ()
         self.summary = QLabel("")
         self.reload = QPushButton("Reload")
         self.reload.setToolTip("Read the run's plan, model and figures anew (F5)")
@@ -64,7 +76,7 @@ class ProgressDock(QDockWidget):
             self._timer.stop()
             return
         was_running, self.shown = self.shown.is_running, now
-        if now.stages != tuple(self._rows()):
+        if now.stages != self._filled:
             self._fill(now.stages)
         self.summary.setText(_summary(now))
         self.summary.setToolTip("\n".join(now.warnings))
@@ -72,9 +84,6 @@ class ProgressDock(QDockWidget):
             self._window.tell(f"The run ended ({now.status}): press F5 to see its result.")
         if not now.is_running:
             self._timer.stop()
-
-    def _rows(self) -> tuple[StageState, ...]:
-        return self._filled if self.table.rowCount() else ()
 
     def _fill(self, stages: tuple[StageState, ...]) -> None:
         self._filled = stages

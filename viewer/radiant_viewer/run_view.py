@@ -81,6 +81,11 @@ def load_run_view(folder: Path) -> RunView:
     )
 
 
+def plan_path(folder: Path) -> Path:
+    """Where a run keeps its plan: beside the rest, or with what devices delivered that keep their photographs."""
+    return folder / DELIVERED / PLAN_NAME if (folder / DELIVERED).is_dir() else folder / PLAN_NAME
+
+
 def required_splats(run: RunView) -> Splats:
     """The run's model; BadInput with the command that makes it when there is none yet."""
     if run.splats is None:

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QDockWidget, QHBoxLayout, QHeaderView, QLabel, QPushButton, QTableWidget, QTableWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QDockWidget,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from radiant_viewer.layers import Layer, LegendEntry
 from radiant_viewer.measure import length_text
@@ -12,7 +24,6 @@ from radiant_viewer.palette import VERMILLION
 from radiant_viewer.run_view import RunView
 from radiant_viewer.seam_tour import SeamStop, seam_stops
 from radiant_viewer.views import ground_height
-from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from radiant_viewer.window import InspectorWindow

@@ -18,6 +18,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
+from radiant_viewer.images import Image
 from radiant_viewer.picture_label import PictureLabel
 from radiant_viewer.splat_process import Frame, Kind, SplatProcess
 
@@ -64,6 +65,7 @@ class SplatDock(QDockWidget):
         self.setWidget(body)
         self.decision: Decision | None = None
         self.shown_is_full = False
+        self.last_image: Image | None = None
         self._processes: dict[Kind, SplatProcess] = {}
         self._seconds: dict[Kind, float] = {}
         self._trial: tuple[Kind, int] | None = None
@@ -131,6 +133,7 @@ class SplatDock(QDockWidget):
         if frame.request == 1:
             self._on_trial(kind, frame)
             return
+        self.last_image = frame.image
         self.picture.show_picture(frame.image)
         self._drawn = self._asked
         self.shown_is_full = self._drawn is not None and self._drawn[1]

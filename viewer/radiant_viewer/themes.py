@@ -62,9 +62,7 @@ def themed(layer: Layer, theme: Theme) -> Layer:
     """The layer as it is drawn under a theme: ink becomes the theme's, pale fills become dark ones; data colours stay."""
     if theme.name == "light":
         return layer
-    return replace(
-        layer, segment_colors=_reinked(layer.segment_colors, theme), polygon_colors=_darkened(layer.polygon_colors, theme), heat=layer.heat
-    )
+    return replace(layer, segment_colors=_reinked(layer.segment_colors, theme), polygon_colors=_darkened(layer.polygon_colors, theme))
 
 
 def hex_color(color: tuple[int, int, int]) -> str:
@@ -73,37 +71,28 @@ def hex_color(color: tuple[int, int, int]) -> str:
 
 
 def style_sheet(theme: Theme) -> str:
-    """Qt's style sheet of a theme."""
+    """What Qt's palette cannot say of a theme."""
     panel, field, line, text, soft, accent = (
         hex_color(color) for color in (theme.panel, theme.field, theme.line, theme.text, theme.soft_text, theme.accent)
     )
     chosen = hex_color(tuple(tinted(theme.accent, theme.field, 0.72).tolist()))  # type: ignore[arg-type]
     return f"""
-QWidget {{ background: {panel}; color: {text}; font-size: 12px; }}
 QMainWindow::separator {{ background: {panel}; width: 5px; height: 5px; }}
 QDockWidget {{ font-weight: 600; }}
-QDockWidget::title {{ padding: 4px 6px; background: {panel}; }}
-QTreeView, QTableView, QListView, QTextEdit {{ background: {field}; border: 1px solid {line}; alternate-background-color: {panel};
+QTreeView, QTableView, QListView {{ background: {field}; border: 1px solid {line}; alternate-background-color: {panel};
   selection-background-color: {chosen}; selection-color: {text}; gridline-color: {line}; }}
-QTreeView::item, QListView::item {{ padding: 1px 0; }}
+QHeaderView {{ background: {panel}; }}
 QHeaderView::section {{ background: {panel}; color: {soft}; border: none; border-bottom: 1px solid {line}; padding: 3px 6px; }}
 QTableCornerButton::section {{ background: {panel}; border: none; }}
-QToolBar {{ border: none; border-bottom: 1px solid {line}; spacing: 2px; padding: 2px 4px; }}
-QToolButton, QPushButton {{ background: {field}; border: 1px solid {line}; border-radius: 4px; padding: 3px 8px; }}
-QToolBar QToolButton {{ background: transparent; border: 1px solid transparent; }}
-QToolButton:hover, QPushButton:hover {{ border-color: {accent}; }}
-QToolButton:checked, QPushButton:checked, QToolBar QToolButton:checked {{ background: {chosen}; border-color: {accent}; }}
-QToolButton:disabled, QPushButton:disabled {{ color: {soft}; }}
-QComboBox, QLineEdit, QSpinBox, QDoubleSpinBox {{ background: {field}; border: 1px solid {line}; border-radius: 4px; padding: 2px 6px; }}
-QComboBox QAbstractItemView {{ background: {field}; selection-background-color: {chosen}; selection-color: {text}; }}
+QToolBar {{ background: {panel}; border: none; border-bottom: 1px solid {line}; spacing: 2px; padding: 2px 4px; }}
+QToolBar QToolButton {{ background: transparent; color: {text}; border: 1px solid transparent; border-radius: 4px; padding: 3px 8px; }}
+QToolBar QToolButton:hover {{ border-color: {accent}; }}
+QToolBar QToolButton:checked {{ background: {chosen}; border-color: {accent}; }}
 QTabBar::tab {{ background: {panel}; color: {soft}; padding: 4px 10px; border: none; border-bottom: 2px solid transparent; }}
 QTabBar::tab:selected {{ color: {text}; border-bottom: 2px solid {accent}; }}
-QStatusBar {{ color: {soft}; border-top: 1px solid {line}; }}
-QProgressBar {{ background: {field}; border: 1px solid {line}; border-radius: 3px; text-align: center; }}
-QProgressBar::chunk {{ background: {chosen}; }}
+QStatusBar {{ background: {panel}; color: {soft}; border-top: 1px solid {line}; }}
 QToolTip {{ background: {field}; color: {text}; border: 1px solid {line}; padding: 3px; }}
 QLabel[soft="true"] {{ color: {soft}; }}
-QLabel[picture="true"] {{ background: {field}; border: 1px solid {line}; }}
 QScrollArea {{ border: none; }}
 """
 

@@ -12,14 +12,14 @@ from typing import TypeVar
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer, Signal
-from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
+from PySide6.QtGui import QCloseEvent, QColor, QKeySequence, QPalette, QShortcut, QShowEvent
+from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
 
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
 from radiant_viewer.camera_layer import highlight_layer
 from radiant_viewer.canvas import TOP_SLOT, Canvas
-from radiant_viewer.docks import Docks, add_docks
+from radiant_viewer.docks import Docks, add_docks, share_room
 from radiant_viewer.images import Image, save_png
 from radiant_viewer.layer_dock import LayerDock
 from radiant_viewer.layers import Layer, drawn_positions
@@ -37,6 +37,7 @@ HIDDEN_AT_FIRST = frozenset(
 )
 """Layers that cover others: one click away."""
 SELECTED = "Selected camera"
+SIZE_WH = (1280, 800)
 PICK_PX = 14
 """A click this near to a camera selects it."""
 _Result = TypeVar("_Result")
@@ -58,9 +59,8 @@ class InspectorWindow(QMainWindow):
         self.theme: Theme = LIGHT
         self.selected: int | None = None
         self._marks: dict[str, Layer] = {}
-        self._is_drawing = False
+        self._was_shown = False
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
-        self.resize(1280, 800)
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
         splitter = QSplitter(Qt.Orientation.Horizontal)
         self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin)
@@ -188,6 +188,7 @@ class InspectorWindow(QMainWindow):
     def set_theme(self, name: ThemeName) -> None:
         """Light or dark, views included."""
         self.theme = THEMES[name]
+        QApplication.setPalette(_palette(self.theme))
         self.setStyleSheet(style_sheet(self.theme))
         for canvas in (self.map, self.view):
             canvas.set_theme(self.theme)
@@ -201,7 +202,9 @@ class InspectorWindow(QMainWindow):
         self.render_views()
 
     def render_views(self) -> None:
-        """Draw both views now."""
+        """Draw both views now; before the window is shown there is nothing to draw into."""
+        if not self.isVisible():
+            return
         for canvas in (self.map, self.view):
             canvas.render()
 
@@ -246,7 +249,12 @@ class InspectorWindow(QMainWindow):
         super().closeEvent(event)
 
     def _on_first_shown(self) -> None:
-        if self.isVisible():
+        if self.isVisible() and not self._was_shown:
+            self._was_shown = True
+            # Before the docks are laid out Qt takes a window for wider than it needs to be.
+            room = self.screen().availableSize()
+            self.resize(min(SIZE_WH[0], room.width()), min(SIZE_WH[1], room.height()))
+            share_room(self)
             self.reset_views()
 
     def _add_actions(self) -> None:
@@ -318,8 +326,7 @@ class InspectorWindow(QMainWindow):
             self._draw(layer)
         for layer in list(self._marks.values()):
             self.draw_mark(layer)
-        if self.isVisible():
-            self.render_views()
+        self.render_views()
 
     def _draw(self, layer: Layer) -> None:
         slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
@@ -362,3 +369,27 @@ class InspectorWindow(QMainWindow):
         box = QMessageBox(QMessageBox.Icon.NoIcon, "Shortcuts", f"<table>{rows}</table>", QMessageBox.StandardButton.Close, self)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         box.open()
+
+
+def _palette(theme: Theme) -> QPalette:
+    """Qt's colours of a theme."""
+    roles = {
+        QPalette.ColorRole.Window: theme.panel,
+        QPalette.ColorRole.Base: theme.field,
+        QPalette.ColorRole.AlternateBase: theme.panel,
+        QPalette.ColorRole.Button: theme.panel,
+        QPalette.ColorRole.ToolTipBase: theme.field,
+        QPalette.ColorRole.WindowText: theme.text,
+        QPalette.ColorRole.Text: theme.text,
+        QPalette.ColorRole.ButtonText: theme.text,
+        QPalette.ColorRole.ToolTipText: theme.text,
+        QPalette.ColorRole.PlaceholderText: theme.soft_text,
+        QPalette.ColorRole.Highlight: theme.accent,
+        QPalette.ColorRole.HighlightedText: theme.field,
+    }
+    palette = QPalette()
+    for role, color in roles.items():
+        palette.setColor(role, QColor(*color))
+    for role in (QPalette.ColorRole.WindowText, QPalette.ColorRole.Text, QPalette.ColorRole.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, role, QColor(*theme.soft_text))
+    return palette

@@ -1,0 +1,37 @@
+"""What the inspector is handed beside the files of a run: its timeline, and how its stages stand. Once per window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from radiant_app.event_file import read_progress
+from radiant_app.prediction_error import SYSTEM_NAME, gantt_rows
+from radiant_app.report import GANTT_TEXT
+from radiant_app.run_folder import read_manifest
+from radiant_app.system_file import load_system
+from radiant_core.io.records import load_plan
+from radiant_viewer.run_view import plan_path
+
+if TYPE_CHECKING:
+    from radiant_viewer.run_feeds import RunFeeds
+
+
+def feeds_of(run: Path) -> RunFeeds:
+    """The feeds of a run folder; of anything else, feeds that know nothing."""
+    from radiant_viewer.run_feeds import RunFeeds
+
+    if not (run / "manifest.json").is_file():
+        return RunFeeds()
+    return RunFeeds(
+        gantt_rows=lambda: _gantt_rows(run),
+        gantt_detail=GANTT_TEXT[bool(read_manifest(run).emulated)],
+        progress=lambda: read_progress(run),
+    )
+
+
+def _gantt_rows(run: Path) -> Sequence[Any]:
+    if not (run / SYSTEM_NAME).is_file() or not plan_path(run).is_file():
+        return ()
+    return gantt_rows(load_system(run / SYSTEM_NAME), load_plan(plan_path(run))[1], run, read_manifest(run))

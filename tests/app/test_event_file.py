@@ -1,0 +1,64 @@
+"""The event stream on disk: what a run tells is what a watcher reads, while it runs, after it ended, and after it was killed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from radiant_app.event_file import EVENTS_NAME, EventFile, read_progress
+from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
+from radiant_app.inspect_feeds import feeds_of
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import RunLock, write_json
+
+STREAM = (
+    StageSkipped(stage="sfm"),
+    StageStarted(stage="devices/a"),
+    StageProgress(stage="devices/a", done=10, total=100, note="step 10"),
+    Warned(stage="devices/a", message="few points"),
+    StageStarted(stage="devices/b"),
+    StageDone(stage="devices/a", seconds=12.5),
+    TimeLeft(seconds=40, correction=1.1, after="devices/a"),
+    Failed(stage="devices/b", message="no memory", exit_code=1),
+    StageStarted(stage="edges/e"),
+)
+
+
+def test_a_watcher_reads_what_the_run_told(tmp_path: Path) -> None:
+    write_json(tmp_path / "manifest.json", {"status": "running"})
+    heard: list[Event] = []
+    with RunLock(tmp_path), EventFile(tmp_path, heard.append, clock=lambda: 0.0) as tell:
+        for event in STREAM:
+            tell(event)
+        # Of progress within half a second only the first is written; all of it is passed on.
+        tell(StageProgress(stage="devices/a", done=99, total=100))
+        with (tmp_path / EVENTS_NAME).open("a") as file:
+            file.write('{"event": "StageDo')
+        seen = read_progress(tmp_path)
+    assert heard == [*STREAM, StageProgress(stage="devices/a", done=99, total=100)]
+    assert (tmp_path / EVENTS_NAME).read_text().count("StageProgress") == 1
+    states = {stage.stage: (stage.state, stage.seconds, stage.note) for stage in seen.stages}
+    assert states == {
+        "sfm": ("skipped", None, "finished before"),
+        "devices/a": ("done", 12.5, ""),
+        "devices/b": ("failed", None, "no memory"),
+        "edges/e": ("running", None, ""),
+    }
+    assert (seen.is_running, seen.status, seen.seconds_left, seen.warnings) == (True, "running", 40, ("devices/a: few points",))
+    # Nobody holds the lock any more: the run was killed, whatever its record says.
+    after = read_progress(tmp_path)
+    assert (after.is_running, after.status) == (False, "interrupted")
+    assert after.stages[-1].state == "failed"
+
+
+def test_no_stream_a_broken_one_and_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    assert read_progress(tmp_path).stages == ()
+    assert feeds_of(tmp_path).progress().stages == ()
+    (tmp_path / EVENTS_NAME).write_text("nonsense\n")
+    with pytest.raises(BadInput, match=EVENTS_NAME):
+        read_progress(tmp_path)
+    heard: list[Event] = []
+    with EventFile(tmp_path / "none", heard.append) as tell:
+        tell(STREAM[0])
+    assert heard == [STREAM[0]]

@@ -1,0 +1,130 @@
+"""What the window shows, without a window: lengths, seam stops, who may see a photograph, themes, figures, a PLY from elsewhere."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.ply import save_ply
+from radiant_viewer.measure import area_text, length_text, path_length, polygon_area
+from radiant_viewer.palette import INK
+from radiant_viewer.photo_access import find_photograph
+from radiant_viewer.run_feeds import StageState
+from radiant_viewer.run_figures import image_figures
+from radiant_viewer.run_view import load_run_view
+from radiant_viewer.seam_tour import seam_stops
+from radiant_viewer.subject import load_subject
+from radiant_viewer.themes import DARK, LIGHT, themed
+from tests.viewer.made_up_run import made_up_town, save_run
+
+SQUARE = np.array([[0.0, 0], [30, 0], [30, 40], [0, 40]])
+
+
+@pytest.mark.parametrize("shift", [0.0, 5e6, -1e7])
+def test_lengths_and_areas_are_those_of_the_ground_wherever_it_lies(shift: float) -> None:
+    assert path_length(SQUARE + shift) == pytest.approx(100, rel=1e-9)
+    assert polygon_area(SQUARE + shift) == pytest.approx(1200, rel=1e-7)
+    assert polygon_area(SQUARE[::-1] + shift) == pytest.approx(1200, rel=1e-7)
+
+
+def test_what_has_no_length_or_area_says_so() -> None:
+    assert (path_length(SQUARE[:1]), polygon_area(SQUARE[:2]), path_length(np.zeros((0, 2)))) == (0, 0, 0)
+    with pytest.raises(BadInput, match="cross"):
+        polygon_area(np.array([[0.0, 0], [1, 1], [1, 0], [0, 2]]))
+    with pytest.raises(BadInput):
+        path_length(np.array([[0.0, np.nan]]))
+    assert (length_text(1234.5, "m"), length_text(3.456, "units")) == ("1.234 km", "3.456 units")
+    assert (area_text(12.0, "m"), area_text(25_000, "m"), area_text(3e6, "m"), area_text(2, "units")) == (
+        "12 m²",
+        "2.5 ha",
+        "3 km²",
+        "2 square units",
+    )
+
+
+def test_the_planted_seam_is_the_first_stop_and_is_in_view_there() -> None:
+    town = made_up_town(step_levels=60)
+    stops = seam_stops(town.cloud_plan, town.splats)
+    assert {frozenset((stop.first, stop.second)) for stop in stops[:2]} == {
+        frozenset(("north", "harbour")),
+        frozenset(("harbour", "quarry")),
+    }
+    assert stops[0].step_levels > 30 > 10 > stops[-1].step_levels
+    assert [stop.step_levels for stop in stops] == sorted((stop.step_levels for stop in stops), reverse=True)
+    camera = stops[0].view(0.0).camera((640, 360))
+    in_camera = camera.cam_from_world[0] @ [*stops[0].worst, 0.0, 1.0]
+    np.testing.assert_allclose((camera.Ks[0] @ in_camera[:3])[:2] / in_camera[2], (320, 180), atol=1e-6)
+    few = replace(town.splats, means=town.splats.means + np.float32([1e4, 0, 0]))
+    assert all(np.isnan(stop.step_levels) for stop in seam_stops(town.cloud_plan, few))
+
+
+def test_a_photograph_is_found_with_its_device_and_with_nobody_else(tmp_path: Path) -> None:
+    town = made_up_town()
+    save_run(tmp_path / "run", town)
+    run = load_run_view(tmp_path / "run")
+    trained, held_out = run.scene.cameras.names.index("DJI_0009.JPG"), run.scene.cameras.names.index("DJI_0008.JPG")
+    owner = run.roles.device_ids[run.roles.device_of_camera[trained]]
+    elsewhere = tmp_path / "run/sfm/undistorted/images/DJI_0009.JPG"
+    other = tmp_path / "run/devices" / next(name for name in run.roles.device_ids if name != owner) / "photos/DJI_0009.JPG"
+    for path in (elsewhere, other):
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"x")
+    absent = find_photograph(run, trained)
+    assert absent.path is None
+    assert owner in absent.reason
+    own = tmp_path / "run/devices" / owner / "photos/DJI_0009.JPG"
+    own.parent.mkdir(parents=True)
+    own.write_bytes(b"x")
+    assert find_photograph(run, trained).path == own
+    assert find_photograph(run, held_out).path == tmp_path / "run/pictures/photographs/DJI_0008.JPG.png"
+    (tmp_path / "run/pictures/photographs/DJI_0008.JPG.png").unlink()
+    assert "held out" in find_photograph(run, held_out).reason
+    climbing = replace(run.scene.cameras, names=("../../secret.jpg", *run.scene.cameras.names[1:]))
+    escaping = replace(run, scene=replace(run.scene, cameras=climbing))
+    assert find_photograph(escaping, 0).path is None
+
+
+def test_figures_are_read_by_photograph_and_a_broken_file_is_named(tmp_path: Path) -> None:
+    assert image_figures(tmp_path) == {}
+    rows = [{"name": "a.jpg", "psnr_db": 21.5, "ssim": 0.7, "lpips": None, "flip": True}]
+    (tmp_path / "metrics.json").write_text(json.dumps({"images": rows}))
+    assert image_figures(tmp_path) == {"a.jpg": {"psnr_db": 21.5, "ssim": 0.7}}
+    (tmp_path / "metrics.json").write_text('{"images": [3]}')
+    with pytest.raises(StoreDamaged, match=r"metrics\.json"):
+        image_figures(tmp_path)
+
+
+def test_dark_draws_ink_light_and_fills_dark_and_leaves_what_is_data(tmp_path: Path) -> None:
+    save_run(tmp_path / "run", made_up_town())
+    layers = {layer.name: layer for layer in load_subject(tmp_path / "run").layers}
+    regions = themed(layers["Regions"], DARK)
+    assert (layers["Regions"].segment_colors == INK).all()
+    assert (regions.segment_colors == DARK.ink).all()
+    assert regions.polygon_colors.mean() < 0.6 * layers["Regions"].polygon_colors.mean()
+    assert np.array_equal(themed(layers["Seams"], DARK).segment_colors, layers["Seams"].segment_colors)
+    assert themed(layers["Regions"], LIGHT) is layers["Regions"]
+
+
+def test_a_ply_from_elsewhere_is_shown_and_a_broken_one_refused(tmp_path: Path) -> None:
+    save_ply(tmp_path / "model.ply", made_up_town().splats)
+    subject = load_subject(tmp_path / "model.ply")
+    assert subject.run is None
+    assert [layer.name for layer in subject.layers] == ["Gaussians"]
+    assert subject.splats is not None
+    save_ply(tmp_path / "empty.ply", subject.splats.select(np.zeros(0, np.int64)))
+    (tmp_path / "broken.ply").write_bytes((tmp_path / "model.ply").read_bytes()[:-7])
+    for name in ("empty.ply", "broken.ply", "none.ply"):
+        with pytest.raises(BadInput, match=name):
+            load_subject(tmp_path / name)
+
+
+def test_how_much_of_a_stage_is_done() -> None:
+    assert StageState(stage="sfm", state="running").share is None
+    assert StageState(stage="sfm", state="running", done=3, total=4).share == 0.75
+    assert StageState(stage="sfm", state="running", done=9, total=4).share == 1
+    assert StageState(stage="sfm", state="skipped").share == 1
