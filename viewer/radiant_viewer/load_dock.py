@@ -51,7 +51,7 @@ class LoadDock(QDockWidget):
             item.setText(CAMERAS, "" if row.time_s is None else f"{row.num_cameras:,}")
             item.setText(TIME, "" if row.time_s is None else duration_text(row.time_s))
             item.setText(NOTE, row.note)
-            item.setData(LOAD, SHARE_ROLE, row.share)
+            item.setData(LOAD, SHARE_ROLE, None if row.time_s is None else row.share)
             item.setData(LOAD, COLOR_ROLE, QColor(red, green, blue))
 
     def _rebuild(self, rows: Sequence[LoadRow]) -> None:

@@ -10,7 +10,7 @@ from radiant_viewer.layers import Layer, LegendEntry, at_height, outline_segment
 from radiant_viewer.palette import INK, WHITE, category_colors
 from radiant_viewer.region_layer import duration_text, near_map
 
-WIDTH, FLATNESS, DROP = 0.09, 0.16, 0.02
+WIDTH, FLATNESS, DROP = 0.13, 0.18, 0.06
 """Width of a bar and its distance below the edge as shares of the regions' longer side, and its height as a share of its width."""
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer
-from PySide6.QtWidgets import QFileDialog
+from PySide6.QtWidgets import QFileDialog, QTabWidget, QWidget
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
@@ -281,6 +281,10 @@ class Planning:
         window = self.window
         window.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.dock)
         window.tabifyDockWidget(window.layer_dock, self.dock)
+        window.setTabPosition(Qt.DockWidgetArea.LeftDockWidgetArea, QTabWidget.TabPosition.North)
+        for dock in (window.layer_dock, self.dock, self.loads):
+            # The tab says the same.
+            dock.setTitleBarWidget(QWidget())
         window.layer_dock.raise_()
         bottom = window.docks.cameras
         window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self.loads)

@@ -32,7 +32,8 @@ class Subject:
 
 
 def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
-    """A run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged with one sentence when it is neither or broken."""
+    """A run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged with one sentence when it is
+    none of them or broken."""
     if path.suffix.lower() == ".ply" and not path.is_dir():
         splats = load_ply(path)
         if not len(splats):
