@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pyvista as pv
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt
+from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
 
@@ -22,7 +24,7 @@ from radiant_viewer.themes import LIGHT, Theme, themed
 from radiant_viewer.view_pose import ViewPose
 
 CLICK_PX = 4
-CLOUD_POINT_PX = 2.0
+CLOUD_POINT_PX, CLOUD_POINT_3D_PX = 2.6, 3.2
 TOP_SLOT = 400
 """Slot of the map on which marks of selections and tools lie: above a hundred layers."""
 Clicked = Callable[["Canvas", tuple[int, int]], bool]
@@ -36,7 +38,6 @@ class Canvas:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
         self.actors: dict[str, list[pv.Actor]] = {}
         self.click_takers: list[Clicked] = []
-        self._pressed: tuple[int, int] | None = None
         self.frame = QWidget(parent)
         layout = QVBoxLayout(self.frame)
         layout.setContentsMargins(4, 2, 4, 4)
@@ -49,8 +50,8 @@ class Canvas:
         self.plotter.reset_key_events()
         self.plotter.iren.interactor.RemoveObservers("CharEvent")
         layout.addWidget(self.plotter, stretch=1)
-        self.plotter.iren.add_observer("LeftButtonPressEvent", self._on_press)
-        self.plotter.iren.add_observer("LeftButtonReleaseEvent", self._on_release)
+        # By Qt: some of VTK's styles keep the release of a button to themselves.
+        self._clicks = _ClickFilter(self.plotter, self._on_click)
         self.set_theme(LIGHT)
 
     def set_theme(self, theme: Theme) -> None:
@@ -68,7 +69,7 @@ class Canvas:
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in self.actors[layer.name][-1:]:
                 # A view of the window is a quarter of a picture's size: points as large would bury what lies below.
-                actor.prop.point_size = CLOUD_POINT_PX
+                actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
         if layer.labels and self.is_map:
             self.actors[layer.name].append(self._labels(layer, height))
         self.show(layer.name, visible)
@@ -141,7 +142,8 @@ class Canvas:
             return
         spans = local.max(axis=0) - local.min(axis=0)
         self.plotter.enable_parallel_projection()
-        self.plotter.enable_image_style()
+        # A map is moved by dragging it.
+        self.plotter.enable_custom_trackball_style(left="pan", shift_left="pan", control_left="pan", middle="pan", right="dolly")
         camera = self.plotter.camera
         camera.focal_point, camera.position, camera.up = (0, 0, 0), (0, 0, float(SLOTS_PER_LAYER * (TOP_SLOT + 8))), (0, 1, 0)
         width, height = self.size_wh
@@ -184,15 +186,31 @@ class Canvas:
         texts = [label.text.splitlines()[0] for label in layer.labels]
         return self.plotter.add_point_labels(places, texts, always_visible=True, reset_camera=False, render=False, **style)
 
-    def _on_press(self, *_: object) -> None:
-        x, y = self.plotter.iren.get_event_position()
-        self._pressed = (int(x), int(y))
+    def _on_click(self, x: float, y: float) -> None:
+        scale = self.plotter.devicePixelRatioF()
+        pixel = (int(x * scale), int(self.size_wh[1] - 1 - y * scale))
+        _first_taker(self.click_takers, self, pixel)
 
-    def _on_release(self, *_: object) -> None:
-        pressed, self._pressed = self._pressed, None
-        x, y = self.plotter.iren.get_event_position()
-        if pressed is not None and max(abs(x - pressed[0]), abs(y - pressed[1])) <= CLICK_PX:
-            _first_taker(self.click_takers, self, (int(x), int(y)))
+
+class _ClickFilter(QObject):
+    """Calls `clicked` with x and y from the upper left where the left button was pressed and released in one place."""
+
+    def __init__(self, watched: QWidget, clicked: Callable[[float, float], None]) -> None:
+        super().__init__(watched)
+        self._clicked = clicked
+        self._pressed: QPointF | None = None
+        watched.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Look on, and let everything pass."""
+        if isinstance(event, QMouseEvent) and event.button() == Qt.MouseButton.LeftButton:
+            if event.type() == QEvent.Type.MouseButtonPress:
+                self._pressed = event.position()
+            elif event.type() == QEvent.Type.MouseButtonRelease and self._pressed is not None:
+                moved, self._pressed = event.position() - self._pressed, None
+                if moved.manhattanLength() <= CLICK_PX:
+                    self._clicked(event.position().x(), event.position().y())
+        return False
 
 
 def _first_taker(takers: Sequence[Clicked], canvas: Canvas, pixel: tuple[int, int]) -> bool:

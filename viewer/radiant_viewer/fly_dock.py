@@ -115,9 +115,9 @@ class FlyDock(QDockWidget):
 
     def _on_ended(self, message: str) -> None:
         self.job = None
+        self._update()
         self.note.setText(message)
         self._window.tell(message)
-        self._update()
 
     def _play(self) -> None:
         self._playing = self.poses()
@@ -145,6 +145,9 @@ class FlyDock(QDockWidget):
 
     def _update(self) -> None:
         flies = len(self.keyframes) > 1
+        if flies and self.job is None:
+            length_s = (len(self.keyframes) - 1) * self.seconds.value()
+            self.note.setText(f"{len(self.keyframes)} keyframes, {length_s:.1f} s")
         self.play.setEnabled(flies)
         self.export.setEnabled(flies and self.job is None)
         self.remove.setEnabled(bool(self.keyframes))

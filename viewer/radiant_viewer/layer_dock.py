@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidget
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers import Layer
-from radiant_viewer.palette import INK, ColorArray, heat_table
+from radiant_viewer.palette import GREY, ColorArray, heat_table
 
 NAME, SOLO = 0, 1
 MAX_OPEN_ROWS = 8
@@ -118,8 +118,8 @@ def _check_state(checked: bool) -> Qt.CheckState:
 
 
 def color_icon(colors: ColorArray) -> QIcon:
-    """An icon with a dark rim from colours (1,K,3), one or a whole scale from left to right."""
-    icon = np.tile(np.array(INK, np.uint8), (14, 14, 1))
+    """An icon with a grey rim, seen on light and on dark ground, from colours (1,K,3), one or a whole scale from left to right."""
+    icon = np.tile(np.array(GREY, np.uint8), (14, 14, 1))
     columns = np.linspace(0, colors.shape[1] - 1, 12).round().astype(int)
     icon[1:-1, 1:-1] = colors[:, columns]
     return QIcon(QPixmap.fromImage(QImage(icon.tobytes(), 14, 14, 42, QImage.Format.Format_RGB888)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QPushButton, QSlider, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSlider, QToolButton, QVBoxLayout, QWidget
 
 from radiant_core.errors import BadInput
 from radiant_viewer.images import Image, load_image
@@ -42,10 +42,11 @@ class PhotoDock(QDockWidget):
         self.name = QLabel("No camera is selected")
         self.name.setStyleSheet("font-weight: 600")
         self.name.setSizePolicy(self.name.sizePolicy().horizontalPolicy().Ignored, self.name.sizePolicy().verticalPolicy())
-        self.previous, self.next = QPushButton("‹ Worse"), QPushButton("Better ›")
+        self.previous, self.next, self.worst = QToolButton(), QToolButton(), QToolButton()
+        for button, text in ((self.previous, "‹ Worse"), (self.next, "Better ›"), (self.worst, "Worst")):
+            button.setText(text)
         self.previous.setToolTip("The next worse held-out photograph (Alt+Left)")
         self.next.setToolTip("The next better held-out photograph (Alt+Right)")
-        self.worst = QPushButton("Worst")
         self.worst.setToolTip("The held-out photograph with the lowest PSNR (W)")
         self.previous.clicked.connect(lambda: self.step(-1))
         self.next.clicked.connect(lambda: self.step(1))

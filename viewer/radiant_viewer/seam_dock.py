@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 
 from radiant_viewer.layers import Layer, LegendEntry
 from radiant_viewer.measure import length_text
-from radiant_viewer.palette import VERMILLION
+from radiant_viewer.palette import VERMILLION, WHITE
 from radiant_viewer.run_view import RunView
 from radiant_viewer.seam_tour import SeamStop, seam_stops
 from radiant_viewer.views import ground_height
@@ -111,15 +111,13 @@ def seam_dock(window: InspectorWindow, run: RunView) -> SeamDock | None:
 
 
 def _mark(stop: SeamStop, height: float) -> Layer:
-    ends = np.column_stack([stop.ends, np.full(2, height)])
+    """A disc at the worst place and white ones at both ends: a line would hide the colours of the seam."""
+    places = np.column_stack([[stop.worst, *stop.ends], np.full(3, height)])
     return Layer(
         name=MARK,
-        segments=ends[None],
-        segment_colors=np.array([VERMILLION], np.uint8),
-        line_width_px=4,
-        points=np.array([[*stop.worst, height]]),
-        point_colors=np.array([VERMILLION], np.uint8),
-        point_size_px=13,
+        points=places,
+        point_colors=np.array([VERMILLION, WHITE, WHITE], np.uint8),
+        point_size_px=11,
         point_rim=True,
         in_front=True,
         legend=(LegendEntry(text="Worst place of this border", color=VERMILLION, marker="ring"),),

@@ -139,10 +139,18 @@ class SplatDock(QDockWidget):
         self.shown_is_full = self._drawn is not None and self._drawn[1]
         width, height = frame.image.shape[1], frame.image.shape[0]
         detail = "full" if self.shown_is_full else "coarse while moving"
-        why = "" if self.decision is None or self.choice.currentIndex() else f" · {self.decision.reason}"
-        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms, {detail}{why}")
+        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms, {detail}{self._why()}")
         if self.decision is not None:
             self.note.setToolTip(self.decision.reason)
+
+    def _why(self) -> str:
+        """What decided between the renderers, where that decided."""
+        if self.decision is None or self.choice.currentIndex():
+            return ""
+        others = [
+            f"{NAMES[kind]} {1000 * seconds:.0f} ms" for kind, seconds in self._seconds.items() if NAMES[kind] != self.decision.choice
+        ]
+        return f" ({', '.join(others) or 'the other does not run here'})"
 
     def _compare(self) -> None:
         """Once a full picture stands, let both renderers draw it in turn and take the faster one."""
@@ -155,7 +163,9 @@ class SplatDock(QDockWidget):
             process.ask(1, self._camera(1)[0], self._window.theme.view, None)
 
     def _on_trial(self, kind: Kind, frame: Frame) -> None:
-        assert self._trial is not None
+        if self._trial is None:
+            # Somebody chose a renderer while it was tried.
+            return
         self._seconds[kind] = frame.seconds
         number = self._trial[1] + 1
         if number < TRIALS:

@@ -90,6 +90,10 @@ QToolBar QToolButton:hover {{ border-color: {accent}; }}
 QToolBar QToolButton:checked {{ background: {chosen}; border-color: {accent}; }}
 QTabBar::tab {{ background: {panel}; color: {soft}; padding: 4px 10px; border: none; border-bottom: 2px solid transparent; }}
 QTabBar::tab:selected {{ color: {text}; border-bottom: 2px solid {accent}; }}
+QTabBar {{ qproperty-drawBase: 0; }}
+QTreeView::indicator, QCheckBox::indicator {{ width: 12px; height: 12px; border: 1px solid {soft}; border-radius: 3px;
+  background: {field}; }}
+QTreeView::indicator:checked, QCheckBox::indicator:checked {{ background: {accent}; border-color: {accent}; }}
 QStatusBar {{ background: {panel}; color: {soft}; border-top: 1px solid {line}; }}
 QToolTip {{ background: {field}; color: {text}; border: 1px solid {line}; padding: 3px; }}
 QLabel[soft="true"] {{ color: {soft}; }}

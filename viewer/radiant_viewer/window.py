@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 from PySide6.QtCore import Qt, QTimer, Signal
-from PySide6.QtGui import QCloseEvent, QColor, QKeySequence, QPalette, QShortcut, QShowEvent
+from PySide6.QtGui import QAction, QCloseEvent, QColor, QKeySequence, QPalette, QShortcut, QShowEvent
 from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
 
 from radiant_core.errors import BadInput, RadiantError
@@ -60,6 +60,7 @@ class InspectorWindow(QMainWindow):
         self.selected: int | None = None
         self._marks: dict[str, Layer] = {}
         self._was_shown = False
+        self._dark_button: list[QAction] = []
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
         splitter = QSplitter(Qt.Orientation.Horizontal)
@@ -67,8 +68,11 @@ class InspectorWindow(QMainWindow):
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
         splitter.setSizes([320, 320])
         self.setCentralWidget(splitter)
-        known = [name for name in HIDDEN_AT_FIRST if subject.run is not None]
-        self.layer_dock = LayerDock(self, self.layers, frozenset(known), self._on_visibility)
+        # Where there are no sparse points below them, the Gaussians are the ground.
+        has_ground = any(layer.name == "Sparse points" for layer in self.layers)
+        self.layer_dock = LayerDock(
+            self, self.layers, HIDDEN_AT_FIRST if has_ground else HIDDEN_AT_FIRST - {"Gaussians"}, self._on_visibility
+        )
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
@@ -188,6 +192,10 @@ class InspectorWindow(QMainWindow):
     def set_theme(self, name: ThemeName) -> None:
         """Light or dark, views included."""
         self.theme = THEMES[name]
+        for button in self._dark_button:
+            button.blockSignals(True)
+            button.setChecked(name == "dark")
+            button.blockSignals(False)
         QApplication.setPalette(_palette(self.theme))
         self.setStyleSheet(style_sheet(self.theme))
         for canvas in (self.map, self.view):
@@ -307,6 +315,8 @@ class InspectorWindow(QMainWindow):
             button.setToolTip(f"{tip} ({key})")
             button.setShortcut(QKeySequence(key))
             button.toggled.connect(toggle)
+            if text == "Dark":
+                self._dark_button.append(button)
             if text == "Crop" and crop is not None:
                 crop.active.toggled.connect(button.setChecked)
 
