@@ -138,7 +138,7 @@ def test_what_cannot_be_opened_is_one_sentence(tmp_path: Path, planned: Path) ->
     bare = town.scene.restricted_to(np.zeros(0, np.int64))
     with pytest.raises(BadInput, match="the plan has no cameras"):
         subject_of(load_plan_view(tmp_path / "empty.json", bare))
-    with pytest.raises(BadInput, match="cannot read"):
+    with pytest.raises(BadInput, match="cannot be read"):
         plan_setting(tmp_path / "empty.json", tmp_path / "none.toml")
 
 

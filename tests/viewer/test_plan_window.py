@@ -25,10 +25,11 @@ from PySide6.QtCore import QPoint, QTimer, Qt
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
-from radiant_app.inspect_command import open_inspector
+from radiant_app.inspect_command import run_setting
 from radiant_core.plan.borders import shared_borders
 from radiant_viewer import plan_session
 from radiant_viewer.plan_edits import FixWeight, MoveEdge
+from radiant_viewer.inspector import open_window
 from radiant_viewer.window import InspectorWindow
 
 run, out = Path(sys.argv[1]), Path(sys.argv[2])
@@ -118,7 +119,7 @@ def steps(window):
     assert session.is_busy and len(editor.edits) == 2
 
 QTimer.singleShot(0, drive)
-code = open_inspector(run)
+code = open_window(run, setting=run_setting(run))
 assert not failures, failures
 sys.exit(code)
 """

@@ -37,7 +37,7 @@ class KeptEdits:
 
 def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
     """The same for the same plan of the same machines, whatever file it lies in."""
-    return content_key(plan_record(cloud, edges))
+    return content_key(cloud, tuple(edges))
 
 
 def save_edits(path: Path, base: str, kept: KeptEdits) -> None:
