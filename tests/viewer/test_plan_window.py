@@ -74,8 +74,8 @@ def steps(window):
     QTest.mousePress(view, Qt.MouseButton.LeftButton, pos=start)
     assert planning.tools.is_dragging, "the border was not grabbed"
     for share in (0.3, 0.6, 1.0):
-        QTest.mouseMove(view, start + (stop - start) * share)
         count = len(previews)
+        QTest.mouseMove(view, start + (stop - start) * share)
         until(lambda: len(previews) > count, "no frame of the drag came")
     assert editor.edits == () and previews[-1].cloud.counts[0] > first.counts[0], "the drag shows nothing, or is an edit already"
     QTest.mouseRelease(view, Qt.MouseButton.LeftButton, pos=stop)
