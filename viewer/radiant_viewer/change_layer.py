@@ -51,7 +51,7 @@ def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: 
         name="Constraints",
         points=pinned,
         point_colors=np.tile(np.array(INK, np.uint8), (len(pinned), 1)),
-        point_size_px=8,
+        point_size_px=4,
         square_points=True,
         segments=np.concatenate(segments),
         segment_colors=np.concatenate(colors),
