@@ -35,6 +35,7 @@ class LoadDock(QDockWidget):
         header.resizeSection(LOAD, 300)
         self.tree.currentItemChanged.connect(self._on_current)
         self._rows: tuple[LoadRow, ...] = ()
+        self._items: list[QTreeWidgetItem] = []
         self.setWidget(self.tree)
 
     def show_rows(self, rows: Sequence[LoadRow]) -> None:
@@ -43,9 +44,8 @@ class LoadDock(QDockWidget):
             self._rebuild(rows)
         self._rows = tuple(rows)
         colors = category_colors(sum(row.is_edge for row in rows))
-        items = self._items()
         edge = -1
-        for item, row in zip(items, rows, strict=True):
+        for item, row in zip(self._items, rows, strict=True):
             edge += row.is_edge
             red, green, blue = (int(value) for value in (colors[edge] if row.is_edge else tinted(colors[edge], (255, 255, 255), 0.45)))
             item.setText(CAMERAS, "" if row.time_s is None else f"{row.num_cameras:,}")
@@ -57,10 +57,12 @@ class LoadDock(QDockWidget):
     def _rebuild(self, rows: Sequence[LoadRow]) -> None:
         self.tree.blockSignals(True)
         self.tree.clear()
+        self._items = []
         top: QTreeWidgetItem | None = None
         many = sum(not row.is_edge for row in rows) > 40
         for row in rows:
             item = QTreeWidgetItem([row.name])
+            self._items.append(item)
             for column in (CAMERAS, TIME):
                 item.setTextAlignment(column, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             if row.is_edge or top is None:
@@ -71,16 +73,9 @@ class LoadDock(QDockWidget):
                 top = item
             else:
                 top.addChild(item)
-        for index in range(self.tree.topLevelItemCount()):
-            self.tree.topLevelItem(index).setExpanded(not many)
+        for item in self._items:
+            item.setExpanded(not many)
         self.tree.blockSignals(False)
-
-    def _items(self) -> list[QTreeWidgetItem]:
-        found: list[QTreeWidgetItem] = []
-        for index in range(self.tree.topLevelItemCount()):
-            top = self.tree.topLevelItem(index)
-            found += [top, *(top.child(place) for place in range(top.childCount()))]
-        return found
 
     def _on_current(self, item: QTreeWidgetItem | None) -> None:
         if item is not None:

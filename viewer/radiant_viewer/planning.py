@@ -83,7 +83,7 @@ class Planning:
         self.session.previewed.connect(self._show_preview)
         self.session.failed.connect(self._tell_failure)
         self.session.busy.connect(self.dock.working.setVisible)
-        told = self.session.editor.restore()
+        told = list(self.session.editor.restore())
         self._show_state(restored=told)
         if told or self.session.editor.edits:
             count = len(self.session.editor.edits)
