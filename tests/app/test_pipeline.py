@@ -18,6 +18,7 @@ import pytest
 
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
+from radiant_app.event_file import read_progress
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
 from radiant_app.inbox import read_inbox
 from radiant_app.nodes import run_device, run_edge
@@ -86,6 +87,15 @@ def test_no_photograph_lies_at_an_edge_or_the_cloud(finished: tuple[RunConfig, R
     assert {row["num_photographs"] for row in manifest["ledger"] if row["tier"] != "device"} == {0}
     pictures = [path for tier in ("edges", "cloud") for path in (config.out / tier).rglob("*") if path.suffix.lower() in (".jpg", ".png")]
     assert pictures == []
+
+
+def test_a_finished_runs_stream_of_events_tells_of_every_stage(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
+    config, _, _ = finished
+    manifest = json.loads((config.out / "manifest.json").read_text())
+    progress = read_progress(config.out)
+    assert (progress.status, progress.is_running) == ("done", False)
+    assert {stage.stage for stage in progress.stages} >= set(manifest["stages"])
+    assert {stage.state for stage in progress.stages} == {"done"}
 
 
 def test_training_beats_both_baselines_on_every_held_out_photograph(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:

@@ -60,7 +60,7 @@ def _frames(path: Path) -> list[np.ndarray]:
     if path.suffix == ".gif":
         with Pictures.open(path) as film:
             frames = []
-            for index in range(film.n_frames):
+            for index in range(getattr(film, "n_frames", 1)):
                 film.seek(index)
                 frames.append(np.asarray(film.convert("RGB")))
             return frames

@@ -51,7 +51,7 @@ def until(done, seconds=30):
 def drive():
     try:
         QTest.qWait(300)
-        {"run": steps_of_run, "model": steps_of_model}[what](windows()[0])
+        {"run": steps_of_run, "model": steps_of_model, "begun": steps_of_begun_run}[what](windows()[0])
     except BaseException as error:
         import traceback
         traceback.print_exc()
@@ -280,6 +280,22 @@ def steps_of_model(window):
     window.docks.crop.active.setChecked(True)
     assert window.docks.crop.save_inside(out / "part.ply") > 0
 
+def steps_of_begun_run(window):
+    assert window.docks.splats is None and window.docks.seams is None
+    assert "no model yet" in window.statusBar().currentMessage()
+    window.docks.photo.show_worst()
+    assert "No photograph has figures yet" in window.statusBar().currentMessage()
+    window.select_camera("DJI_0009.JPG")
+    window.set_theme("dark")
+    assert window.docks.progress.table.item(0, 1).text() == "running"
+    refused(window, lambda: window.docks.crop.save_inside(out / "none.ply"))
+    # What was trained since appears when the run is read anew.
+    (out / "scene.ply").rename(run_folder / "scene.ply")
+    window.reload()
+    QTest.qWait(300)
+    fresh = next(other for other in windows() if other.isVisible())
+    assert fresh.docks.splats is not None and fresh.docks.seams is not None and fresh.theme.name == "dark"
+
 QTimer.singleShot(0, drive)
 code = inspector.open_window(run_folder, feeds)
 assert not failures, failures
@@ -307,7 +323,7 @@ def run_python(code: str, *arguments: str, **environment: str) -> subprocess.Com
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     env = {name: value for name, value in os.environ.items() if name not in hidden} | environment
     command = [sys.executable, "-W", "error", "-c", code, *arguments]
-    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=900, check=False)
+    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=300, check=False)
 
 
 def test_the_window_of_a_run(tmp_path: Path, display: str) -> None:
@@ -326,6 +342,15 @@ def test_the_window_of_a_ply_from_elsewhere(tmp_path: Path, display: str) -> Non
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     save_ply(tmp_path / "model.ply", made_up_town().splats)
     result = run_python(DRIVER, str(tmp_path / "model.ply"), str(tmp_path), "model", DISPLAY=display, QT_QPA_PLATFORM="xcb")
+    assert result.returncode == 0, result.stderr[-4000:]
+
+
+def test_the_window_of_a_run_that_is_at_work(tmp_path: Path, display: str) -> None:
+    pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
+    save_run(tmp_path / "run", made_up_town())
+    (tmp_path / "run/scene.ply").rename(tmp_path / "scene.ply")
+    (tmp_path / "run/metrics.json").unlink()
+    result = run_python(DRIVER, str(tmp_path / "run"), str(tmp_path), "begun", DISPLAY=display, QT_QPA_PLATFORM="xcb")
     assert result.returncode == 0, result.stderr[-4000:]
 
 

@@ -142,7 +142,8 @@ class CropDock(QDockWidget):
     def _show_widget(self, active: bool) -> None:
         plotter = self._window.view.plotter
         box = self.box if active else None
-        if (box is None) == (self._widget_box is None) and (box is None or np.array_equal(box, self._widget_box)):
+        before = self._widget_box
+        if (box is None and before is None) or (box is not None and before is not None and np.array_equal(box, before)):
             return
         plotter.clear_box_widgets()
         self._widget_box = box

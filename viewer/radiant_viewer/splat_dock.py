@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -101,7 +102,8 @@ class SplatDock(QDockWidget):
         camera, key = self._camera(1)
         if key != self._last_key:
             self._last_key, self._moved_s = key, time.monotonic()
-        if process is None or not process.is_ready or process.is_busy:
+            self.shown_is_full = False
+        if not process.is_ready or process.is_busy:
             return
         rests = time.monotonic() - self._moved_s > REST_S
         if rests and self._drawn == (key, True):
@@ -121,11 +123,11 @@ class SplatDock(QDockWidget):
         key = camera.cam_from_world.tobytes() + camera.Ks.tobytes() + self._window.theme.name.encode() + self.kind.encode()
         return camera, key + (b"" if box is None else box.tobytes())
 
-    def _process(self, kind: Kind) -> SplatProcess | None:
+    def _process(self, kind: Kind) -> SplatProcess:
         if kind not in self._processes:
             process = SplatProcess(self, kind, self.ply_path)
-            process.drawn.connect(lambda frame, kind=kind: self._on_drawn(kind, frame))
-            process.failed.connect(lambda reason, kind=kind: self._on_failed(kind, reason))
+            process.drawn.connect(partial(self._on_drawn, kind))
+            process.failed.connect(partial(self._on_failed, kind))
             self._processes[kind] = process
         return self._processes[kind]
 
@@ -158,7 +160,7 @@ class SplatDock(QDockWidget):
             return
         kind, number = self._trial or ("own", 0)
         process = self._process(kind)
-        if process is not None and process.is_ready and not process.is_busy:
+        if process.is_ready and not process.is_busy:
             self._trial = (kind, number)
             process.ask(1, self._camera(1)[0], self._window.theme.view, None)
 

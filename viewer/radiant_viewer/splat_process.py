@@ -76,7 +76,8 @@ class SplatProcess(QObject):
             if self._header is None:
                 if not self._process.canReadLine():
                     return
-                self._header = json.loads(self._process.readLine().data())
+                self._header = json.loads(bytes(self._process.readLine().data()))
+            assert self._header is not None, "every line is an object"
             if "ready" in self._header:
                 self._header, self.is_ready = None, True
                 self.ready.emit()
@@ -90,7 +91,7 @@ class SplatProcess(QObject):
             self.drawn.emit(frame)
 
     def _on_error_text(self) -> None:
-        self._last_words = (self._last_words + self._process.readAllStandardError().data().decode(errors="replace"))[-2000:]
+        self._last_words = (self._last_words + bytes(self._process.readAllStandardError().data()).decode(errors="replace"))[-2000:]
 
     def _on_finished(self, *_: object) -> None:
         if self._is_ending:

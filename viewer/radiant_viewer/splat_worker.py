@@ -91,7 +91,7 @@ def _open3d_cloud(splats: Splats) -> o3d.t.geometry.PointCloud:
     cloud = o3d.t.geometry.PointCloud()
 
     def tensor(values: NDArray[np.float32]) -> o3d.core.Tensor:
-        return o3d.core.Tensor(np.ascontiguousarray(values, dtype=np.float32))
+        return o3d.core.Tensor.from_numpy(np.ascontiguousarray(values, dtype=np.float32)).clone()
 
     cloud.point.positions = tensor(splats.means)
     cloud.point["scale"] = tensor(np.exp(splats.log_scales))
@@ -99,7 +99,7 @@ def _open3d_cloud(splats: Splats) -> o3d.t.geometry.PointCloud:
     cloud.point["opacity"] = tensor(splats.logit_opacities[:, None])
     cloud.point["f_dc"] = tensor(splats.sh0[:, 0])
     if bases:
-        cloud.point["f_rest"] = o3d.core.Tensor(np.ascontiguousarray(splats.shN[:, :bases]))
+        cloud.point["f_rest"] = o3d.core.Tensor.from_numpy(np.ascontiguousarray(splats.shN[:, :bases])).clone()
     return cloud
 
 
@@ -142,7 +142,8 @@ def serve(kind: str, path: Path, requests: IO[bytes], answers: IO[bytes]) -> Non
             cam_from_world=np.array([request["cam_from_world"]], np.float64),
             sizes_wh=np.array([[width, height]]),
         )
-        background = tuple(int(level) for level in request["background"])
+        red, green, blue = (int(level) for level in request["background"])
+        background = (red, green, blue)
         began = time.monotonic()
         renderer = boxed.renderer(request["box"])
         image = np.tile(np.array(background, np.uint8), (height, width, 1)) if renderer is None else renderer.draw(camera, background)

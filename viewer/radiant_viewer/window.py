@@ -301,7 +301,7 @@ class InspectorWindow(QMainWindow):
                 button.setToolTip(f"{tip} ({key})")
                 button.setShortcut(QKeySequence(key))
             else:
-                QShortcut(QKeySequence(key), self, activated=action)
+                QShortcut(QKeySequence(key), self).activated.connect(action)
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
             *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", planning.set_active)] if planning else []),
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
