@@ -304,25 +304,24 @@ def evaluate(
 
 @app.command()
 def inspect(
-    run_folder: Annotated[Path, typer.Argument(help="A run, or for the window a 3DGS .ply file.", show_default=False)],
+    run_folder: Annotated[Path, typer.Argument(help="A run; for the window also a 3DGS .ply; a plan, or its folder.", show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
     size: SizeOption = "1280x900",
     camera: Annotated[
         str | None, typer.Option(help="A photograph's name: splats are seen from there, compare shows it alone.", show_default=False)
     ] = None,
+    system: Annotated[Path | None, typer.Option(help="TOML of edges and devices with which the plan is changed; else its own.")] = None,
+    scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.")] = None,
 ) -> None:
-    """Regions, cameras, seams and splats of a run: in a window, or as a picture."""
-    from radiant_app import commands
+    """Regions, cameras, seams and splats of a run, or a plan to be changed: in a window, or as a picture."""
+    from radiant_app.inspect_command import Picture, open_inspector, save_picture
 
     if screenshot is None:
-        from radiant_app.inspect_feeds import feeds_of
-        from radiant_viewer.inspector import open_window
-
-        raise typer.Exit(open_window(run_folder, feeds_of(run_folder)))
+        raise typer.Exit(open_inspector(run_folder, system, scene))
     from radiant_app.quantities import size_wh_of
 
-    typer.echo(commands.screenshot(run_folder, view, screenshot, size_wh_of(size), camera))
+    typer.echo(save_picture(run_folder, view, screenshot, Picture(size_wh=size_wh_of(size), camera=camera, scene=scene)))
 
 
 app.command()(export)

@@ -88,6 +88,11 @@ class CameraDock(QDockWidget):
         self.table.selectRow(row.row())
         self.table.scrollTo(row, QAbstractItemView.ScrollHint.PositionAtCenter)
 
+    def take_run(self, run: RunView) -> None:
+        """Show the same cameras with another plan; sorting, filter and selection stay."""
+        self._run = run
+        self.cameras.take_run(run)
+
     def color_by(self, what: str) -> None:
         """Show cameras in the colours of "Region", "Device", "Held-out" or "PSNR" alone."""
         for name, layer in COLORINGS.items():

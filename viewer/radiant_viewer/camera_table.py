@@ -37,7 +37,13 @@ class CameraTable(QAbstractTableModel):
             f"North ({unit})",
             f"Up ({unit})",
         )
-        self.rows = _rows(run, [figure.key for figure in more], figures or {})
+        self._keys, self._figures = [figure.key for figure in more], figures or {}
+        self.rows = _rows(run, self._keys, self._figures)
+
+    def take_run(self, run: RunView) -> None:
+        """The same cameras with another plan."""
+        self.rows = _rows(run, self._keys, self._figures)
+        self.dataChanged.emit(self.index(0, 0), self.index(len(self.rows) - 1, len(self.headings) - 1))
 
     def rowCount(self, parent: Index = QModelIndex()) -> int:  # noqa: B008 (Qt's own signature)
         """Number of cameras."""

@@ -16,21 +16,32 @@ from radiant_viewer.run_feeds import RunFeeds
 from radiant_viewer.subject import Subject, load_subject
 
 if TYPE_CHECKING:
+    from radiant_core.scene import SfmScene
+    from radiant_viewer.plan_files import PlanSetting
     from radiant_viewer.themes import ThemeName
     from radiant_viewer.window import InspectorWindow
 
 
-def open_window(path: Path, feeds: RunFeeds | None = None, theme: ThemeName = "light") -> int:
-    """Show a run or a PLY until its window is closed and return the exit code; BadInput without a desktop or for a broken run."""
+def open_window(
+    path: Path,
+    feeds: RunFeeds | None = None,
+    theme: ThemeName = "light",
+    setting: PlanSetting | None = None,
+    scene: SfmScene | None = None,
+) -> int:
+    """Show a run, a plan or a PLY until its window is closed and return the exit code; BadInput without a desktop or for a broken run.
+
+    `setting`: with which machines the plan may be changed; `scene`: the cameras of a plan without waypoints.
+    """
     require_desktop()
     # What cannot be shown is refused before any window appears.
-    subject = load_subject(Path(path))
+    subject = load_subject(Path(path), scene)
     from PySide6.QtWidgets import QApplication
 
     existing = QApplication.instance()
     application = existing if isinstance(existing, QApplication) else QApplication(sys.argv[:1])
     application.setStyle("Fusion")
-    desk = _Desk(feeds or RunFeeds())
+    desk = _Desk(feeds or RunFeeds(), setting, scene)
     desk.show(subject, theme)
     return application.exec()
 
@@ -38,15 +49,15 @@ def open_window(path: Path, feeds: RunFeeds | None = None, theme: ThemeName = "l
 class _Desk:
     """Keeps the window, and puts a new one in its place when the run is to be read anew."""
 
-    def __init__(self, feeds: RunFeeds) -> None:
-        self._feeds = feeds
+    def __init__(self, feeds: RunFeeds, setting: PlanSetting | None = None, scene: SfmScene | None = None) -> None:
+        self._feeds, self._setting, self._scene = feeds, setting, scene
         self.window: InspectorWindow | None = None
 
     def show(self, subject: Subject, theme: ThemeName) -> None:
         """Open a window, then close the one before, so that the application does not end in between."""
         from radiant_viewer.window import InspectorWindow
 
-        before, self.window = self.window, InspectorWindow(subject, self._feeds, theme)
+        before, self.window = self.window, InspectorWindow(subject, self._feeds, theme, self._setting)
         self.window.wants_reload.connect(self._reload)
         if before is not None:
             self.window.setGeometry(before.geometry())
@@ -58,7 +69,7 @@ class _Desk:
     def _reload(self) -> None:
         assert self.window is not None
         try:
-            subject = load_subject(self.window.subject.path)
+            subject = load_subject(self.window.subject.path, self._scene)
         except RadiantError as error:
             # What is shown stays: a run may be in the middle of writing.
             self.window.tell(str(error))

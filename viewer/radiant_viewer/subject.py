@@ -7,9 +7,12 @@ from pathlib import Path
 
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
+from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.camera_layer import camera_layer
 from radiant_viewer.layers import Layer
+from radiant_viewer.plan_layers import with_planning_layers
+from radiant_viewer.plan_view import load_plan_view
 from radiant_viewer.run_view import RunView, load_run_view
 from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
 from radiant_viewer.views import ground_height, plan_layers, seam_of
@@ -28,8 +31,9 @@ class Subject:
     summary: str
 
 
-def load_subject(path: Path) -> Subject:
-    """A run folder or a .ply file; BadInput or StoreDamaged with one sentence when it is neither or broken."""
+def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
+    """A run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged with one sentence when it is
+    none of them or broken."""
     if path.suffix.lower() == ".ply" and not path.is_dir():
         splats = load_ply(path)
         if not len(splats):
@@ -38,6 +42,8 @@ def load_subject(path: Path) -> Subject:
         # Nothing in a PLY says what its unit is.
         layers = (splat_layer(splats),)
         return Subject(path=path, layers=layers, splats=splats, run=None, unit="units", ground=0.0, summary=summary)
+    if path.suffix.lower() == ".json" and not path.is_dir():
+        return subject_of_run(load_plan_view(path, scene))
     return subject_of_run(load_run_view(path))
 
 
@@ -47,7 +53,7 @@ def subject_of_run(run: RunView) -> Subject:
     model = "no model yet" if run.splats is None else f"{len(run.splats):,} Gaussians"
     return Subject(
         path=run.folder,
-        layers=tuple(run_layers(run)),
+        layers=tuple(with_planning_layers(run, run_layers(run))),
         splats=run.splats,
         run=run,
         unit=run.unit,

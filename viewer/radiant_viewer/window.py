@@ -24,12 +24,17 @@ from radiant_viewer.images import Image, save_png
 from radiant_viewer.layer_dock import LayerDock
 from radiant_viewer.layers import Layer, drawn_positions
 from radiant_viewer.measure_tool import MeasureTool
+from radiant_viewer.plan_files import PlanSetting
+from radiant_viewer.planning import Planning, add_planning
 from radiant_viewer.run_feeds import RunFeeds
+from radiant_viewer.run_view import RunView
 from radiant_viewer.subject import Subject
 from radiant_viewer.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet
 from radiant_viewer.view_pose import pose_of_camera
 
-HIDDEN_AT_FIRST = frozenset({"Device strips", "Gaussians", "Cameras by device", "Cameras by split", "Cameras by PSNR"})
+HIDDEN_AT_FIRST = frozenset(
+    {"Device strips", "Gaussians", "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"}
+)
 """Layers that cover others: one click away."""
 SELECTED = "Selected camera"
 SIZE_WH = (1280, 800)
@@ -43,7 +48,9 @@ class InspectorWindow(QMainWindow):
 
     wants_reload = Signal()
 
-    def __init__(self, subject: Subject, feeds: RunFeeds | None = None, theme: ThemeName = "light") -> None:
+    def __init__(
+        self, subject: Subject, feeds: RunFeeds | None = None, theme: ThemeName = "light", setting: PlanSetting | None = None
+    ) -> None:
         super().__init__()
         self.subject, self.run = subject, subject.run
         self.layers: list[Layer] = list(subject.layers)
@@ -71,6 +78,7 @@ class InspectorWindow(QMainWindow):
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
         self.docks: Docks = add_docks(self, subject.run, subject.splats, feeds or RunFeeds(), subject.unit)
+        self.planning: Planning | None = add_planning(self, setting)
         self._add_actions()
         self.set_theme(theme)
         self.tell(subject.summary)
@@ -104,6 +112,17 @@ class InspectorWindow(QMainWindow):
             self.layers.append(layer)
         self.layer_dock.update_legend(layer)
         self._draw(layer)
+
+    def draw_on_map(self, layer: Layer) -> None:
+        """Draw a layer on the map alone, as in a drag; `replace_layer` ends it."""
+        slot = next((index for index, other in enumerate(self.layers) if other.name == layer.name), len(self.layers))
+        self.map.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
+
+    def take_run(self, run: RunView) -> None:
+        """Show the same run with another plan, as after an edit."""
+        self.run = run
+        if self.docks.cameras is not None:
+            self.docks.cameras.take_run(run)
 
     def visible_layers(self) -> list[Layer]:
         """Those that are drawn now, from the ground up."""
@@ -231,6 +250,8 @@ class InspectorWindow(QMainWindow):
                 dock.end()
         if self.docks.fly is not None:
             self.docks.fly.stop()
+        if self.planning is not None:
+            self.planning.end()
         for canvas in (self.map, self.view):
             canvas.plotter.close()
         super().closeEvent(event)
@@ -249,6 +270,7 @@ class InspectorWindow(QMainWindow):
         bar.setMovable(False)
         bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
         photo, seams, fly, crop = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.crop
+        planning = self.planning
         # Text, tip, key and what is done; an entry without a text has its button in a dock.
         entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
             ("Fit", "Fit all layers into both views", "F", self.reset_views),
@@ -261,6 +283,9 @@ class InspectorWindow(QMainWindow):
             ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
             ("", "Take the last measured corner back", "Backspace", self.measure.undo),
             ("", "Add the 3D view as a keyframe", "K", fly.add_view if fly else None),
+            ("", "Undo the last edit of the plan", "Ctrl+Z", planning.undo if planning else None),
+            ("", "Redo it", "Ctrl+Shift+Z", planning.redo if planning else None),
+            ("", "Save the edited plan", "Ctrl+Shift+P", planning.ask_save if planning else None),
             ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
             ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
             ("", "Read the run anew", "F5", self.reload),
@@ -278,6 +303,7 @@ class InspectorWindow(QMainWindow):
             else:
                 QShortcut(QKeySequence(key), self).activated.connect(action)
         toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
+            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", planning.set_active)] if planning else []),
             ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
             ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
             ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: self.set_theme("dark" if dark else "light")),

@@ -1,0 +1,162 @@
+"""A plan of `radiant plan` is opened, changed and saved so that `radiant plan`, `radiant run --plan` and the window take it again."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from radiant_app.constraints_file import dump_constraints, load_constraints
+from radiant_app.inspect_command import plan_file_of, plan_setting, run_setting, save_picture
+from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.progress import ProgressDisplay
+from radiant_app.stages import require_plan
+from radiant_app.system_file import load_system
+from radiant_core.errors import BadInput
+from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
+from radiant_core.plan.constraints import PlanConstraints
+from radiant_viewer.edited_plan import dragged_weight_m2
+from radiant_viewer.plan_editor import PlanEditor
+from radiant_viewer.plan_edits import FixWeight, LockRegion, PinCameras
+from radiant_viewer.plan_files import load_other_plan, save_edited_plan, subject_of
+from radiant_viewer.plan_view import load_plan_view
+from tests.app.test_plan_command import grid_csv, make_plan
+from tests.viewer.made_up_run import made_up_town, save_run
+
+SYSTEM = "".join(
+    f'[[edge]]\nid = "{edge}"\nlat_lon_deg = [{lat}, {lon}]\n' + "".join(f'[[edge.device]]\nid = "{edge}-{n}"\n' for n in (1, 2))
+    for edge, lat, lon in (("north", 47.3708, 8.541), ("south", 47.3692, 8.54), ("east", 47.37, 8.5425))
+)
+
+
+@pytest.fixture
+def planned(tmp_path: Path) -> Path:
+    (tmp_path / "machines.toml").write_text(SYSTEM)
+    make_plan(grid_csv(tmp_path, 20, 15), tmp_path / "plan.json", tmp_path / "machines.toml")
+    return tmp_path
+
+
+def test_an_edited_plan_is_what_plan_and_run_read(planned: Path) -> None:
+    assert plan_file_of(planned) == plan_file_of(planned / "plan.json") == planned / "plan.json"
+    run, setting = load_plan_view(planned / "plan.json"), plan_setting(planned / "plan.json")
+    assert setting.system is not None and [edge.id for edge in setting.system.edges] == ["north", "south", "east"]
+    before = load_plan_waypoints(planned / "plan.json")
+    assert before is not None
+    np.testing.assert_allclose(run.scene.cameras.centers[:, :2], before.positions_m[:, :2], atol=1e-9)
+    assert (run.scene.cameras.centers[:, 2] > 400).all()  # above altitude 0
+    forward = run.scene.cameras.cam_from_world[:, 2, :3]
+    np.testing.assert_allclose(forward, np.tile([0, 0, -1.0], (300, 1)), atol=1e-9)  # straight down
+    editor = PlanEditor(subject_of(run), setting.system, (run.cloud_plan, run.edge_plans), setting.keep_in)
+    editor.apply(LockRegion(edge="east"))
+    editor.apply(PinCameras(cameras=editor.subject.names[:4], edge="south"))
+    editor.apply(FixWeight(edge="north", weight_m2=dragged_weight_m2(editor.state.cloud, "north", "south", 30.0)))
+    written = save_edited_plan(planned / "mine.json", editor.subject, editor.state, setting)
+    assert {path.name for path in written} == {"mine.json", "mine_system.toml", "mine_start.json", "mine_constraints.toml"}
+    # The run's own check, and the plan bit for bit.
+    require_plan(planned / "mine.json", load_system(planned / "mine_system.toml"))
+    cloud, edges = load_plan(planned / "mine.json")
+    np.testing.assert_array_equal(cloud.edge_of_camera, editor.state.cloud.edge_of_camera)
+    np.testing.assert_array_equal(cloud.weights, editor.state.cloud.weights)
+    after = load_plan_waypoints(planned / "mine.json")
+    assert after is not None and after.names == before.names
+    # `radiant plan` with the saved constraints comes to the same plan.
+    request = PlanRequest(
+        source=planned / "flight.csv",
+        out=planned / "again.json",
+        system=planned / "mine_system.toml",
+        method="exact",
+        seed=0,
+        constraints=planned / "mine_constraints.toml",
+    )
+    plan(request, ProgressDisplay(Console(file=io.StringIO())))
+    again, edges_again = load_plan(planned / "again.json")
+    np.testing.assert_array_equal(again.edge_of_camera, cloud.edge_of_camera)
+    np.testing.assert_array_equal(edges_again[0].device_of_camera, edges[0].device_of_camera)
+    # Loaded into the window of the first plan it is the same again, whatever order its waypoints come in.
+    editor.undo()
+    adopted = load_other_plan(planned / "mine.json", editor.subject)
+    np.testing.assert_array_equal(adopted.cloud.edge_of_camera, cloud.edge_of_camera)
+    turned = replace(editor.subject, names=editor.subject.names[::-1], positions=editor.subject.positions[::-1])
+    mirrored = load_other_plan(planned / "mine.json", turned)
+    np.testing.assert_array_equal(mirrored.cloud.edge_of_camera, cloud.edge_of_camera[::-1])
+    np.testing.assert_array_equal(np.sort(len(turned.names) - 1 - mirrored.edges[1].camera_indices), edges[1].camera_indices)
+    editor.apply(adopted)
+    with pytest.raises(BadInput, match=r"ends in \.json"):
+        save_edited_plan(planned / "mine.txt", editor.subject, editor.state, setting)
+    other = replace(editor.subject, names=("strange", *editor.subject.names[1:]))
+    with pytest.raises(BadInput, match="other cameras, 'wp0'"):
+        load_other_plan(planned / "mine.json", other)
+    message = save_picture(planned, "regions", planned / "map.png")
+    image = cv2.imread(str(planned / "map.png"))
+    assert "written" in message and image is not None and (image != 255).any(axis=2).mean() > 0.2
+    with pytest.raises(BadInput, match="nothing was trained"):
+        save_picture(planned, "splats", planned / "splats.png")
+
+
+def test_a_run_on_the_globe_gives_a_plan_that_another_run_can_take(tmp_path: Path) -> None:
+    town = made_up_town()
+    save_run(tmp_path / "run", town)
+    assert plan_file_of(tmp_path / "run") is None
+    setting = run_setting(tmp_path / "run")
+    assert setting.system is None and "name one by --system" in setting.reason
+    save_plan(tmp_path / "plan.json", town.cloud_plan, town.edge_plans)
+    run = load_plan_view(tmp_path / "plan.json", town.scene)
+    subject = subject_of(run)
+    system = load_system(_write_system(tmp_path / "town.toml"))
+    editor = PlanEditor(subject, system, (town.cloud_plan, town.edge_plans))
+    written = save_edited_plan(tmp_path / "out.json", subject, editor.state, plan_setting(tmp_path / "plan.json", tmp_path / "town.toml"))
+    assert len(written) == 2
+    waypoints = load_plan_waypoints(tmp_path / "out.json")
+    assert waypoints is not None
+    # The file counts from the waypoints' own middle, as plans before capture do: regions lie around the same cameras.
+    cloud, _ = load_plan(tmp_path / "out.json")
+    shift = subject.positions[:, :2].mean(axis=0)
+    np.testing.assert_allclose(cloud.sites, town.cloud_plan.sites - shift, atol=1e-3)
+    np.testing.assert_allclose(waypoints.positions_m[:, :2], subject.positions[:, :2] - shift, atol=1e-3)
+    back = load_other_plan(tmp_path / "out.json", subject)
+    np.testing.assert_allclose(back.cloud.sites, town.cloud_plan.sites, atol=1e-6)
+
+
+def test_what_cannot_be_opened_is_one_sentence(tmp_path: Path, planned: Path) -> None:
+    assert plan_file_of(tmp_path / "none") is None
+    (planned / "plan.json").rename(planned / "one.json")
+    (planned / "two.json").write_bytes((planned / "one.json").read_bytes())
+    with pytest.raises(BadInput, match=r"holds 2 plans, one\.json and two\.json"):
+        plan_file_of(planned)
+    town = made_up_town()
+    save_plan(tmp_path / "scene_plan.json", town.cloud_plan, town.edge_plans)
+    with pytest.raises(BadInput, match="name the scene's folder by --scene"):
+        load_plan_view(tmp_path / "scene_plan.json")
+    empty = replace(town.cloud_plan, edge_of_camera=np.zeros(0, np.int64))
+    nobody = tuple(replace(edge, camera_indices=np.zeros(0, np.int64), device_of_camera=np.zeros(0, np.int64)) for edge in town.edge_plans)
+    save_plan(tmp_path / "empty.json", empty, nobody)
+    bare = town.scene.restricted_to(np.zeros(0, np.int64))
+    with pytest.raises(BadInput, match="the plan has no cameras"):
+        subject_of(load_plan_view(tmp_path / "empty.json", bare))
+    with pytest.raises(BadInput, match="cannot be read"):
+        plan_setting(tmp_path / "empty.json", tmp_path / "none.toml")
+
+
+def test_constraints_are_written_as_they_are_read(tmp_path: Path) -> None:
+    names = ('a"b.jpg', "ü/2.jpg", "c.jpg")
+    given = PlanConstraints(fixed_weights_m2={"e 1": -1234.5678901234567, "e2": 1e-300}, locked=("e3",), pinned={0: "e2", 2: "e3", 1: "e2"})
+    town = made_up_town()
+    save_plan(tmp_path / "start.json", town.cloud_plan, town.edge_plans)
+    (tmp_path / "c.toml").write_text(dump_constraints(given, names, "start.json"), encoding="utf-8")
+    found = load_constraints(tmp_path / "c.toml", names)
+    assert found.constraints == given
+    assert found.start is not None and found.start.edge_ids == town.cloud_plan.edge_ids
+
+
+def _write_system(path: Path) -> Path:
+    lines = [
+        f'[[edge]]\nid = "{edge}"\n' + "".join(f'[[edge.device]]\nid = "{edge}-{n}"\n' for n in (1, 2))
+        for edge in ("north", "harbour", "quarry")
+    ]
+    path.write_text("".join(lines))
+    return path
