@@ -32,11 +32,13 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_viewer.camera_layer import camera_layer, highlight_layer
 from radiant_viewer.camera_table import SORT_ROLE, CameraTable
+from radiant_viewer.detail import moving_note
 from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
 from radiant_viewer.images import Image, save_png
 from radiant_viewer.layers import Layer, drawn_positions
 from radiant_viewer.offscreen import aim_camera
 from radiant_viewer.palette import INK, ColorArray, heat_table
+from radiant_viewer.point_detail import PointDetail
 from radiant_viewer.run_view import RunView
 from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
 from radiant_viewer.views import plan_layers, seam_of
@@ -51,6 +53,7 @@ class _Canvas:
 
     plotter: QtInteractor
     is_map: bool
+    detail: PointDetail
     actors: dict[str, list[pv.Actor]] = field(default_factory=dict)
 
 
@@ -111,6 +114,7 @@ class InspectorWindow(QMainWindow):
         """Map and 3D view as they are on screen, side by side (H,W,3)."""
         images = []
         for canvas in (self.map, self.view):
+            canvas.detail.refine()
             pixels = canvas.plotter.screenshot(return_img=True)
             assert pixels is not None
             images.append(np.asarray(pixels, np.uint8))
@@ -144,7 +148,8 @@ class InspectorWindow(QMainWindow):
         plotter = QtInteractor(frame, auto_update=False, multi_samples=4)
         plotter.background_color = pv.Color("white")
         layout.addWidget(plotter, stretch=1)
-        return _Canvas(plotter=plotter, is_map=is_map)
+        detail = PointDetail(plotter, later=lambda seconds, call: QTimer.singleShot(int(1000 * seconds), self, call))
+        return _Canvas(plotter=plotter, is_map=is_map, detail=detail)
 
     def _layer_tree(self) -> QTreeWidget:
         tree = QTreeWidget()
@@ -159,6 +164,7 @@ class InspectorWindow(QMainWindow):
                     (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", _color_icon(heat_table()[None])),
                     (layer.heat.label, QIcon()),
                 ]
+            rows += [(note, QIcon()) for note in [moving_note(layer)] if note]
             for text, icon in rows:
                 row = QTreeWidgetItem(item, [text])
                 row.setIcon(0, icon)
@@ -206,7 +212,7 @@ class InspectorWindow(QMainWindow):
     def _draw_layers(self, canvas: _Canvas) -> None:
         for index, layer in enumerate(self.layers):
             height = float(SLOTS_PER_LAYER * index) if canvas.is_map else None
-            canvas.actors[layer.name] = add_layer(canvas.plotter, layer, self.origin, flat_height=height)
+            canvas.actors[layer.name] = add_layer(canvas.plotter, layer, self.origin, flat_height=height, detail=canvas.detail)
             if layer.labels and canvas.is_map:
                 canvas.actors[layer.name].append(self._add_labels(layer, float(SLOTS_PER_LAYER * index)))
             for actor in canvas.actors[layer.name]:
