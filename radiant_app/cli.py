@@ -52,6 +52,10 @@ _TRAIN_HELP = "draft: quick; standard: plain 3DGS; paper: its 20,000 steps."
 _AGGREGATE_HELP = "paper: retrain every parameter at the edges and the cloud."
 _PLAN_HELP = "exact: least makespan; paper: Alg. 1; voronoi; even."
 _MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
+_WEB_HELP = (
+    "Serve a read-only page for a browser until Ctrl-C, on 127.0.0.1 by default. The address that is printed holds a random secret; "
+    "without it the page stays empty."
+)
 TrainPresetOption = Annotated[TrainPreset, typer.Option(help=_TRAIN_HELP)]
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
@@ -294,15 +298,27 @@ def inspect(
     run_folder: RunFolder,
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
+    web: Annotated[bool, typer.Option("--web", help=_WEB_HELP)] = False,
+    host: Annotated[
+        str, typer.Option(help="--web: address to bind; all but this machine's own can be reached from outside.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
-    """Regions, cameras, seams and splats of a run: in a window, or as a picture."""
+    """Regions, cameras, seams and splats of a run: in a window, as a picture, or as a page for a browser."""
     from radiant_app import commands
 
-    if screenshot is None:
+    if web and screenshot is not None:
+        raise BadInput("--web serves a page and --screenshot writes a picture: ask for one of them.")
+    if web:
+        from radiant_viewer.web import open_page
+
+        open_page(run_folder, typer.echo, host, port)
+    elif screenshot is None:
         from radiant_viewer.inspector import open_window
 
         raise typer.Exit(open_window(run_folder))
-    typer.echo(commands.screenshot(run_folder, view, screenshot))
+    else:
+        typer.echo(commands.screenshot(run_folder, view, screenshot))
 
 
 @app.command()

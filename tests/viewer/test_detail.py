@@ -12,7 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_viewer.detail import MOVING_POINTS, even_subset, is_thinned, moving_note, visible_subset
 from radiant_viewer.drawing import add_layer
 from radiant_viewer.layers import Layer
-from radiant_viewer.offscreen import _egl_window, draw_map, draw_view
+from radiant_viewer.offscreen import egl_window, draw_map, draw_view
 from radiant_viewer.point_detail import REST_S, PointDetail
 
 
@@ -118,7 +118,7 @@ def test_a_view_that_moves_shows_few_points_and_all_when_it_rests() -> None:
     assert is_thinned(layer)
     assert moving_note(layer) == "at most 50,000 of 120,000 while the view moves"
     waiting: list[tuple[float, Callable[[], None]]] = []
-    with _egl_window():
+    with egl_window():
         plotter = pv.Plotter(off_screen=True, window_size=[160, 120])
     detail = PointDetail(plotter, later=lambda seconds, call: waiting.append((seconds, call)))
     (actor,) = add_layer(plotter, layer, np.zeros(3), detail=detail)

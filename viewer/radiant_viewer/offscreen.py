@@ -111,7 +111,7 @@ def _require_size(size_wh: tuple[int, int]) -> None:
 @contextmanager
 def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
     width, height = size_wh
-    with _egl_window():
+    with egl_window():
         plotter = pv.Plotter(off_screen=True, window_size=[OVERSAMPLING * width, OVERSAMPLING * height])
     try:
         plotter.background_color = pv.Color("white")
@@ -121,7 +121,7 @@ def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
 
 
 @contextmanager
-def _egl_window() -> Iterator[None]:
+def egl_window() -> Iterator[None]:
     """VTK reads this variable when it makes a window; without it, it first tries an X server and complains on stderr."""
     name = "VTK_DEFAULT_OPENGL_WINDOW"
     before = os.environ.get(name)

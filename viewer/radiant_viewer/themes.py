@@ -1,0 +1,121 @@
+"""The light and the dark look of the window: one table of colours for Qt, for both views, and for what layers draw in ink.
+
+Pure: a `Theme` is plain colours; `themed` recolours a layer. Once per change of theme.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from radiant_viewer.layers import Layer
+from radiant_viewer.palette import BLUE, INK, SKY, WHITE, ColorArray, tinted
+
+ThemeName = Literal["light", "dark"]
+FILL_SHARE = 0.62
+"""How far fills of regions go towards the background of a dark view: as far as they go towards white in a light one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Theme:
+    """Colours (3,) 0 to 255: of panels, of lists and fields, of text, of what is selected, and of the views' background and ink."""
+
+    name: ThemeName
+    panel: tuple[int, int, int]
+    field: tuple[int, int, int]
+    line: tuple[int, int, int]
+    text: tuple[int, int, int]
+    soft_text: tuple[int, int, int]
+    accent: tuple[int, int, int]
+    view: tuple[int, int, int]
+    ink: tuple[int, int, int]
+
+
+LIGHT = Theme(
+    name="light",
+    panel=(243, 244, 246),
+    field=WHITE,
+    line=(208, 212, 218),
+    text=(31, 35, 41),
+    soft_text=(98, 106, 117),
+    accent=BLUE,
+    view=WHITE,
+    ink=INK,
+)
+DARK = Theme(
+    name="dark",
+    panel=(37, 40, 46),
+    field=(28, 30, 35),
+    line=(66, 71, 80),
+    text=(226, 229, 234),
+    soft_text=(150, 158, 170),
+    accent=SKY,
+    view=(24, 26, 30),
+    ink=(205, 210, 218),
+)
+THEMES: dict[ThemeName, Theme] = {"light": LIGHT, "dark": DARK}
+
+
+def themed(layer: Layer, theme: Theme) -> Layer:
+    """The layer as it is drawn under a theme: ink becomes the theme's, pale fills become dark ones; data colours stay."""
+    if theme.name == "light":
+        return layer
+    return replace(
+        layer, segment_colors=_reinked(layer.segment_colors, theme), polygon_colors=_darkened(layer.polygon_colors, theme), heat=layer.heat
+    )
+
+
+def hex_color(color: tuple[int, int, int]) -> str:
+    """A colour as "#rrggbb"."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def style_sheet(theme: Theme) -> str:
+    """Qt's style sheet of a theme."""
+    panel, field, line, text, soft, accent = (
+        hex_color(color) for color in (theme.panel, theme.field, theme.line, theme.text, theme.soft_text, theme.accent)
+    )
+    chosen = hex_color(tuple(tinted(theme.accent, theme.field, 0.72).tolist()))  # type: ignore[arg-type]
+    return f"""
+QWidget {{ background: {panel}; color: {text}; font-size: 12px; }}
+QMainWindow::separator {{ background: {panel}; width: 5px; height: 5px; }}
+QDockWidget {{ font-weight: 600; }}
+QDockWidget::title {{ padding: 4px 6px; background: {panel}; }}
+QTreeView, QTableView, QListView, QTextEdit {{ background: {field}; border: 1px solid {line}; alternate-background-color: {panel};
+  selection-background-color: {chosen}; selection-color: {text}; gridline-color: {line}; }}
+QTreeView::item, QListView::item {{ padding: 1px 0; }}
+QHeaderView::section {{ background: {panel}; color: {soft}; border: none; border-bottom: 1px solid {line}; padding: 3px 6px; }}
+QTableCornerButton::section {{ background: {panel}; border: none; }}
+QToolBar {{ border: none; border-bottom: 1px solid {line}; spacing: 2px; padding: 2px 4px; }}
+QToolButton, QPushButton {{ background: {field}; border: 1px solid {line}; border-radius: 4px; padding: 3px 8px; }}
+QToolBar QToolButton {{ background: transparent; border: 1px solid transparent; }}
+QToolButton:hover, QPushButton:hover {{ border-color: {accent}; }}
+QToolButton:checked, QPushButton:checked, QToolBar QToolButton:checked {{ background: {chosen}; border-color: {accent}; }}
+QToolButton:disabled, QPushButton:disabled {{ color: {soft}; }}
+QComboBox, QLineEdit, QSpinBox, QDoubleSpinBox {{ background: {field}; border: 1px solid {line}; border-radius: 4px; padding: 2px 6px; }}
+QComboBox QAbstractItemView {{ background: {field}; selection-background-color: {chosen}; selection-color: {text}; }}
+QTabBar::tab {{ background: {panel}; color: {soft}; padding: 4px 10px; border: none; border-bottom: 2px solid transparent; }}
+QTabBar::tab:selected {{ color: {text}; border-bottom: 2px solid {accent}; }}
+QStatusBar {{ color: {soft}; border-top: 1px solid {line}; }}
+QProgressBar {{ background: {field}; border: 1px solid {line}; border-radius: 3px; text-align: center; }}
+QProgressBar::chunk {{ background: {chosen}; }}
+QToolTip {{ background: {field}; color: {text}; border: 1px solid {line}; padding: 3px; }}
+QLabel[soft="true"] {{ color: {soft}; }}
+QLabel[picture="true"] {{ background: {field}; border: 1px solid {line}; }}
+QScrollArea {{ border: none; }}
+"""
+
+
+def _reinked(colors: ColorArray, theme: Theme) -> ColorArray:
+    """Segment colours (S,3) with ink, and the greys between ink and white, turned to the theme's ink."""
+    spread = colors.max(axis=1, initial=0).astype(int) - colors.min(axis=1, initial=255).astype(int) if len(colors) else np.zeros(0, int)
+    is_ink = (spread < 20) & (colors.mean(axis=1) < 130) if len(colors) else np.zeros(0, bool)
+    return np.where(is_ink[:, None], np.array(theme.ink, np.uint8), colors)
+
+
+def _darkened(colors: ColorArray, theme: Theme) -> ColorArray:
+    """Fills (R,3) of which 62 % are white, with the view's background in its place."""
+    pure = (colors.astype(np.float64) - FILL_SHARE * 255) / (1 - FILL_SHARE)
+    return np.rint((1 - FILL_SHARE) * np.clip(pure, 0, 255) + FILL_SHARE * np.array(theme.view)).astype(np.uint8)

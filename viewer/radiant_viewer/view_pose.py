@@ -1,0 +1,76 @@
+"""A view as VTK keeps it (position, focal point, up, angle) and the pinhole camera that sees the same, both ways. Once per frame.
+
+fy = H / (2 tan(angle / 2)), square pixels, middle of the picture at its centre; z forward, y down
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewPose:
+    """position, focal_point (3,) in the world, up (3,) of any length, angle_deg from the lower to the upper rim of the picture.
+
+    Raises BadInput where the direction or the upward vector is undefined, or the angle is not between 0 and 180°.
+    """
+
+    position: FloatArray
+    focal_point: FloatArray
+    up: FloatArray
+    angle_deg: float
+
+    def __post_init__(self) -> None:
+        for name in ("position", "focal_point", "up"):
+            object.__setattr__(self, name, checked_array(name, getattr(self, name), (3,)))
+        if not 0 < self.angle_deg < 180:
+            raise BadInput(f"a view has an angle of {self.angle_deg}°, expected more than 0° and less than 180°.")
+        if np.linalg.norm(np.cross(self.focal_point - self.position, self.up)) == 0:
+            raise BadInput("a view looks along its own upward direction, or at its own position: move the focal point.")
+
+    @property
+    def distance(self) -> float:
+        """From the position to the focal point."""
+        return float(np.linalg.norm(self.focal_point - self.position))
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rows (3,3): right, down and forward in the world."""
+        forward = (self.focal_point - self.position) / self.distance
+        right = np.cross(forward, self.up)
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(forward, right), forward])
+
+    def camera(self, size_wh: tuple[int, int], name: str = "view") -> Cameras:
+        """The camera that sees the same in a picture of this size."""
+        width, height = size_wh
+        focal_px = height / (2 * np.tan(np.radians(self.angle_deg) / 2))
+        pose = np.eye(4)
+        pose[:3, :3] = self.rotation
+        pose[:3, 3] = -self.rotation @ self.position
+        K = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
+        return Cameras(names=(name,), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]]))
+
+
+def pose_of_camera(cameras: Cameras, index: int, distance: float) -> ViewPose:
+    """Where camera `index` stood, looking at a point `distance` ahead, all of its picture's height in view."""
+    rotation = cameras.cam_from_world[index, :3, :3]
+    position = cameras.centers[index]
+    height = float(cameras.sizes_wh[index, 1])
+    angle_deg = float(2 * np.degrees(np.arctan(height / (2 * cameras.Ks[index, 1, 1]))))
+    return ViewPose(position=position, focal_point=position + distance * rotation[2], up=-rotation[1], angle_deg=angle_deg)
+
+
+def pose_toward(target: ArrayLike, distance: float, direction_deg: tuple[float, float] = (205, 42), angle_deg: float = 30.0) -> ViewPose:
+    """A view of `target` (3,) from (azimuth from north, elevation) at a distance, z upwards; the elevation lies within ±89°."""
+    azimuth, elevation = np.radians([direction_deg[0], np.clip(direction_deg[1], -89, 89)])
+    toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
+    place = np.asarray(target, np.float64)
+    return ViewPose(position=place + distance * toward, focal_point=place, up=np.array([0.0, 0.0, 1.0]), angle_deg=angle_deg)
