@@ -335,7 +335,7 @@ def export(
 @app.command()
 def bench(
     name: Annotated[
-        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "upload", "teachers"],
+        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "upload", "teachers", "viewer"],
         typer.Argument(help="What to measure."),
     ],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,

@@ -12,7 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_viewer.detail import MOVING_POINTS, even_subset, is_thinned, moving_note, visible_subset
 from radiant_viewer.drawing import add_layer
 from radiant_viewer.layers import Layer
-from radiant_viewer.offscreen import egl_window, draw_map, draw_view
+from radiant_viewer.offscreen import draw_map, draw_view, egl_window
 from radiant_viewer.point_detail import REST_S, PointDetail
 
 

@@ -205,7 +205,7 @@ def _seam_tour() -> None:
                 disabled=("seams.length < 1",),
             )
             html.Span(
-                "{{ seams_note || (seam < 0 ? seams.length + (seams.length > 1 ? ' borders' : ' border') + '; Next begins at the worst' : (seam + 1) + ' of ' + seams.length) }}",
+                "{{ seams_note || (seam < 0 ? 'Next begins at the worst of ' + seams.length : (seam + 1) + ' of ' + seams.length) }}",
                 classes="rad-soft",
             )
         with v3.VTable(density="compact", fixed_header=True, height="228px", classes="rad-table"):
