@@ -295,16 +295,18 @@ def evaluate(
 
 @app.command()
 def inspect(
-    run_folder: RunFolder,
+    run_folder: Annotated[Path, typer.Argument(help="Folder of a run; a plan, or the folder it lies in; a .ply.", show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
     view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
+    system: Annotated[Path | None, typer.Option(help="TOML of edges and devices with which the plan is changed; else its own.")] = None,
+    scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.")] = None,
     web: Annotated[bool, typer.Option("--web", help=_WEB_HELP)] = False,
     host: Annotated[
         str, typer.Option(help="--web: address to bind; all but this machine's own can be reached from outside.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
-    """Regions, cameras, seams and splats of a run: in a window, as a picture, or as a page for a browser."""
+    """Regions, cameras, seams and splats of a run, or a plan to be changed: in a window, as a picture, or as a page for a browser."""
     from radiant_app import commands
 
     if web and screenshot is not None:
@@ -314,9 +316,9 @@ def inspect(
 
         open_page(run_folder, typer.echo, host, port)
     elif screenshot is None:
-        from radiant_viewer.inspector import open_window
+        from radiant_app.inspect_command import open_inspector
 
-        raise typer.Exit(open_window(run_folder))
+        raise typer.Exit(open_inspector(run_folder, system, scene))
     else:
         typer.echo(commands.screenshot(run_folder, view, screenshot))
 

@@ -12,6 +12,7 @@ west = ["bridge_01.jpg", "bridge_02.jpg"]
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,3 +66,21 @@ def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
         raise BadInput(f"{path}: {error}") from error
     start = None if file.plan is None else load_plan(path.parent / file.plan)[0]
     return GivenConstraints(constraints=constraints, start=start)
+
+
+def dump_constraints(constraints: PlanConstraints, names: Sequence[str], plan: str) -> str:
+    """Constraints on cameras with these names as TOML text that `load_constraints` reads back; `plan`: the file they refer to, beside."""
+    lines = [f"plan = {_quoted(plan)}", f"locked = [{', '.join(map(_quoted, constraints.locked))}]"]
+    if constraints.fixed_weights_m2:
+        lines += ["", "[fixed_weights_m2]"]
+        lines += [f"{_quoted(edge)} = {float(weight)!r}" for edge, weight in constraints.fixed_weights_m2.items()]
+    if constraints.pinned:
+        pinned: dict[str, list[str]] = {}
+        for camera, edge in constraints.pinned.items():
+            pinned.setdefault(edge, []).append(names[camera])
+        lines += ["", "[pinned]", *(f"{_quoted(edge)} = [{', '.join(map(_quoted, cameras))}]" for edge, cameras in pinned.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

@@ -1,6 +1,6 @@
 """`radiant plan`: regions and quotas from positions alone, of a scene, of waypoints before capture, or of photographs' GPS.
 
-Beside plan.json stand its picture and, where the positions are on the globe, `<stem>_waypoints/<device>.csv` and
+Beside plan.json stand its picture, the system it is for and, where the positions are on the globe, `<stem>_waypoints/<device>.csv` and
 `<stem>_regions.geojson`. All are written into a hidden folder first and moved when the last is whole.
 """
 
@@ -20,16 +20,17 @@ from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
 from radiant_app.constraints_file import load_constraints
 from radiant_app.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
-from radiant_app.plan_pictures import ENDINGS, GANTT, LISTS, MAP, METHODS, REGIONS, SLACKS, beside, plan_gantt, side_pictures
+from radiant_app.plan_pictures import ENDINGS, GANTT, LISTS, MAP, METHODS, REGIONS, SLACKS, SYSTEM, beside, plan_gantt, side_pictures
 from radiant_app.plan_tables import method_row
 from radiant_app.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.progress import ProgressDisplay
 from radiant_app.sources import load_scene_of
-from radiant_app.system_file import even_system, load_system
+from radiant_app.system_file import dump_system, even_system, load_system
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
+from radiant_core.io.run_store import write_atomic
 from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.comparators import Compared, compare
@@ -153,6 +154,7 @@ def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, 
     with moved_when_whole(out.parent) as folder:
         for ending, picture in pictures.items():
             save_png(beside(folder / out.name, ending), picture)
+        write_atomic(beside(folder / out.name, SYSTEM), dump_system(made.system).encode())
         if waypoints is not None:
             lists = beside(folder / out.name, LISTS)
             lists.mkdir()

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from radiant_viewer.images import Image
 
 MAP, GANTT, METHODS, SLACKS = ".png", "_gantt.png", "_methods.png", "_slack.png"
-LISTS, REGIONS = "_waypoints", "_regions.geojson"
-ENDINGS = (MAP, GANTT, METHODS, SLACKS, LISTS, REGIONS)
+LISTS, REGIONS, SYSTEM = "_waypoints", "_regions.geojson", "_system.toml"
+ENDINGS = (MAP, GANTT, METHODS, SLACKS, LISTS, REGIONS, SYSTEM)
 
 
 def beside(out: Path, ending: str) -> Path:

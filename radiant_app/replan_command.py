@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.plan_command import moved_when_whole
-from radiant_app.plan_pictures import GANTT, LISTS, MAP, REGIONS, beside
+from radiant_app.plan_pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, beside
 from radiant_app.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
 from radiant_app.predictions import depends_on_training, planned_training, with_camera_limits
 from radiant_app.progress import ProgressDisplay
@@ -43,7 +43,7 @@ from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.train.needs import Overrides
 
-MOVED, SYSTEM = "_moved.csv", "_system.toml"
+MOVED = "_moved.csv"
 ENDINGS = (MAP, GANTT, MOVED, SYSTEM, LISTS, REGIONS)
 
 

@@ -85,7 +85,7 @@ def test_1600_waypoints_become_a_plan_with_lists_and_regions(tmp_path: Path) -> 
     assert picture is not None and picture.shape == (900, 1280, 3)
     assert (picture != 255).any(axis=2).mean() > 0.2
     assert {path.name for path in tmp_path.iterdir()} == {
-        "flight.csv", "system.toml", "plan.json", "plan.png", "plan_gantt.png", "plan_waypoints", "plan_regions.geojson"
+        "flight.csv", "system.toml", "plan.json", "plan.png", "plan_gantt.png", "plan_system.toml", "plan_waypoints", "plan_regions.geojson"
     }  # fmt: skip
 
 

@@ -1,11 +1,17 @@
-"""The cameras of a run as a Qt table model: sortable by every column, figures as numbers. Needs the `desktop` extra."""
+"""The cameras of a run as a Qt table model: sortable by every column, figures as numbers, and as CSV. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelIndex, Qt
 
+from radiant_core.io.run_store import write_atomic
+from radiant_viewer.run_figures import FIGURES, ImageFigures
 from radiant_viewer.run_view import RunView
 
 SORT_ROLE = Qt.ItemDataRole.UserRole
@@ -14,22 +20,30 @@ Index = QModelIndex | QPersistentModelIndex
 
 
 class CameraTable(QAbstractTableModel):
-    """One row per camera in the scene's order: name, region, device, use, PSNR, position."""
+    """One row per camera in the scene's order: name, region, device, use, PSNR, position, and the other figures that were measured."""
 
-    def __init__(self, run: RunView) -> None:
+    def __init__(self, run: RunView, figures: ImageFigures | None = None) -> None:
         super().__init__()
         unit = run.unit
+        more = [figure for figure in FIGURES[1:] if any(figure.key in row for row in (figures or {}).values())]
         self.headings = (
             "Photograph",
             "Region",
             "Device",
             "Use",
             "PSNR (dB)",
+            *(figure.heading for figure in more),
             f"East ({unit})",
             f"North ({unit})",
             f"Up ({unit})",
         )
-        self.rows = _rows(run)
+        self._keys, self._figures = [figure.key for figure in more], figures or {}
+        self.rows = _rows(run, self._keys, self._figures)
+
+    def take_run(self, run: RunView) -> None:
+        """The same cameras with another plan."""
+        self.rows = _rows(run, self._keys, self._figures)
+        self.dataChanged.emit(self.index(0, 0), self.index(len(self.rows) - 1, len(self.headings) - 1))
 
     def rowCount(self, parent: Index = QModelIndex()) -> int:  # noqa: B008 (Qt's own signature)
         """Number of cameras."""
@@ -55,10 +69,20 @@ class CameraTable(QAbstractTableModel):
             return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         if role != Qt.ItemDataRole.DisplayRole:
             return None
-        return "" if value is None else value if isinstance(value, str) else f"{value:.2f}".replace("-", "−")
+        if value is None or isinstance(value, str):
+            return value or ""
+        return f"{value:.3f}" if self.headings[index.column()] in ("SSIM", "FLIP", "LPIPS") else f"{value:.2f}".replace("-", "−")
+
+    def save_csv(self, path: Path, order: Sequence[int]) -> None:
+        """Write the rows `order` (indices of cameras) as CSV with all digits; BadInput when it cannot be written."""
+        text = io.StringIO(newline="")
+        writer = csv.writer(text)
+        writer.writerow(self.headings)
+        writer.writerows(["" if cell is None else cell for cell in self.rows[index]] for index in order)
+        write_atomic(path, text.getvalue().encode())
 
 
-def _rows(run: RunView) -> list[tuple[str | float | None, ...]]:
+def _rows(run: RunView, more: Sequence[str], figures: ImageFigures) -> list[tuple[str | float | None, ...]]:
     roles, psnr_db = run.roles, run.psnr_db or {}
     edges, devices = (*roles.edge_ids, ""), (*roles.device_ids, "")
     return [
@@ -68,6 +92,7 @@ def _rows(run: RunView) -> list[tuple[str | float | None, ...]]:
             devices[roles.device_of_camera[index]],
             "held out" if roles.held_out[index] else "training",
             psnr_db.get(name),
+            *(figures.get(name, {}).get(key) for key in more),
             *(float(value) for value in center),
         )
         for index, (name, center) in enumerate(zip(run.scene.cameras.names, run.scene.cameras.centers, strict=True))

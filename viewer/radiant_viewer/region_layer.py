@@ -84,7 +84,7 @@ def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     """Where each edge stands, with its id, number of cameras and predicted time; sites far outside the map are only counted."""
-    near = _near_map(cloud_plan)
+    near = near_map(cloud_plan)
     sites = at_height(cloud_plan.sites, height)
     labels = [Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near).tolist()]
     text = "Edge" if near.all() else f"Edge ({int((~near).sum())} outside the map)"
@@ -101,7 +101,7 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     )
 
 
-def _near_map(cloud_plan: CloudPlan) -> np.ndarray:
+def near_map(cloud_plan: CloudPlan) -> np.ndarray:
     """Whether each site (E,) lies within half a diagonal of the regions: one 10 km off would shrink the map to a dot."""
     corners: FloatArray = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if not len(corners):

@@ -1,288 +1,360 @@
-"""`InspectorWindow`: the Qt window over a `RunView`. Import only after `desktop.require_desktop`.
+"""`InspectorWindow`: the Qt window over a run or a model. Import only after `desktop.require_desktop`.
 
-Map and 3D view hold the same layers; a layer's box hides its actors in both. A row of the table, once selected, marks its
-camera in both views.
+Map and 3D view hold the same layers; whatever selects a camera (table, click, tour) marks it in both and shows its photograph. Each dock
+and tool is a file of its own that asks the window for what it shares: the views, the selection, the theme, the status bar.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
-import pyvista as pv
-from PySide6.QtCore import QItemSelection, QSortFilterProxyModel, Qt, QTimer
-from PySide6.QtGui import QCloseEvent, QIcon, QImage, QKeySequence, QPixmap, QShowEvent
-from PySide6.QtWidgets import (
-    QAbstractItemView,
-    QDockWidget,
-    QFileDialog,
-    QLabel,
-    QMainWindow,
-    QSplitter,
-    QTableView,
-    QTreeWidget,
-    QTreeWidgetItem,
-    QVBoxLayout,
-    QWidget,
-)
-from pyvistaqt import QtInteractor
+from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut, QShowEvent
+from PySide6.QtWidgets import QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
 
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
-from radiant_viewer.camera_layer import camera_layer, highlight_layer
-from radiant_viewer.camera_table import SORT_ROLE, CameraTable
-from radiant_viewer.detail import moving_note
-from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
+from radiant_viewer.camera_layer import highlight_layer
+from radiant_viewer.canvas import TOP_SLOT, Canvas
+from radiant_viewer.docks import Docks, add_docks
 from radiant_viewer.images import Image, save_png
+from radiant_viewer.layer_dock import LayerDock
 from radiant_viewer.layers import Layer, drawn_positions
-from radiant_viewer.offscreen import aim_camera
-from radiant_viewer.palette import INK, ColorArray, heat_table
-from radiant_viewer.point_detail import PointDetail
+from radiant_viewer.measure_tool import MeasureTool
+from radiant_viewer.plan_files import PlanSetting
+from radiant_viewer.planning import Planning, add_planning
+from radiant_viewer.run_feeds import RunFeeds
 from radiant_viewer.run_view import RunView
-from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
-from radiant_viewer.views import plan_layers, seam_of
+from radiant_viewer.subject import Subject
+from radiant_viewer.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet
+from radiant_viewer.view_pose import pose_of_camera
 
-HIDDEN_AT_FIRST = frozenset({"Device strips", "Gaussians", "Cameras by PSNR"})
+HIDDEN_AT_FIRST = frozenset(
+    {"Device strips", "Gaussians", "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"}
+)
 """Layers that cover others: one click away."""
-
-
-@dataclass(eq=False)
-class _Canvas:
-    """One of the two views: its plotter, its actors by layer, and whether layers lie flat."""
-
-    plotter: QtInteractor
-    is_map: bool
-    detail: PointDetail
-    actors: dict[str, list[pv.Actor]] = field(default_factory=dict)
+SELECTED = "Selected camera"
+PICK_PX = 14
+"""A click this near to a camera selects it."""
+_Result = TypeVar("_Result")
 
 
 class InspectorWindow(QMainWindow):
-    """The window of one run."""
+    """The window of one run or model; `wants_reload` asks whoever opened it to open it anew."""
 
-    def __init__(self, run: RunView) -> None:
+    wants_reload = Signal()
+
+    def __init__(
+        self, subject: Subject, feeds: RunFeeds | None = None, theme: ThemeName = "light", setting: PlanSetting | None = None
+    ) -> None:
         super().__init__()
-        self.run = run
-        self.layers = window_layers(run)
+        self.subject, self.run = subject, subject.run
+        self.layers: list[Layer] = list(subject.layers)
         drawn = drawn_positions(self.layers)
         self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
-        self.setWindowTitle(f"Radiant: {run.folder.resolve().name}")
+        self.theme: Theme = LIGHT
+        self.selected: int | None = None
+        self._marks: dict[str, Layer] = {}
+        self._is_drawing = False
+        self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
         self.resize(1280, 800)
+        self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
         splitter = QSplitter(Qt.Orientation.Horizontal)
-        self.map = self._canvas(splitter, "Map", is_map=True)
-        self.view = self._canvas(splitter, "3D", is_map=False)
-        splitter.setSizes([640, 640])
+        self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin)
+        self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
+        splitter.setSizes([320, 320])
         self.setCentralWidget(splitter)
-        self.tree = self._layer_tree()
-        self.table = self._camera_table()
-        self._add_actions()
+        known = [name for name in HIDDEN_AT_FIRST if subject.run is not None]
+        self.layer_dock = LayerDock(self, self.layers, frozenset(known), self._on_visibility)
+        self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
+        self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
-            self._draw_layers(canvas)
-        self.statusBar().showMessage(
-            f"{len(run.scene.cameras)} cameras, {len(run.cloud_plan.edge_ids)} regions, {len(run.roles.device_ids)} devices"
-        )
+            canvas.click_takers.append(self._pick)
+        self.docks: Docks = add_docks(self, subject.run, subject.splats, feeds or RunFeeds(), subject.unit)
+        self.planning: Planning | None = add_planning(self, setting)
+        self._add_actions()
+        self.set_theme(theme)
+        self.tell(subject.summary)
+
+    def tell(self, message: str) -> None:
+        """One line in the status bar."""
+        self.statusBar().showMessage(message)
+
+    def attempt(self, action: Callable[[], _Result]) -> _Result | None:
+        """Do something a user asked for; what cannot be done is told in the status bar and in a box that can be read at leisure."""
+        try:
+            return action()
+        except RadiantError as error:
+            self.tell(str(error))
+            box = QMessageBox(QMessageBox.Icon.Warning, "Radiant", str(error), QMessageBox.StandardButton.Ok, self)
+            # Not modal: it must not stop a flight that is being written, or a test.
+            box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+            box.open()
+            return None
 
     def set_layer_visible(self, name: str, visible: bool) -> None:
-        """Show or hide a layer in both views, as its check box does."""
-        self._item(name).setCheckState(0, Qt.CheckState.Checked if visible else Qt.CheckState.Unchecked)
+        """Show or hide a layer in both views, as its check box does; BadInput for an unknown one."""
+        self.layer_dock.set_visible(name, visible)
+
+    def replace_layer(self, layer: Layer) -> None:
+        """Draw a layer anew, as after an edit, in the place of the one of its name."""
+        names = [other.name for other in self.layers]
+        if layer.name in names:
+            self.layers[names.index(layer.name)] = layer
+        else:
+            self.layers.append(layer)
+        self.layer_dock.update_legend(layer)
+        self._draw(layer)
+
+    def draw_on_map(self, layer: Layer) -> None:
+        """Draw a layer on the map alone, as in a drag; `replace_layer` ends it."""
+        slot = next((index for index, other in enumerate(self.layers) if other.name == layer.name), len(self.layers))
+        self.map.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
+
+    def take_run(self, run: RunView) -> None:
+        """Show the same run with another plan, as after an edit."""
+        self.run = run
+        if self.docks.cameras is not None:
+            self.docks.cameras.take_run(run)
+
+    def visible_layers(self) -> list[Layer]:
+        """Those that are drawn now, from the ground up."""
+        return [layer for layer in self.layers if self.layer_dock.is_visible(layer.name)]
+
+    def draw_mark(self, layer: Layer) -> None:
+        """Draw what a tool or a selection marks, over all layers."""
+        self._marks[layer.name] = layer
+        for canvas in (self.map, self.view):
+            canvas.draw(layer, TOP_SLOT)
+
+    def remove_mark(self, name: str) -> None:
+        """Take a mark away, if it is there."""
+        self._marks.pop(name, None)
+        for canvas in (self.map, self.view):
+            canvas.remove(name)
 
     def select_camera(self, name: str) -> None:
-        """Select the row of a camera, which marks it in both views; BadInput for an unknown name."""
-        if name not in self.run.scene.cameras.names:
+        """Select a camera everywhere; BadInput for an unknown name."""
+        if self.run is None or name not in self.run.scene.cameras.names:
             raise BadInput(f"there is no camera named {name!r} in this run: check the first column of the table.")
-        source = self.cameras.index(self.run.scene.cameras.names.index(name), 0)
-        row = self.sorted_cameras.mapFromSource(source)
-        self.table.selectRow(row.row())
-        self.table.scrollTo(row)
+        self.select_index(self.run.scene.cameras.names.index(name))
+
+    def select_index(self, index: int) -> None:
+        """Select camera `index` of the scene through its row of the table."""
+        if self.docks.cameras is not None:
+            self.docks.cameras.select(index)
+
+    def mark_camera(self, index: int) -> None:
+        """What follows from a selected row: its mark in both views, its photograph, its line in the status bar."""
+        if self.run is None:
+            return
+        self.selected = index
+        self.draw_mark(highlight_layer(self.run.scene.cameras, index))
+        if self.docks.photo is not None:
+            self.docks.photo.show_camera(index)
+        if self.docks.cameras is not None:
+            row = self.docks.cameras.cameras.rows[index]
+            self.tell("   ·   ".join(str(cell) for cell in row[:4] if cell))
+        self.render_views()
+
+    def fly_to_selected(self) -> None:
+        """See the scene from the selected camera."""
+        if self.run is None or self.selected is None:
+            self.tell("No camera is selected: click one in a view or in the table.")
+            return
+        center = self.run.scene.cameras.centers[self.selected]
+        distance = max(float(abs(center[2] - self.subject.ground)), 1e-3)
+        pose = pose_of_camera(self.run.scene.cameras, self.selected, distance)
+        self.view.set_pose(pose)
+        self.map.center_on(center[:2])
+        self.render_views()
+        if self.docks.splats is not None:
+            self.raise_dock(self.docks.splats)
+
+    def raise_dock(self, dock: QDockWidget | None) -> None:
+        """Bring a dock to the front."""
+        if dock is not None:
+            dock.show()
+            dock.raise_()
+
+    @property
+    def crop_box(self) -> FloatArray | None:
+        """The box (2,3) outside of which nothing is shown, or None."""
+        return None if self.docks.crop is None else self.docks.crop.active_box
+
+    def set_theme(self, name: ThemeName) -> None:
+        """Light or dark, views included."""
+        self.theme = THEMES[name]
+        self.setStyleSheet(style_sheet(self.theme))
+        for canvas in (self.map, self.view):
+            canvas.set_theme(self.theme)
+        self._draw_all()
 
     def reset_views(self) -> None:
         """Fit all layers into both views."""
-        drawn = drawn_positions(self.layers) - self.origin
-        spans = drawn.max(axis=0) - drawn.min(axis=0)
-        plotter = self.map.plotter
-        plotter.enable_parallel_projection()
-        plotter.enable_image_style()
-        top = float(SLOTS_PER_LAYER * (len(self.layers) + 2))
-        plotter.camera.focal_point, plotter.camera.position, plotter.camera.up = (0, 0, 0), (0, 0, top), (0, 1, 0)
-        width, height = plotter.window_size
-        plotter.camera.parallel_scale = 0.55 * float(max(spans[1], spans[0] * height / max(width, 1), 1e-6))
-        plotter.renderer.reset_camera_clipping_range()
-        aim_camera(self.view.plotter, drawn)
-        self._render()
+        drawn = drawn_positions(self.layers)
+        for canvas in (self.map, self.view):
+            canvas.fit(drawn)
+        self.render_views()
+
+    def render_views(self) -> None:
+        """Draw both views now."""
+        for canvas in (self.map, self.view):
+            canvas.render()
 
     def screenshot(self) -> Image:
         """Map and 3D view as they are on screen, side by side (H,W,3)."""
-        images = []
-        for canvas in (self.map, self.view):
-            canvas.detail.refine()
-            pixels = canvas.plotter.screenshot(return_img=True)
-            assert pixels is not None
-            images.append(np.asarray(pixels, np.uint8))
+        images = [canvas.screenshot() for canvas in (self.map, self.view)]
         height = min(image.shape[0] for image in images)
         return np.concatenate([image[:height] for image in images], axis=1)
 
     def save_screenshot(self, path: Path) -> None:
         """Write `screenshot` as PNG; BadInput where it cannot be written."""
         save_png(path, self.screenshot())
-        self.statusBar().showMessage(f"Saved {path}")
+        self.tell(f"Saved {path}")
+
+    def save_window_picture(self, path: Path) -> None:
+        """Write the whole window, docks included, as PNG; BadInput where it cannot be written."""
+        # Grabbed from the screen: Qt's own picture of a widget leaves out what OpenGL drew.
+        if not self.screen().grabWindow(int(self.winId())).save(str(path), "PNG"):
+            raise BadInput(f"cannot write {path}: choose a folder that exists and a name that ends in .png.")
+        self.tell(f"Saved {path}")
+
+    def reload(self) -> None:
+        """Read the run anew, in a new window in the place of this one."""
+        self.wants_reload.emit()
 
     def showEvent(self, event: QShowEvent) -> None:
         """Fit the layers once the views have their size."""
         super().showEvent(event)
-        QTimer.singleShot(0, self.reset_views)
+        QTimer.singleShot(0, self._on_first_shown)
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Free both views before Qt takes their windows away; VTK would draw into nothing."""
+        """End what runs beside the window, then free both views before Qt takes their windows away; VTK would draw into nothing."""
+        for dock in (self.docks.splats, self.docks.progress):
+            if dock is not None:
+                dock.end()
+        if self.docks.fly is not None:
+            self.docks.fly.stop()
+        if self.planning is not None:
+            self.planning.end()
         for canvas in (self.map, self.view):
             canvas.plotter.close()
         super().closeEvent(event)
 
-    def _canvas(self, parent: QSplitter, title: str, *, is_map: bool) -> _Canvas:
-        frame = QWidget(parent)
-        layout = QVBoxLayout(frame)
-        layout.setContentsMargins(4, 4, 4, 4)
-        layout.setSpacing(2)
-        heading = QLabel(title)
-        heading.setStyleSheet("font-weight: bold")
-        layout.addWidget(heading)
-        plotter = QtInteractor(frame, auto_update=False, multi_samples=4)
-        plotter.background_color = pv.Color("white")
-        layout.addWidget(plotter, stretch=1)
-        detail = PointDetail(plotter, later=lambda seconds, call: QTimer.singleShot(int(1000 * seconds), self, call))
-        return _Canvas(plotter=plotter, is_map=is_map, detail=detail)
-
-    def _layer_tree(self) -> QTreeWidget:
-        tree = QTreeWidget()
-        tree.setHeaderHidden(True)
-        for layer in reversed(self.layers):
-            item = QTreeWidgetItem(tree, [layer.name])
-            item.setFlags(item.flags() | Qt.ItemFlag.ItemIsUserCheckable)
-            item.setCheckState(0, Qt.CheckState.Unchecked if layer.name in HIDDEN_AT_FIRST else Qt.CheckState.Checked)
-            rows = [(entry.text, _color_icon(np.array([[entry.color]], np.uint8))) for entry in layer.legend]
-            if layer.heat is not None:
-                rows += [
-                    (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", _color_icon(heat_table()[None])),
-                    (layer.heat.label, QIcon()),
-                ]
-            rows += [(note, QIcon()) for note in [moving_note(layer)] if note]
-            for text, icon in rows:
-                row = QTreeWidgetItem(item, [text])
-                row.setIcon(0, icon)
-                row.setToolTip(0, text)
-            item.setExpanded(len(layer.legend) <= 8)
-        tree.itemChanged.connect(self._on_item_changed)
-        dock = QDockWidget("Layers", self)
-        dock.setWidget(tree)
-        self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, dock)
-        self.resizeDocks([dock], [280], Qt.Orientation.Horizontal)
-        return tree
-
-    def _camera_table(self) -> QTableView:
-        self.cameras = CameraTable(self.run)
-        self.sorted_cameras = QSortFilterProxyModel()
-        self.sorted_cameras.setSourceModel(self.cameras)
-        self.sorted_cameras.setSortRole(SORT_ROLE)
-        table = QTableView()
-        table.setModel(self.sorted_cameras)
-        table.setSortingEnabled(True)
-        table.sortByColumn(0, Qt.SortOrder.AscendingOrder)
-        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        table.verticalHeader().setDefaultSectionSize(22)
-        table.resizeColumnsToContents()
-        table.selectionModel().selectionChanged.connect(self._on_selection)
-        dock = QDockWidget("Cameras", self)
-        dock.setWidget(table)
-        self.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, dock)
-        self.resizeDocks([dock], [220], Qt.Orientation.Vertical)
-        return table
+    def _on_first_shown(self) -> None:
+        if self.isVisible():
+            self.reset_views()
 
     def _add_actions(self) -> None:
         bar = self.addToolBar("View")
         bar.setMovable(False)
-        entries = (
-            ("Fit", "Fit all layers into both views (F)", "F", self.reset_views),
-            ("Screenshot…", "Save map and 3D view as PNG (Ctrl+S)", "Ctrl+S", self._ask_screenshot),
-        )
-        for text, tip, keys, action in entries:
-            button = bar.addAction(text, action)
-            button.setToolTip(tip)
-            button.setShortcut(QKeySequence(keys))
+        bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
+        photo, seams, fly, crop = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.crop
+        # Text, tip, key and what is done; an entry without a text has its button in a dock.
+        entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
+            ("Fit", "Fit all layers into both views", "F", self.reset_views),
+            ("Fly to", "See the scene from the selected camera", "Return", self.fly_to_selected if self.run else None),
+            ("Worst photograph", "The held-out photograph with the lowest PSNR", "W", photo.show_worst if photo else None),
+            ("", "The next worse held-out photograph", "Alt+Left", (lambda: photo.step(-1)) if photo else None),
+            ("", "The next better held-out photograph", "Alt+Right", (lambda: photo.step(1)) if photo else None),
+            ("Seam tour", "The worst seam first", "T", self._begin_tour if seams else None),
+            ("", "The next seam", "N", (lambda: seams.step(1)) if seams else None),
+            ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
+            ("", "Take the last measured corner back", "Backspace", self.measure.undo),
+            ("", "Add the 3D view as a keyframe", "K", fly.add_view if fly else None),
+            ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
+            ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
+            ("", "Read the run anew", "F5", self.reload),
+            ("", "Show all shortcuts", "F1", self._show_shortcuts),
+        ]
+        self.shortcuts: dict[str, str] = {}
+        for text, tip, key, action in entries:
+            if action is None:
+                continue
+            self.shortcuts[key] = tip
+            if text:
+                button = bar.addAction(text, action)
+                button.setToolTip(f"{tip} ({key})")
+                button.setShortcut(QKeySequence(key))
+            else:
+                QShortcut(QKeySequence(key), self, activated=action)
+        toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
+            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", self.planning.set_active)] if self.planning else []),
+            ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
+            ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
+            ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: self.set_theme("dark" if dark else "light")),
+        ]
+        for text, tip, key, toggle in toggles:
+            self.shortcuts[key] = tip
+            button = bar.addAction(text)
+            button.setCheckable(True)
+            button.setToolTip(f"{tip} ({key})")
+            button.setShortcut(QKeySequence(key))
+            button.toggled.connect(toggle)
+            if text == "Crop" and crop is not None:
+                crop.active.toggled.connect(button.setChecked)
 
-    def _draw_layers(self, canvas: _Canvas) -> None:
-        for index, layer in enumerate(self.layers):
-            height = float(SLOTS_PER_LAYER * index) if canvas.is_map else None
-            canvas.actors[layer.name] = add_layer(canvas.plotter, layer, self.origin, flat_height=height, detail=canvas.detail)
-            if layer.labels and canvas.is_map:
-                canvas.actors[layer.name].append(self._add_labels(layer, float(SLOTS_PER_LAYER * index)))
-            for actor in canvas.actors[layer.name]:
-                actor.SetVisibility(layer.name not in HIDDEN_AT_FIRST)
+    def _begin_tour(self) -> None:
+        if self.docks.seams is not None:
+            self.raise_dock(self.docks.seams)
+            self.docks.seams.go(0)
 
-    def _add_labels(self, layer: Layer, height: float) -> pv.Actor:
-        places = np.array([label.position for label in layer.labels]) - self.origin
-        places[:, 2] = height
-        style = {"font_size": 11, "text_color": "black", "shape_color": "white", "shape_opacity": 0.8, "show_points": False}
-        # Names only: VTK does not keep labels inside the view, and the figures stand in the layer tree.
-        texts = [label.text.splitlines()[0] for label in layer.labels]
-        return self.map.plotter.add_point_labels(places, texts, always_visible=True, reset_camera=False, render=False, **style)
+    def _set_cropping(self, active: bool) -> None:
+        if self.docks.crop is not None:
+            self.docks.crop.active.setChecked(active)
+            if active:
+                self.raise_dock(self.docks.crop)
 
-    def _on_item_changed(self, item: QTreeWidgetItem) -> None:
-        name = item.text(0)
+    def _draw_all(self) -> None:
+        for layer in self.layers:
+            self._draw(layer)
+        for layer in list(self._marks.values()):
+            self.draw_mark(layer)
+        if self.isVisible():
+            self.render_views()
+
+    def _draw(self, layer: Layer) -> None:
+        slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
         for canvas in (self.map, self.view):
-            for actor in canvas.actors.get(name, []) if item.parent() is None else []:
-                actor.SetVisibility(item.checkState(0) == Qt.CheckState.Checked)
-        self._render()
+            canvas.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
+            if self.docks.crop is not None:
+                self.docks.crop.apply_to(canvas)
 
-    def _on_selection(self, selected: QItemSelection) -> None:
-        if not selected.indexes():
-            return
-        index = self.sorted_cameras.mapToSource(selected.indexes()[0]).row()
-        layer = highlight_layer(self.run.scene.cameras, index)
-        for canvas in (self.map, self.view):
-            for actor in canvas.actors.pop(layer.name, []):
-                canvas.plotter.remove_actor(actor, render=False)
-            height = float(SLOTS_PER_LAYER * len(self.layers)) if canvas.is_map else None
-            canvas.actors[layer.name] = add_layer(canvas.plotter, layer, self.origin, flat_height=height)
-        row = self.cameras.rows[index]
-        self.statusBar().showMessage("   ·   ".join(str(cell) for cell in row[:4] if cell))
-        self._render()
+    def _on_visibility(self) -> None:
+        for layer in self.layers:
+            for canvas in (self.map, self.view):
+                canvas.show(layer.name, self.layer_dock.is_visible(layer.name))
+        self.render_views()
+
+    def _pick(self, canvas: Canvas, pixel: tuple[int, int]) -> bool:
+        """Select the camera nearest to a click."""
+        if self.run is None or not len(self.run.scene.cameras):
+            return False
+        away = np.linalg.norm(canvas.pixels_of(self.run.scene.cameras.centers) - pixel, axis=1)
+        away = np.where(np.isfinite(away), away, np.inf)
+        index = int(np.argmin(away))
+        if away[index] > PICK_PX:
+            return False
+        self.select_index(index)
+        return True
 
     def _ask_screenshot(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save screenshot", str(Path.cwd() / "inspect.png"), "PNG (*.png)")
         if path:
-            try:
-                self.save_screenshot(Path(path))
-            except BadInput as error:
-                self.statusBar().showMessage(str(error))
+            self.attempt(lambda: self.save_screenshot(Path(path)))
 
-    def _item(self, name: str) -> QTreeWidgetItem:
-        items = self.tree.findItems(name, Qt.MatchFlag.MatchExactly)
-        if not items:
-            raise BadInput(f"there is no layer {name!r}: use one of {', '.join(layer.name for layer in self.layers)}.")
-        return items[0]
+    def _ask_window_picture(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save window", str(Path.cwd() / "window.png"), "PNG (*.png)")
+        if path:
+            # The dialog must be off the screen first.
+            QTimer.singleShot(300, lambda: self.attempt(lambda: self.save_window_picture(Path(path))))
 
-    def _render(self) -> None:
-        for canvas in (self.map, self.view):
-            canvas.plotter.render()
-
-
-def window_layers(run: RunView) -> list[Layer]:
-    """All layers of a run from the ground up: points, plan, cameras, and what the run has beyond: model, seams, errors."""
-    regions, strips, borders, cameras, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
-    layers = [regions, strips, sparse_point_layer(run.scene)]
-    if run.splats is not None:
-        layers.append(splat_layer(run.splats))
-    layers += [borders, cameras]
-    if run.psnr_db:
-        layers.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.psnr_db))
-    if run.splats is not None and len(run.cloud_plan.edge_ids) > 1:
-        layers.append(seam_of(run.scene, run.cloud_plan, run.splats)[0])
-    return [*layers, edges]
-
-
-def _color_icon(colors: ColorArray) -> QIcon:
-    """An icon with a dark rim from colours (1,K,3), one or a whole scale from left to right."""
-    icon = np.tile(np.array(INK, np.uint8), (14, 14, 1))
-    columns = np.linspace(0, colors.shape[1] - 1, 12).round().astype(int)
-    icon[1:-1, 1:-1] = colors[:, columns]
-    return QIcon(QPixmap.fromImage(QImage(icon.tobytes(), 14, 14, 42, QImage.Format.Format_RGB888)))
+    def _show_shortcuts(self) -> None:
+        rows = "".join(f"<tr><td><b>{key}</b>&nbsp;&nbsp;</td><td>{tip}</td></tr>" for key, tip in self.shortcuts.items())
+        box = QMessageBox(QMessageBox.Icon.NoIcon, "Shortcuts", f"<table>{rows}</table>", QMessageBox.StandardButton.Close, self)
+        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        box.open()

@@ -100,7 +100,7 @@ def save_plan(  # noqa: PLR0913
     """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
     from some, what slacks would buy where somebody looked, what its predictions are to be taken with, and what `content_record` says of
     footprints; BadInput when their number is another, else raises as `write_atomic`."""
-    record: dict[str, Any] = {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
+    record = plan_record(cloud, edges)
     if slack_curve:
         record["slack_curve"] = [asdict(point) for point in slack_curve]
     if waypoints is not None:
@@ -113,6 +113,17 @@ def save_plan(  # noqa: PLR0913
         record["warnings"] = list(warnings)
     record |= content or {}
     write_json(path, {"schema": "radiant.plan", "version": VERSION, **record})
+
+
+def plan_record(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> dict[str, Any]:
+    """Both levels of a plan as JSON's values, for a file that holds more than a plan."""
+    return {"cloud": _jsonable(cloud), "edges": [_jsonable(edge) for edge in edges]}
+
+
+def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """What `plan_record` was made of, bit for bit; BadInput, KeyError or TypeError for anything else, as `naming` takes them."""
+    cloud = CloudPlan(**_plan_fields(CloudPlan, record["cloud"]))
+    return cloud, tuple(EdgePlan(**_plan_fields(EdgePlan, edge)) for edge in record["edges"])
 
 
 def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
@@ -132,8 +143,7 @@ def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypo
         if not isinstance(record, dict):
             raise BadInput("it holds no plan: pass the plan.json of a run.")
         require_schema(record, "radiant.plan")
-        cloud = CloudPlan(**_plan_fields(CloudPlan, record["cloud"]))
-        edges = tuple(EdgePlan(**_plan_fields(EdgePlan, edge)) for edge in record["edges"])
+        cloud, edges = plan_of_record(record)
         stored = record.get("waypoints")
         if stored is None:
             return cloud, edges, None

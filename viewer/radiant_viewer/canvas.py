@@ -1,0 +1,196 @@
+"""`Canvas`: one of the window's two views, a map or 3D: its layers as actors, where things fall on it, and who hears its clicks.
+
+Coordinates of the world are float64; VTK sees them relative to `origin`. A click is a press and release within 4 px.
+Needs the `desktop` extra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pyvista as pv
+from PySide6.QtCore import QTimer
+from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from pyvistaqt import QtInteractor
+
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
+from radiant_viewer.images import Image
+from radiant_viewer.layers import Layer
+from radiant_viewer.offscreen import aim_camera
+from radiant_viewer.point_detail import PointDetail
+from radiant_viewer.themes import LIGHT, Theme, themed
+from radiant_viewer.view_pose import ViewPose
+
+CLICK_PX = 4
+TOP_SLOT = 400
+"""Slot of the map on which marks of selections and tools lie: above a hundred layers."""
+Clicked = Callable[["Canvas", tuple[int, int]], bool]
+"""Called with the canvas and the pixel (x, y from the lower left); returns whether the click was taken."""
+
+
+class Canvas:
+    """A plotter in a frame with a heading; `click_takers` are asked in order until one takes a click."""
+
+    def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray) -> None:
+        self.is_map, self.origin, self.theme = is_map, origin, LIGHT
+        self.actors: dict[str, list[pv.Actor]] = {}
+        self.click_takers: list[Clicked] = []
+        self._pressed: tuple[int, int] | None = None
+        self.frame = QWidget(parent)
+        layout = QVBoxLayout(self.frame)
+        layout.setContentsMargins(4, 2, 4, 4)
+        layout.setSpacing(2)
+        heading = QLabel(title)
+        heading.setStyleSheet("font-weight: 600")
+        layout.addWidget(heading)
+        self.plotter = QtInteractor(self.frame, auto_update=False, multi_samples=4)
+        self.plotter.setToolTip("")
+        self.detail = PointDetail(self.plotter, later=lambda seconds, call: QTimer.singleShot(int(1000 * seconds), self.frame, call))
+        layout.addWidget(self.plotter, stretch=1)
+        self.plotter.iren.add_observer("LeftButtonPressEvent", self._on_press)
+        self.plotter.iren.add_observer("LeftButtonReleaseEvent", self._on_release)
+        self.set_theme(LIGHT)
+
+    def set_theme(self, theme: Theme) -> None:
+        """The background; layers are recoloured when they are drawn again."""
+        self.theme = theme
+        self.plotter.background_color = pv.Color(theme.view)
+
+    def draw(self, layer: Layer, slot: int, *, visible: bool = True) -> None:
+        """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
+        self.remove(layer.name)
+        height = float(SLOTS_PER_LAYER * slot)
+        self.actors[layer.name] = add_layer(
+            self.plotter, themed(layer, self.theme), self.origin, flat_height=height if self.is_map else None, detail=self.detail
+        )
+        if layer.labels and self.is_map:
+            self.actors[layer.name].append(self._labels(layer, height))
+        self.show(layer.name, visible)
+
+    def remove(self, name: str) -> None:
+        """Take a layer away, if it is drawn."""
+        for actor in self.actors.pop(name, []):
+            self.plotter.remove_actor(actor, render=False)
+
+    def show(self, name: str, visible: bool) -> None:
+        """Show or hide the actors of a layer."""
+        for actor in self.actors.get(name, []):
+            actor.SetVisibility(visible)
+
+    def render(self) -> None:
+        """Draw the frame now."""
+        self.plotter.renderer.reset_camera_clipping_range()
+        self.plotter.render()
+
+    def screenshot(self) -> Image:
+        """What is seen (H,W,3), once it is at rest."""
+        self.detail.refine()
+        pixels = self.plotter.screenshot(return_img=True)
+        assert pixels is not None
+        return np.asarray(pixels, np.uint8)
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Of the picture, px."""
+        width, height = self.plotter.window_size
+        return int(width), int(height)
+
+    @property
+    def pose(self) -> ViewPose:
+        """Where the view stands in the world."""
+        camera = self.plotter.camera
+        return ViewPose(
+            position=np.array(camera.position) + self.origin,
+            focal_point=np.array(camera.focal_point) + self.origin,
+            up=np.array(camera.up),
+            angle_deg=float(camera.view_angle),
+        )
+
+    def set_pose(self, pose: ViewPose) -> None:
+        """Move the view; a map keeps looking straight down and only takes the middle."""
+        camera = self.plotter.camera
+        if self.is_map:
+            self.center_on(pose.focal_point[:2])
+            return
+        camera.focal_point = tuple(pose.focal_point - self.origin)
+        camera.position = tuple(pose.position - self.origin)
+        camera.up, camera.view_angle = tuple(pose.up), pose.angle_deg
+        self.plotter.renderer.reset_camera_clipping_range()
+
+    def center_on(self, place: FloatArray, half_height: float | None = None) -> None:
+        """Move the map's middle to `place` (2,) and, where given, show so much of the world above and below it."""
+        camera = self.plotter.camera
+        x, y = (float(value) for value in np.asarray(place) - self.origin[:2])
+        top = camera.position[2]
+        camera.focal_point, camera.position = (x, y, 0.0), (x, y, top)
+        if half_height is not None:
+            camera.parallel_scale = half_height
+        self.plotter.renderer.reset_camera_clipping_range()
+
+    def fit(self, drawn: FloatArray) -> None:
+        """Fit positions (K,3) of the world into the view; a map looks straight down, north up."""
+        local = drawn - self.origin
+        if not self.is_map:
+            self.plotter.camera.view_angle = 30.0
+            aim_camera(self.plotter, local)
+            return
+        spans = local.max(axis=0) - local.min(axis=0)
+        self.plotter.enable_parallel_projection()
+        self.plotter.enable_image_style()
+        camera = self.plotter.camera
+        camera.focal_point, camera.position, camera.up = (0, 0, 0), (0, 0, float(SLOTS_PER_LAYER * (TOP_SLOT + 8))), (0, 1, 0)
+        width, height = self.size_wh
+        camera.parallel_scale = 0.55 * float(max(spans[1], spans[0] * height / max(width, 1), 1e-6))
+        self.plotter.renderer.reset_camera_clipping_range()
+
+    def pixels_of(self, positions: FloatArray) -> FloatArray:
+        """Where positions (K,3) of the world fall (K,2), px from the lower left; NaN behind the viewer."""
+        width, height = self.size_wh
+        matrix = self.plotter.camera.GetCompositeProjectionTransformMatrix(width / max(height, 1), -1, 1)
+        projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+        local = checked_array("positions", positions, (None, 3)) - self.origin
+        if self.is_map:
+            local[:, 2] = 0
+        clip = np.column_stack([local, np.ones(len(local))]) @ projection.T
+        depth = np.where(clip[:, 3] > 0, clip[:, 3], np.nan)[:, None]
+        return (clip[:, :2] / depth + 1) / 2 * (width, height)
+
+    def ground_place(self, pixel: tuple[int, int]) -> FloatArray:
+        """The place (2,) of the map under a pixel; only for a map."""
+        assert self.is_map, "a view in perspective has no one place under a pixel"
+        width, height = self.size_wh
+        camera = self.plotter.camera
+        per_px = 2 * camera.parallel_scale / max(height, 1)
+        offset = (np.array(pixel, np.float64) + 0.5 - (width / 2, height / 2)) * per_px
+        return np.array(camera.focal_point[:2]) + offset + self.origin[:2]
+
+    def _labels(self, layer: Layer, height: float) -> pv.Actor:
+        places = np.array([label.position for label in layer.labels]) - self.origin
+        places[:, 2] = height
+        dark = self.theme.name == "dark"
+        style = {
+            "font_size": 11,
+            "text_color": pv.Color(self.theme.text),
+            "shape_color": pv.Color(self.theme.panel if dark else "white"),
+            "shape_opacity": 0.8,
+            "show_points": False,
+        }
+        # Names only: VTK does not keep labels inside the view, and the figures stand in the layer tree.
+        texts = [label.text.splitlines()[0] for label in layer.labels]
+        return self.plotter.add_point_labels(places, texts, always_visible=True, reset_camera=False, render=False, **style)
+
+    def _on_press(self, *_: object) -> None:
+        x, y = self.plotter.iren.get_event_position()
+        self._pressed = (int(x), int(y))
+
+    def _on_release(self, *_: object) -> None:
+        pressed, self._pressed = self._pressed, None
+        x, y = self.plotter.iren.get_event_position()
+        if pressed is not None and max(abs(x - pressed[0]), abs(y - pressed[1])) <= CLICK_PX:
+            _first_taker(self.click_takers, self, (int(x), int(y)))
+
+
+def _first_taker(takers: Sequence[Clicked], canvas: Canvas, pixel: tuple[int, int]) -> bool:
+    return any(taker(canvas, pixel) for taker in takers)

@@ -1,0 +1,153 @@
+"""`EditedPlan`: a plan with the wishes it fulfils, and how wishes become regions and strips. Once per edit and frame of a drag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.plan.captured import require_same_system
+from radiant_core.plan.constraints import PlanConstraints
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
+from radiant_core.plan.power_diagram import assign
+from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.system import System
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanSubject:
+    """What is planned: names (C) unique; positions (C,3) in `unit`; origin (3,) lat lon alt where they are on the globe.
+
+    Raises BadInput without cameras, for positions that are not finite and for names that come twice.
+    """
+
+    names: tuple[str, ...]
+    positions: FloatArray
+    unit: str = "m"
+    origin: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if not self.names:
+            raise BadInput("the plan has no cameras: there is nothing to plan anew; make a plan of waypoints or photographs first.")
+        if len(set(self.names)) != len(self.names):
+            raise BadInput("a camera's name comes twice: give every one its own.")
+        object.__setattr__(self, "positions", checked_array("positions", self.positions, (len(self.names), 3)))
+
+    @property
+    def on_map(self) -> FloatArray:
+        """Positions (C,2)."""
+        return np.ascontiguousarray(self.positions[:, :2])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanWishes:
+    """What decides a plan: the system, what is fixed, locked and pinned, the slack, and the plan that weights and locks refer to."""
+
+    system: System
+    constraints: PlanConstraints
+    slack: float | None
+    reference: CloudPlan
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EditedPlan:
+    """A plan with the wishes it fulfils; edges is empty while its cameras are not dealt to devices, as during a drag."""
+
+    wishes: PlanWishes
+    cloud: CloudPlan
+    edges: tuple[EdgePlan, ...] = ()
+
+
+def first_state(subject: PlanSubject, system: System, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> EditedPlan:
+    """A plan as it is found, bit for bit; its edges stand where it has them. BadInput when plan, cameras and system are not of one kind."""
+    require_plan_of(len(subject.names), cloud, edges)
+    require_same_system(edges, system)
+    wishes = PlanWishes(
+        system=_at_sites(system, cloud),
+        constraints=PlanConstraints(),
+        slack=cloud.slack if cloud.status == "slack" else None,
+        reference=cloud,
+    )
+    return EditedPlan(wishes=wishes, cloud=cloud, edges=edges)
+
+
+def planned_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) -> EditedPlan:
+    """The regions that the wishes call for, from a similar plan on; BadInput with the planner's sentence where there are none."""
+    if wishes.slack is not None and wishes.constraints:
+        raise BadInput("slack is for a plan in which nothing is fixed, locked or pinned: free these first, or take the slack back.")
+    constraints = wishes.constraints or None
+    found = plan_regions(
+        subject.on_map,
+        wishes.system,
+        slack=wishes.slack,
+        constraints=constraints,
+        start=wishes.reference if constraints else start,
+    )
+    if isinstance(found, PlanInfeasible):
+        raise BadInput(found.reason)
+    return EditedPlan(wishes=wishes if constraints else replace(wishes, reference=found), cloud=found)
+
+
+def with_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
+    """The same plan with its cameras dealt to devices."""
+    return plan if plan.edges else replace(plan, edges=split_edges(subject.on_map, plan.cloud, plan.wishes.system))
+
+
+def dragged_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -> float:
+    """The weight with which the border of `edge` towards `other` lies `distance` farther out; negative draws it in."""
+    first, second = cloud.edge_ids.index(edge), cloud.edge_ids.index(other)
+    return float(cloud.weights[first] + 2 * np.linalg.norm(cloud.sites[first] - cloud.sites[second]) * distance)
+
+
+def with_closed_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: FloatArray) -> CloudPlan:
+    """The plan with one edge more that owns nothing: its weight is below what any camera would need to lie in its cell."""
+    centre = subject.on_map.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
+    cameras, sites = subject.on_map - centre, cloud.sites - centre
+    nearest = assign(cameras, sites, cloud.weights)
+    powers = np.sum((cameras - sites[nearest]) ** 2, axis=1) - cloud.weights[nearest]
+    needed = np.sum((cameras - (site - centre)) ** 2, axis=1) - powers
+    weight = float(needed.min() - 1 - np.ptp(cameras, axis=0).max() ** 2)
+    return replace(
+        cloud,
+        edge_ids=(*cloud.edge_ids, name),
+        sites=np.vstack([cloud.sites, site]),
+        weights=np.append(cloud.weights, weight),
+        borders=(*cloud.borders, np.zeros((0, 2))),
+        edge_time_s=np.append(cloud.edge_time_s, 0.0),
+    )
+
+
+def without_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tuple[str, ...]) -> CloudPlan:
+    """The plan without an edge, whose cameras go to the nearest cells among edges that are not locked."""
+    gone = cloud.edge_ids.index(name)
+    kept = np.flatnonzero(np.arange(len(cloud.edge_ids)) != gone)
+    open_edges = np.array([index for index in kept.tolist() if cloud.edge_ids[index] not in locked], np.int64)
+    orphans = np.flatnonzero(cloud.edge_of_camera == gone)
+    if len(orphans) and not len(open_edges):
+        raise BadInput(f"the regions of all other edges are locked and {len(orphans)} cameras of {name!r} must go somewhere: free one.")
+    owners: NDArray[np.int64] = cloud.edge_of_camera.copy()
+    if len(orphans):
+        centre = subject.on_map.mean(axis=0)
+        sites = np.ascontiguousarray(cloud.sites[open_edges] - centre)
+        nearest = assign(subject.on_map[orphans] - centre, sites, np.ascontiguousarray(cloud.weights[open_edges]))
+        owners[orphans] = open_edges[nearest]
+    return replace(
+        cloud,
+        edge_ids=tuple(cloud.edge_ids[index] for index in kept.tolist()),
+        sites=cloud.sites[kept],
+        weights=cloud.weights[kept],
+        borders=tuple(cloud.borders[index] for index in kept.tolist()),
+        edge_time_s=cloud.edge_time_s[kept],
+        edge_of_camera=owners - (owners > gone),
+    )
+
+
+def _at_sites(system: System, cloud: CloudPlan) -> System:
+    sites = [(float(x), float(y)) for x, y in cloud.sites]
+    return replace(
+        system, edges=tuple(replace(edge, position=site, lat_lon_deg=None) for edge, site in zip(system.edges, sites, strict=True))
+    )

@@ -1,0 +1,71 @@
+"""The Gantt chart of the plan and, after a run, of what happened, as the report draws it. Needs the `desktop` extra."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QResizeEvent, QShowEvent
+from PySide6.QtWidgets import QDockWidget, QLabel, QScrollArea
+
+from radiant_core.errors import RadiantError
+from radiant_viewer.gantt_chart import gantt_picture
+from radiant_viewer.images import Image
+from radiant_viewer.picture_label import pixmap_of
+from radiant_viewer.run_feeds import RunFeeds
+
+if TYPE_CHECKING:
+    from radiant_viewer.window import InspectorWindow
+
+MIN_WIDTH_PX = 900
+
+
+class GanttDock(QDockWidget):
+    """Draws when it is first seen, and when its width changes."""
+
+    def __init__(self, window: InspectorWindow, feeds: RunFeeds) -> None:
+        super().__init__("Timeline", window)
+        self.setObjectName("timeline")
+        self._window, self._feeds = window, feeds
+        self.image: Image | None = None
+        self._width_px = 0
+        self.label = QLabel("")
+        self.label.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
+        area = QScrollArea()
+        area.setWidgetResizable(True)
+        area.setWidget(self.label)
+        self.setWidget(area)
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Qt calls it when the tab is opened."""
+        super().showEvent(event)
+        self._draw()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Qt calls it when the window is resized."""
+        super().resizeEvent(event)
+        if self.isVisible():
+            self._draw()
+
+    def reload(self) -> None:
+        """Read plan and times anew."""
+        self._width_px = 0
+        if self.isVisible():
+            self._draw()
+
+    def _draw(self) -> None:
+        width_px = max(MIN_WIDTH_PX, self.width() - 24)
+        if width_px == self._width_px:
+            return
+        self._width_px = width_px
+        try:
+            rows = self._feeds.gantt_rows()
+            if not rows:
+                self.label.setText("This run keeps no timeline: it was planned without a system, or by an older version.")
+                return
+            happened = any(row.measured for row in rows)
+            title = "Predicted and measured" if happened else "Predicted stages"
+            self.image = gantt_picture(rows, title, self._feeds.gantt_detail, width_px)
+            self.label.setPixmap(pixmap_of(self.image))
+        except RadiantError as error:
+            self.label.setText(str(error))
