@@ -149,12 +149,7 @@ class CropDock(QDockWidget):
         if box is not None:
             bounds = (box - self._window.origin).T.ravel()
             plotter.add_box_widget(
-                self._on_dragged,
-                bounds=bounds,
-                factor=1.0,
-                rotation_enabled=False,
-                color="orange",
-                outline_translation=True,
+                self._on_dragged, bounds=bounds, factor=1.0, rotation_enabled=False, color="orange", outline_translation=True,
                 interaction_event="end",
             )
 

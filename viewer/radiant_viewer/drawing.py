@@ -70,7 +70,7 @@ def _add_cloud(
     if not layer.square_points:
         actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Color::Impl", True, ROUND_SHADER, False)
     placed = _placed(layer.points, origin, height)
-    detail.add(layer.points - origin, placed, layer.point_colors, actor, layer.point_size_px * line_scale)
+    detail.add(layer.points - origin, placed, layer.point_colors, actor)
     return actor
 
 

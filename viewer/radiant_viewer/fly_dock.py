@@ -162,9 +162,7 @@ class FlyDock(QDockWidget):
         grid = QGridLayout(body)
         grid.setContentsMargins(4, 2, 4, 4)
         grid.addWidget(self.list, 0, 0, 4, 1)
-        for row, widgets in enumerate(
-            ((self.add, self.remove, self.play), (self.seconds, self.rate, self.size), (self.source, self.export))
-        ):
+        for row, widgets in enumerate(((self.add, self.remove, self.play), (self.seconds, self.rate, self.size), (self.source, self.export))):
             line = QHBoxLayout()
             for widget in widgets:
                 line.addWidget(widget)

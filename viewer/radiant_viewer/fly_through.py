@@ -21,14 +21,10 @@ def flight(keyframes: Sequence[ViewPose], seconds_per_leg: float, frames_per_s: 
     if len(keyframes) < 2:
         raise BadInput(f"a flight goes through two keyframes or more, {len(keyframes)} came: move the view and add another.")
     if not (np.isfinite(seconds_per_leg) and seconds_per_leg > 0 and np.isfinite(frames_per_s) and 0 < frames_per_s <= 120):
-        raise BadInput(
-            f"{seconds_per_leg} s between keyframes at {frames_per_s} frames/s cannot be flown: give positive numbers, up to 120."
-        )
+        raise BadInput(f"{seconds_per_leg} s between keyframes at {frames_per_s} frames/s cannot be flown: give positive numbers, up to 120.")
     count = round(seconds_per_leg * (len(keyframes) - 1) * frames_per_s) + 1
     if not 2 <= count <= MAX_FRAMES:
-        raise BadInput(
-            f"the flight would have {count:,} frames, expected 2 to {MAX_FRAMES:,}: change the time per leg or the frames per second."
-        )
+        raise BadInput(f"the flight would have {count:,} frames, expected 2 to {MAX_FRAMES:,}: change the time per leg or the frames per second.")
     from scipy.interpolate import PchipInterpolator
 
     knots = np.arange(len(keyframes), dtype=np.float64)

@@ -1,6 +1,6 @@
 """Lengths and areas of what a user draws on the map. Once per click; K corners.
 
-length = Σ ‖x_{k+1} − x_k‖,  area = ½ |Σ x_k y_{k+1} − x_{k+1} y_k|  (the shoelace formula, about the first corner)
+    length = Σ ‖x_{k+1} − x_k‖,  area = ½ |Σ x_k y_{k+1} − x_{k+1} y_k|  (the shoelace formula, about the first corner)
 """
 
 from __future__ import annotations

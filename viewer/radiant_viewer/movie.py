@@ -65,9 +65,7 @@ class MovieWriter:
             self._video.write(np.ascontiguousarray(image[:, :, ::-1]))
         else:
             if (self.num_frames + 1) * image.nbytes > MAX_GIF_BYTES:
-                raise BadInput(
-                    f"a GIF of more than {self.num_frames} such frames is too large: write MP4 or WebM, or fewer or smaller frames."
-                )
+                raise BadInput(f"a GIF of more than {self.num_frames} such frames is too large: write MP4 or WebM, or fewer or smaller frames.")
             self._gif.append(np.array(image))
         self.num_frames += 1
 

@@ -29,9 +29,9 @@ def find_photograph(run: RunView, index: int) -> PhotoAnswer:
         return PhotoAnswer(path=None, reason=f"{name!r} is no name of a photograph inside a device's folder.")
     device = int(roles.device_of_camera[index])
     if roles.held_out[index]:
-        return _first(
-            [run.folder / "evaluation" / "photos" / name, run.folder / "pictures" / "photographs" / f"{name}.png"]
-        ) or PhotoAnswer(path=None, reason="This photograph was held out and stays where it was scored: this run keeps no picture of it.")
+        return _first([run.folder / "evaluation" / "photos" / name, run.folder / "pictures" / "photographs" / f"{name}.png"]) or PhotoAnswer(
+            path=None, reason="This photograph was held out and stays where it was scored: this run keeps no picture of it."
+        )
     if device == NOBODY:
         return PhotoAnswer(path=None, reason="No device of the plan holds this photograph.")
     owner = roles.device_ids[device]

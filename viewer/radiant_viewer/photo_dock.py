@@ -116,9 +116,7 @@ class PhotoDock(QDockWidget):
             return {}
 
     def _show(self) -> None:
-        wanted = (
-            PAIRS[self.mode.currentIndex()] if self.mode.currentIndex() < len(PAIRS) else (SINGLES[self.mode.currentIndex() - len(PAIRS)],)
-        )
+        wanted = PAIRS[self.mode.currentIndex()] if self.mode.currentIndex() < len(PAIRS) else (SINGLES[self.mode.currentIndex() - len(PAIRS)],)
         pictures = self._pictures
         if not pictures:
             self.picture.show_picture(None, message=self.picture.message)
@@ -132,11 +130,8 @@ class PhotoDock(QDockWidget):
 
     def _text(self, name: str) -> str:
         known = self._figures.get(name, {})
-        parts = [
-            f"{figure.heading.replace(' (dB)', '')} {known[figure.key]:.{figure.decimals}f}{' dB' * ('(dB)' in figure.heading)}"
-            for figure in FIGURES
-            if figure.key in known
-        ]
+        parts = [f"{figure.heading.replace(' (dB)', '')} {known[figure.key]:.{figure.decimals}f}{' dB' * ('(dB)' in figure.heading)}"
+                 for figure in FIGURES if figure.key in known]
         if name in self.worst_first:
             parts.insert(0, f"{_place(self.worst_first.index(name) + 1)} of {len(self.worst_first)}")
         return "   ·   ".join(parts) or "Trained on: figures are measured on held-out photographs."

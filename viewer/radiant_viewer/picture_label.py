@@ -53,9 +53,7 @@ class PictureLabel(QWidget):
         painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
         if self._left is None:
             painter.setPen(self.palette().windowText().color())
-            painter.drawText(
-                self.rect().adjusted(12, 8, -12, -8), int(Qt.AlignmentFlag.AlignCenter) | int(Qt.TextFlag.TextWordWrap), self.message
-            )
+            painter.drawText(self.rect().adjusted(12, 8, -12, -8), int(Qt.AlignmentFlag.AlignCenter) | int(Qt.TextFlag.TextWordWrap), self.message)
             return
         place = self._place()
         painter.drawPixmap(place, self._left)

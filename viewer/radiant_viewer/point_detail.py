@@ -34,7 +34,6 @@ class _Cloud:
     placed: NDArray[np.float32]
     colors: ColorArray
     actor: pv.Actor
-    size_px: float
     ends: NDArray[np.int64] = field(init=False)
     """The outermost points (6,) as placed; always drawn, since near and far planes are set by what an actor draws."""
     shown: object = None
@@ -57,9 +56,9 @@ class PointDetail:
         """Whether the last frame was drawn with few points."""
         plotter.renderer.AddObserver(vtkCommand.StartEvent, self._before_frame)
 
-    def add(self, cloud_points: FloatArray, placed: NDArray[np.float32], colors: ColorArray, actor: pv.Actor, size_px: float) -> None:
+    def add(self, cloud_points: FloatArray, placed: NDArray[np.float32], colors: ColorArray, actor: pv.Actor) -> None:
         """Take over an actor that draws a cloud: points (N,3) relative to the origin, the same as placed on a map, colours (N,3)."""
-        cloud = _Cloud(points=cloud_points.astype(np.float32), placed=placed, colors=colors, actor=actor, size_px=size_px)
+        cloud = _Cloud(points=cloud_points.astype(np.float32), placed=placed, colors=colors, actor=actor)
         self._draw(cloud, np.zeros(0, np.int64), shown=None)
         self._clouds.append(cloud)
 
@@ -130,7 +129,7 @@ class PointDetail:
         matrix = self._plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)
         clip_from_world = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
         # Half a point wide, so that what is left out lies under what is drawn.
-        return visible_subset(cloud.points, clip_from_world, (width, height), max(1.0, cloud.size_px / 2))
+        return visible_subset(cloud.points, clip_from_world, (width, height), max(1.0, cloud.actor.prop.point_size / 2))
 
     def _draw(self, cloud: _Cloud, kept: NDArray[np.int64], shown: object) -> None:
         drawn = np.append(kept, cloud.ends)

@@ -67,12 +67,7 @@ def run_layers(run: RunView) -> list[Layer]:
     layers = [regions, strips, sparse_point_layer(run.scene)]
     if run.splats is not None and layers[-1].name != "Gaussians":
         layers.append(splat_layer(run.splats))
-    layers += [
-        borders,
-        by_region,
-        camera_layer(run.scene.cameras, run.roles, "device"),
-        camera_layer(run.scene.cameras, run.roles, "split"),
-    ]
+    layers += [borders, by_region, camera_layer(run.scene.cameras, run.roles, "device"), camera_layer(run.scene.cameras, run.roles, "split")]
     if run.psnr_db:
         layers.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.psnr_db))
     if run.splats is not None and len(run.cloud_plan.edge_ids) > 1:

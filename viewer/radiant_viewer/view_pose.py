@@ -1,6 +1,6 @@
 """A view as VTK keeps it (position, focal point, up, angle) and the pinhole camera that sees the same, both ways. Once per frame.
 
-fy = H / (2 tan(angle / 2)), square pixels, middle of the picture at its centre; z forward, y down
+    fy = H / (2 tan(angle / 2)), square pixels, middle of the picture at its centre; z forward, y down
 """
 
 from __future__ import annotations

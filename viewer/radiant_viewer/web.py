@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import logging
 import os
 import secrets
 import socket
@@ -41,6 +42,9 @@ def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOC
     run = load_run_view(run_folder)
     # wslink writes a line of its own to stdout without this, and trame would read our command line.
     os.environ["WSLINK_READY_MSG"] = ""
+    # A browser that is closed in the middle of a frame is no error of anybody's.
+    for name in ("aiohttp", "wslink"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     from radiant_viewer.web_page import WebPage
 
     secret = secrets.token_urlsafe(24)

@@ -9,6 +9,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 import pyvista as pv
+from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray
 from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
@@ -31,24 +32,28 @@ class WebView:
 
     def __init__(self, *, is_map: bool, origin: FloatArray, later: Later) -> None:
         self.is_map, self.origin = is_map, origin
-        self.actors: dict[str, list[pv.Actor]] = {}
+        self.actors: dict[str, list[vtkProp]] = {}
         with egl_window():
             self.plotter = pv.Plotter(off_screen=True, window_size=list(FIRST_SIZE_WH))
-        self.plotter.render_window.SetMultiSamples(SAMPLES)
+        window = self.plotter.render_window
+        assert window is not None
+        window.SetMultiSamples(SAMPLES)
         self.detail = PointDetail(self.plotter, later)
+        interactor = self.plotter.iren
+        assert interactor is not None
         if is_map:
-            self.plotter.enable_parallel_projection()
-            self.plotter.enable_custom_trackball_style(left="pan", shift_left="pan", control_left="pan", middle="pan", right="dolly")
+            self.plotter.camera.parallel_projection = True
+            interactor.enable_custom_trackball_style(left="pan", shift_left="pan", control_left="pan", middle="pan", right="dolly")
         else:
-            self.plotter.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)
+            interactor.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)
         # The interactor's own frames come when the page asks for them.
-        self.plotter.render_window.GetInteractor().EnableRenderOff()
+        window.GetInteractor().EnableRenderOff()
 
     def draw(self, layer: Layer, slot: int, theme: Theme, *, visible: bool) -> None:
         """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
         self.remove(layer.name)
         height = float(SLOTS_PER_LAYER * slot) if self.is_map else None
-        actors = add_layer(self.plotter, themed(layer, theme), self.origin, flat_height=height, detail=self.detail)
+        actors: list[vtkProp] = [*add_layer(self.plotter, themed(layer, theme), self.origin, flat_height=height, detail=self.detail)]
         if layer.labels and height is not None:
             actors.append(self._labels(layer, height, theme))
         self.actors[layer.name] = actors
@@ -57,7 +62,7 @@ class WebView:
     def remove(self, name: str) -> None:
         """Take a layer away, if it is drawn."""
         for actor in self.actors.pop(name, []):
-            self.plotter.remove_actor(actor, render=False)
+            self.plotter.renderer.remove_actor(actor, render=False)
 
     def show(self, name: str, visible: bool) -> None:
         """Show or hide a layer."""
@@ -95,7 +100,7 @@ class WebView:
         camera, (x, y) = self.plotter.camera, (float(value) for value in middle)
         camera.focal_point, camera.position, camera.up = (x, y, 0.0), (x, y, float(SLOTS_PER_LAYER * (TOP_SLOT + 8))), (0.0, 1.0, 0.0)
 
-    def _labels(self, layer: Layer, height: float, theme: Theme) -> pv.Actor:
+    def _labels(self, layer: Layer, height: float, theme: Theme) -> vtkProp:
         shown = layer.labels[:MAX_LABELS]
         places = np.array([label.position for label in shown]) - self.origin
         places[:, 2] = height
