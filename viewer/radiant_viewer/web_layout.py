@@ -97,15 +97,15 @@ def _bar() -> None:
         v3.VSpacer()
         with v3.VBtnToggle(v_model=("panes",), mandatory=True, density="compact", variant="outlined", divided=True, style="height: 30px"):
             for value, text in (("map", "Map"), ("both", "Both"), ("view", "3D")):
-                v3.VBtn(text, value=value, size="small", classes="text-none", data_pane=value)
+                v3.VBtn(text, value=value, size="small", classes="text-none", raw_attrs=[f'data-pane="{value}"'])
         _button("mdi-fit-to-screen-outline", "Fit all layers into both views", "trigger('fit')", classes="ml-2")
-        _button("mdi-theme-light-dark", "Light or dark", "dark = !dark", data_action="theme")
+        _button("mdi-theme-light-dark", "Light or dark", "dark = !dark", raw_attrs=['data-action="theme"'])
 
 
 def _layer_drawer() -> None:
     with v3.VNavigationDrawer(permanent=True, width=280), html.Div(classes="py-2"):
         html.Div("Layers", classes="text-subtitle-2 font-weight-bold px-3 pb-1")
-        with html.Div(v_for="layer in layers", key="layer.name", classes="pb-1", data_layer=("layer.name",)):
+        with html.Div(v_for="layer in layers", key="layer.name", classes="pb-1", raw_attrs=[':data-layer="layer.name"']):
             with html.Div(classes="rad-layer"):
                 v3.VCheckboxBtn(
                     v_model=("visible",), value=("layer.name",), label=("layer.name",), density="compact", color="primary", multiple=True
@@ -143,7 +143,7 @@ def _views(page: PageActions) -> tuple[Any, Any]:
     with html.Div(classes="d-flex", style="flex: 1 1 0; min-height: 0"):
         for name, view, other in (("Map", page.scene.map, "view"), ("3D", page.scene.view, "map")):
             second = " rad-second" if name == "3D" else ""
-            with html.Div(v_show=f"panes !== '{other}'", classes=f"rad-pane{second}", data_view=name):
+            with html.Div(v_show=f"panes !== '{other}'", classes=f"rad-pane{second}", raw_attrs=[f'data-view="{name}"']):
                 html.Div(name, classes="rad-name")
                 images.append(vtk.VtkRemoteView(view.plotter.render_window, interactive_quality=75, interactive_ratio=1, still_quality=94))
     return images[0], images[1]
@@ -154,7 +154,7 @@ def _lower_half() -> None:
         with html.Div(classes="d-flex flex-column", style="flex: 1 1 0; min-width: 0"):
             with v3.VTabs(v_model=("tab",), density="compact", height=34, color="primary"):
                 for value, text in (("cameras", "Cameras"), ("seams", "Seams, worst first"), ("plan", "Plan and times")):
-                    v3.VTab(text, value=value, classes="text-none", data_tab=value)
+                    v3.VTab(text, value=value, classes="text-none", raw_attrs=[f'data-tab="{value}"'])
             _camera_table()
             _seam_tour()
             with html.Div(v_show="tab === 'plan'", classes="rad-tab pa-2"):
@@ -219,7 +219,7 @@ def _seam_tour() -> None:
                     key="stop.index",
                     click="trigger('go_to_seam', [stop.index])",
                     classes=("stop.index === seam ? 'chosen' : ''",),
-                    data_seam=("stop.title",),
+                    raw_attrs=[':data-seam="stop.title"'],
                 ),
             ):
                 for field in ("title", "step", "worst", "length"):
@@ -231,9 +231,11 @@ def _pictures() -> None:
         html.Div("Choose a camera to see its photograph, render and difference.", v_if="selected === null", classes="rad-soft pa-2")
         with html.Template(v_if="selected !== null"):
             with html.Div(classes="d-flex align-center"):
-                html.Div("{{ cameras[selected].name }}", classes="text-body-2 font-weight-bold text-truncate", data_chosen="")
+                html.Div("{{ cameras[selected].name }}", classes="text-body-2 font-weight-bold text-truncate", raw_attrs=["data-chosen"])
                 v3.VSpacer()
-                _button("mdi-video-outline", "Look from where this camera stood", "trigger('fly_to_camera')", data_action="fly")
+                _button(
+                    "mdi-video-outline", "Look from where this camera stood", "trigger('fly_to_camera')", raw_attrs=['data-action="fly"']
+                )
             with html.Div(classes="d-flex flex-wrap pb-1", style="gap: 2px 12px", v_if="figures.length"):
                 html.Span(
                     "{{ figure.heading }} <b>{{ figure.value }}</b>",
@@ -252,7 +254,7 @@ def _pictures() -> None:
                 style="height: 26px",
             ):
                 for value, text in (("photograph", "Photograph"), ("render", "Render"), ("difference", "Difference"), ("slide", "Slider")):
-                    v3.VBtn(text, value=value, size="x-small", classes="text-none", data_kind=value)
+                    v3.VBtn(text, value=value, size="x-small", classes="text-none", raw_attrs=[f'data-kind="{value}"'])
             with html.Div(classes="rad-photo mt-1", v_if="pictures.photograph"):
                 html.Img(src=("pictures[kind === 'slide' || !pictures.render ? 'photograph' : kind]",), alt="Picture of the chosen camera")
                 html.Img(
