@@ -35,19 +35,22 @@ html, body { overflow: hidden !important; }
 .rad-swatch.dot { border: none; width: 8px; height: 8px; margin: 0 2px; }
 .rad-heat { height: 10px; border: 1px solid rgba(110,118,130,.6); }
 .rad-layer { display: flex; align-items: center; padding: 0 6px 0 6px; }
-.rad-layer .v-label { font-size: 13px; opacity: 1; }
+.rad-layer .v-selection-control { flex: 1 1 auto; }
+.rad-layer .v-label { white-space: nowrap; font-size: 13px; opacity: 1; }
 .rad-pane { position: relative; flex: 1 1 0; min-width: 0; height: 100%; overflow: hidden; }
 .rad-pane .rad-name { position: absolute; left: 8px; top: 6px; z-index: 2; font-size: 12px; font-weight: 600; padding: 1px 7px;
   border-radius: 4px; pointer-events: none; background: rgba(var(--v-theme-surface), .82); }
 .rad-pane.rad-second { border-left: 1px solid rgba(128,128,128,.35); }
 .rad-tab { flex: 1 1 0; min-height: 0; overflow: auto; }
 .rad-table table { font-size: 12.5px; }
-.rad-table th, .rad-table td { height: 28px !important; padding: 0 10px !important; white-space: nowrap; }
+.rad-table th, .rad-table tr[data-camera] td,
+.rad-table tr[data-seam] td { height: 28px !important; padding: 0 10px !important; white-space: nowrap; }
 .rad-table td { font-variant-numeric: tabular-nums; cursor: pointer; }
 .rad-table tr.chosen td { background: rgba(var(--v-theme-primary), .22); }
 .rad-table tbody tr:hover td { background: rgba(var(--v-theme-primary), .10); }
 .rad-photo { position: relative; flex: 1 1 0; min-height: 0; display: flex; align-items: center; justify-content: center; }
 .rad-photo img { position: absolute; left: 0; top: 0; width: 100%; height: 100%; object-fit: contain; }
+.rad-slider { flex: none !important; }
 .rad-soft { font-size: 12px; opacity: .75; }
 .rad-figure { font-size: 12px; white-space: nowrap; }
 .rad-figure b { font-variant-numeric: tabular-nums; }
@@ -80,7 +83,7 @@ def build_layout(server: Any, page: PageActions) -> tuple[Any, Any]:
         client.Style(STYLE)
         _bar()
         _layer_drawer()
-        with v3.VMain(classes="fill-height"), html.Div(classes="d-flex flex-column", style="height: calc(100vh - 48px)"):
+        with v3.VMain(classes="fill-height"), html.Div(classes="d-flex flex-column", style="height: calc(100vh - 45px)"):
             images = _views(page)
             _lower_half()
     return images
@@ -91,7 +94,7 @@ def _button(icon: str, tip: str, click: str, **attributes: Any) -> None:
 
 
 def _bar() -> None:
-    with v3.VAppBar(density="compact", flat=True, border=True, height=48, classes="rad-bar"):
+    with v3.VAppBar(flat=True, border=True, height=44, classes="rad-bar"):
         html.Div("{{ title }}", classes="ml-4 font-weight-bold text-no-wrap")
         html.Div("{{ subtitle }}", classes="rad-soft ml-2 text-truncate")
         v3.VSpacer()
@@ -110,7 +113,6 @@ def _layer_drawer() -> None:
                 v3.VCheckboxBtn(
                     v_model=("visible",), value=("layer.name",), label=("layer.name",), density="compact", color="primary", multiple=True
                 )
-                v3.VSpacer()
                 v3.VBtn(
                     "solo",
                     title="Show this layer alone; again brings the others back",
@@ -180,7 +182,7 @@ def _camera_table() -> None:
         hover=True,
         classes="rad-table",
         style="flex: 1 1 0; min-height: 0",
-        click_row="(event, row) => trigger('select_camera', [row.item.index])",
+        raw_attrs=["@click:row=\"(event, row) => trigger('select_camera', [row.item.index])\""],
         row_props=("(row) => ({ class: row.item.index === selected ? 'chosen' : '', 'data-camera': row.item.name })",),
     )
 
@@ -271,6 +273,7 @@ def _pictures() -> None:
                 hide_details=True,
                 density="compact",
                 color="primary",
+                classes="rad-slider",
                 title="Photograph to the left, render to the right",
             )
             html.Div("{{ pictures.reason }}", v_if="pictures.reason", classes="rad-soft pt-1")
