@@ -38,6 +38,19 @@ $line"
   DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends "${missing[@]}"
 }
 
+# A browser drives the web page in a test, which is skipped without one: nothing here ends the command.
+install_chromium() {
+  command -v chromium >/dev/null && return
+  local line="apt-get update && apt-get install --yes --no-install-recommends chromium"
+  if [[ $EUID -ne 0 ]]; then
+    echo "setup.sh: there is no chromium, so the test of the web page will be skipped; as root: $line"
+    return
+  fi
+  echo "setup.sh: $line"
+  { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends chromium; } ||
+    echo "setup.sh: chromium was not installed, so the test of the web page will be skipped"
+}
+
 # What the environment was made from: if this text is the same, there is nothing to install.
 fingerprint() {
   echo "$PWD $(.venv/bin/python -VV 2>&1)"
@@ -95,6 +108,7 @@ case "${1:-}" in
     ;;
   test)
     install_project test
+    install_chromium
     run_checks
     .venv/bin/python -m pytest
     ;;

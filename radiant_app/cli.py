@@ -53,6 +53,10 @@ _TRAIN_HELP = "draft: quick; standard: plain 3DGS; paper: its 20,000 steps."
 _AGGREGATE_HELP = "paper: retrain every parameter at the edges and the cloud."
 _PLAN_HELP = "exact: least makespan; paper: Alg. 1; voronoi; even."
 _MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
+_WEB_HELP = (
+    "Serve a read-only page for a browser until Ctrl-C, on 127.0.0.1 by default. The address that is printed holds a random secret; "
+    "without it the page stays empty."
+)
 TrainPresetOption = Annotated[TrainPreset, typer.Option(help=_TRAIN_HELP)]
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
 NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")]
@@ -313,8 +317,19 @@ def inspect(
     ] = None,
     system: Annotated[Path | None, typer.Option(help="TOML of edges and devices with which the plan is changed; else its own.")] = None,
     scene: Annotated[Path | None, typer.Option(help="Scene of a plan that was not made from waypoints.")] = None,
+    web: Annotated[bool, typer.Option("--web", help=_WEB_HELP)] = False,
+    host: Annotated[
+        str, typer.Option(help="--web: address to bind; all but this machine's own can be reached from outside.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="--web: port to bind; 0 for any that is free.")] = 8765,
 ) -> None:
-    """Regions, cameras, seams and splats of a run, or a plan to be changed: in a window, or as a picture."""
+    """Regions, cameras, seams and splats of a run, or a plan to be changed: in a window, as a picture, or as a page for a browser."""
+    if web and screenshot is not None:
+        raise BadInput("--web serves a page and --screenshot writes a picture: ask for one of them.")
+    if web:
+        from radiant_viewer.web import open_page
+
+        return open_page(run_folder, typer.echo, host, port)
     from radiant_app.inspect_command import Picture, open_inspector, save_picture
 
     if screenshot is None:
@@ -322,6 +337,7 @@ def inspect(
     from radiant_app.quantities import size_wh_of
 
     typer.echo(save_picture(run_folder, view, screenshot, Picture(size_wh=size_wh_of(size), camera=camera, scene=scene)))
+    return None
 
 
 app.command()(export)
@@ -330,7 +346,7 @@ app.command()(export)
 @app.command()
 def bench(
     name: Annotated[
-        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "upload", "teachers"],
+        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "upload", "teachers", "viewer"],
         typer.Argument(help="What to measure."),
     ],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,

@@ -105,6 +105,10 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
 
         typer.echo(build_description(options.threads))
         return bench_raster(options.quick, options.threads)
+    if name == "viewer":
+        from radiant_app.bench.viewer import bench_viewer
+
+        return bench_viewer(options.quick)
     if name == "train":
         return _measure_training(options)
     if name == "methods" and options.scene is not None and options.out is not None:
@@ -117,7 +121,7 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         from radiant_app.bench.teachers import bench_teachers
 
         return bench_teachers(options.scene, options.quick)
-    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, borders, fed3dgs, raster, train, methods, upload or teachers.")
+    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, borders, fed3dgs, raster, train, methods, upload, teachers or viewer.")
 
 
 def _measure_training(options: BenchOptions) -> Sequence[Metric]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pyvista as pv
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
@@ -20,6 +20,7 @@ from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
 from radiant_viewer.images import Image
 from radiant_viewer.layers import CLOUD_SIZE, Layer
 from radiant_viewer.offscreen import aim_camera
+from radiant_viewer.point_detail import PointDetail
 from radiant_viewer.themes import LIGHT, Theme, themed
 from radiant_viewer.view_pose import ViewPose
 
@@ -49,6 +50,8 @@ class Canvas:
         # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its own.
         self.plotter.reset_key_events()
         self.plotter.iren.interactor.RemoveObservers("CharEvent")
+        self.plotter.setToolTip("")
+        self.detail = PointDetail(self.plotter, later=lambda seconds, call: QTimer.singleShot(int(1000 * seconds), self.frame, call))
         layout.addWidget(self.plotter, stretch=1)
         # By Qt: some of VTK's styles keep the release of a button to themselves.
         self._clicks = _ClickFilter(self.plotter, self._on_click)
@@ -64,7 +67,7 @@ class Canvas:
         self.remove(layer.name)
         height = float(SLOTS_PER_LAYER * slot)
         self.actors[layer.name] = add_layer(
-            self.plotter, themed(layer, self.theme), self.origin, flat_height=height if self.is_map else None
+            self.plotter, themed(layer, self.theme), self.origin, flat_height=height if self.is_map else None, detail=self.detail
         )
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in self.actors[layer.name][-1:]:
@@ -90,7 +93,8 @@ class Canvas:
         self.plotter.render()
 
     def screenshot(self) -> Image:
-        """What is seen (H,W,3)."""
+        """What is seen (H,W,3), once it is at rest."""
+        self.detail.refine()
         pixels = self.plotter.screenshot(return_img=True)
         assert pixels is not None
         return np.asarray(pixels, np.uint8)

@@ -13,8 +13,10 @@ import pyvista as pv
 from numpy.typing import NDArray
 
 from radiant_core.numerics import FloatArray
+from radiant_viewer.detail import is_thinned
 from radiant_viewer.layers import Layer
-from radiant_viewer.palette import INK, ColorArray
+from radiant_viewer.palette import INK
+from radiant_viewer.point_detail import PointDetail, point_mesh
 
 SLOTS_PER_LAYER = 4
 """Heights that a flattened layer takes on a map: polygons, segments, rims, points."""
@@ -25,11 +27,18 @@ FRONT_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = 0.001 * gl_FragCoord.z;\n"
 
 
 def add_layer(
-    plotter: pv.Plotter, layer: Layer, origin: FloatArray, *, line_scale: float = 1.0, flat_height: float | None = None
+    plotter: pv.Plotter,
+    layer: Layer,
+    origin: FloatArray,
+    *,
+    line_scale: float = 1.0,
+    flat_height: float | None = None,
+    detail: PointDetail | None = None,
 ) -> list[pv.Actor]:
     """Draw one layer relative to `origin` (3,) and return its actors, to hide and show it.
 
-    `line_scale` multiplies widths in pixels; `flat_height` lays everything on a map from that height on, in painter's order.
+    `line_scale` multiplies widths in pixels; `flat_height` lays everything on a map from that height on, in painter's order;
+    `detail` decides what is drawn of a large cloud.
     """
     slots = [None if flat_height is None else flat_height + slot for slot in range(SLOTS_PER_LAYER)]
     actors = []
@@ -43,10 +52,26 @@ def add_layer(
         actors.append(_add(plotter, mesh))
         actors[-1].prop.line_width = layer.line_width_px * line_scale
     if len(layer.points):
-        actors += _add_points(plotter, layer, origin, line_scale, slots[2:])
+        if detail is not None and is_thinned(layer):
+            actors.append(_add_cloud(plotter, layer, origin, line_scale, slots[3], detail))
+        else:
+            actors += _add_points(plotter, layer, origin, line_scale, slots[2:])
     for actor in actors if layer.in_front and flat_height is None else []:
         actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Depth::Impl", True, FRONT_SHADER, False)
     return actors
+
+
+def _add_cloud(
+    plotter: pv.Plotter, layer: Layer, origin: FloatArray, line_scale: float, height: float | None, detail: PointDetail
+) -> pv.Actor:
+    # What it draws is chosen before the first frame.
+    actor = _add(plotter, point_mesh(_placed(layer.points[:1], origin, height), layer.point_colors[:1]))
+    actor.prop.point_size = layer.point_size_px * line_scale
+    if not layer.square_points:
+        actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Color::Impl", True, ROUND_SHADER, False)
+    placed = _placed(layer.points, origin, height)
+    detail.add(layer.points - origin, placed, layer.point_colors, actor)
+    return actor
 
 
 def _add_points(
@@ -59,7 +84,7 @@ def _add_points(
         parts.insert(0, (dark, layer.point_size_px + 3.5, heights[0]))
     actors = []
     for colors, size_px, height in parts:
-        actor = _add(plotter, _point_mesh(_placed(layer.points, origin, height), colors))
+        actor = _add(plotter, point_mesh(_placed(layer.points, origin, height), colors))
         actor.prop.point_size = size_px * line_scale
         if not layer.square_points:
             actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Color::Impl", True, ROUND_SHADER, False)
@@ -83,12 +108,6 @@ def _polygon_mesh(layer: Layer, origin: FloatArray, height: float | None) -> pv.
     triangles = mesh.triangulate()
     assert isinstance(triangles, pv.PolyData)
     return triangles
-
-
-def _point_mesh(positions: NDArray[np.float32], colors: ColorArray) -> pv.PolyData:
-    mesh = pv.PolyData(positions, verts=_cells(np.arange(len(positions))[:, None]))
-    mesh.point_data["colors"] = colors
-    return mesh
 
 
 def _placed(positions: FloatArray, origin: FloatArray, height: float | None) -> NDArray[np.float32]:

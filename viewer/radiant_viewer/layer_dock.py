@@ -10,6 +10,7 @@ from PySide6.QtGui import QIcon, QImage, QPixmap
 from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidgetItem, QWidget
 
 from radiant_core.errors import BadInput
+from radiant_viewer.detail import moving_note
 from radiant_viewer.layers import Layer
 from radiant_viewer.palette import GREY, ColorArray, heat_table
 
@@ -106,6 +107,7 @@ def _add_legend(item: QTreeWidgetItem, layer: Layer) -> None:
     rows = [(entry.text, color_icon(np.array([[entry.color]], np.uint8))) for entry in layer.legend]
     if layer.heat is not None:
         rows += [(f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", color_icon(heat_table()[None])), (layer.heat.label, QIcon())]
+    rows += [(note, QIcon()) for note in [moving_note(layer)] if note]
     for text, icon in rows:
         row = QTreeWidgetItem(item, [text])
         row.setIcon(NAME, icon)

@@ -19,6 +19,8 @@ from radiant_viewer.palette import ColorArray
 
 CLOUD_SIZE = 100
 """From so many points on a layer is a cloud; fewer are markers, as cameras and sites are."""
+REACH_POINTS = 200_000
+"""Of a larger cloud every second, third … point is asked how far it reaches."""
 MARGIN = 0.25
 """How far a cloud reaches beyond borders and markers in a picture, as a share of their longest side."""
 Marker = Literal["area", "line", "dot", "ring", "square"]
@@ -106,7 +108,8 @@ def drawn_positions(layers: Sequence[Layer]) -> FloatArray:
     Clouds (of 100 points or more) hold strays, far ground and a sky; without anything else they count as far as Tukey's outer fence.
     BadInput when the layers hold no geometry at all.
     """
-    clouds = [layer.points for layer in layers if len(layer.points) >= CLOUD_SIZE]
+    # How far ten million points reach, a part of them says in a fiftieth of the time.
+    clouds = [layer.points[:: 1 + len(layer.points) // REACH_POINTS] for layer in layers if len(layer.points) >= CLOUD_SIZE]
     markers = [layer.points for layer in layers if len(layer.points) < CLOUD_SIZE]
     lines = [part for layer in layers for part in (layer.segments.reshape(-1, 3), *layer.polygons)]
     firm = np.concatenate([np.zeros((0, 3)), *markers, *lines])

@@ -19,6 +19,7 @@ from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
 from radiant_viewer.images import Drawing, Image
 from radiant_viewer.layers import Layer, drawn_positions
 from radiant_viewer.page import PageText, compose_page, drawing_size_wh
+from radiant_viewer.point_detail import PointDetail
 
 OVERSAMPLING = 2
 MARGIN = 0.06
@@ -51,8 +52,9 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
     origin = np.array([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2, 0.0])
     top = float(SLOTS_PER_LAYER * (len(layers) + 1))
     with _plotter(size_wh) as plotter:
+        detail = PointDetail(plotter)
         for index, layer in enumerate(layers):
-            add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, flat_height=float(SLOTS_PER_LAYER * index))
+            add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, flat_height=float(SLOTS_PER_LAYER * index), detail=detail)
         camera = plotter.camera
         camera.position, camera.focal_point, camera.up = (0.0, 0.0, top), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
         camera.parallel_projection = True
@@ -69,8 +71,9 @@ def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: 
     drawn = drawn_positions(layers)
     origin = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
     with _plotter(size_wh) as plotter:
+        detail = PointDetail(plotter)
         for layer in layers:
-            add_layer(plotter, layer, origin, line_scale=OVERSAMPLING)
+            add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, detail=detail)
         aim_camera(plotter, drawn - origin, direction_deg)
         image = _shot(plotter)
         label_px, mark_px = (_projected(plotter, places - origin) * size_wh for places in (_label_places(layers), _marks(layers)))
@@ -108,7 +111,7 @@ def _require_size(size_wh: tuple[int, int]) -> None:
 @contextmanager
 def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
     width, height = size_wh
-    with _egl_window():
+    with egl_window():
         plotter = pv.Plotter(off_screen=True, window_size=[OVERSAMPLING * width, OVERSAMPLING * height])
     try:
         plotter.background_color = pv.Color("white")
@@ -118,7 +121,7 @@ def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
 
 
 @contextmanager
-def _egl_window() -> Iterator[None]:
+def egl_window() -> Iterator[None]:
     """VTK reads this variable when it makes a window; without it, it first tries an X server and complains on stderr."""
     name = "VTK_DEFAULT_OPENGL_WINDOW"
     before = os.environ.get(name)

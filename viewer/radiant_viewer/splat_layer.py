@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
+from radiant_viewer.detail import even_subset
 from radiant_viewer.layers import Layer, LegendEntry
 from radiant_viewer.palette import GREY
 
-MAX_POINTS = 200_000
-"""Points drawn at most; the legend says when some were left out."""
+MAX_POINTS = 10_000_000
+"""Points kept at most, 60 bytes each; the legend says when some were left out. What a view draws of them: `detail.py`."""
 
 
 def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
     """The P points of the scene in the colours of the photographs. Points that nobody observed are centres of a delivered model's
     Gaussians, and are called so."""
     kind = "sparse points" if len(scene.observations) else "Gaussians"
-    kept = _evenly(len(scene.points), max_points)
+    kept = even_subset(scene.points, max_points)
     return Layer(
         name="Sparse points" if len(scene.observations) else "Gaussians",
         points=scene.points[kept],
@@ -35,7 +36,7 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
     """The centres of the Gaussians that are at least `min_opacity` (0 to 1) opaque, in their own colours."""
     logit = float(np.log(min_opacity / (1 - min_opacity))) if 0 < min_opacity < 1 else -np.inf
     opaque = np.flatnonzero(splats.logit_opacities >= logit)
-    kept = opaque[_evenly(len(opaque), max_points)]
+    kept = opaque if len(opaque) <= max_points else opaque[even_subset(splats.means[opaque].astype(np.float64), max_points)]
     return Layer(
         name="Gaussians",
         points=splats.means[kept].astype(np.float64),
@@ -51,11 +52,6 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
 def splat_colors(splats: Splats) -> NDArray[np.uint8]:
     """View-independent colours (N,3) uint8."""
     return np.rint(255 * np.clip(0.5 + SH_C0 * splats.sh0[:, 0], 0, 1)).astype(np.uint8)
-
-
-def _evenly(count: int, limit: int) -> NDArray[np.int64]:
-    """At most `limit` of `count` indices, evenly spread and the same every time."""
-    return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).astype(np.int64)
 
 
 def _count_text(what: str, shown: int, total: int) -> str:

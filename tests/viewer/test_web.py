@@ -1,0 +1,190 @@
+"""The web page in a real Chromium: layers, sorting, a chosen camera and the seam tour; and that only its own address opens it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_viewer.run_view import load_run_view
+from radiant_viewer.web import address_text, open_page, require_web
+from radiant_viewer.web_rows import camera_headers, camera_rows, layer_row, pictures_of, run_camera_figures, run_layers
+from tests.viewer.made_up_run import made_up_town, save_run
+
+CHROMIUM = shutil.which("chromium")
+CHROMIUM_ARGUMENTS = [
+    "--headless=new",
+    "--no-sandbox",
+    *(f"--disable-{part}" for part in ("gpu", "quic", "background-networking", "component-update", "sync")),
+    "--no-first-run",
+]
+DEADLINE_S = 120
+"""For each step, on a machine that does other things; a step takes under a second on an idle one."""
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("web") / "run"
+    save_run(folder, made_up_town(step_levels=40))
+    return folder
+
+
+@pytest.fixture
+def address(run_folder: Path) -> Iterator[str]:
+    pytest.importorskip("trame_vuetify", reason="the extra 'web' is not installed")
+    command = [sys.executable, "-m", "radiant_app", "inspect", str(run_folder), "--web", "--port", "0"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert server.stdout is not None
+    first = server.stdout.readline()
+    found = re.search(r"http://127\.0\.0\.1:\d+/\?secret=\S{32}", first)
+    if found is None:
+        server.kill()
+        pytest.fail(f"the page gave no address but {first!r}: {server.communicate()[1]}")
+    yield found.group()
+    server.send_signal(signal.SIGINT)
+    said = server.communicate(timeout=DEADLINE_S)
+    assert server.returncode == 130, said
+    assert "Traceback" not in said[1]
+
+
+@pytest.fixture
+def browser() -> Iterator[Any]:
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed: apt-get install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: it comes with the extra 'test'")
+    with playwright.sync_playwright() as tool:
+        opened = tool.chromium.launch(executable_path=CHROMIUM, args=CHROMIUM_ARGUMENTS)
+        yield opened
+        opened.close()
+
+
+def picture(page: Any, view: str) -> np.ndarray:
+    """What the browser shows of one view (H,W,3)."""
+    pixels = page.locator(f"[data-view='{view}']").screenshot()
+    return cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_COLOR)
+
+
+def changed_share(before: np.ndarray, after: np.ndarray) -> float:
+    return float((np.abs(before.astype(int) - after).max(axis=2) > 24).mean())
+
+
+def settled(page: Any, view: str, unlike: np.ndarray | None = None) -> np.ndarray:
+    """A view once it shows something, other than `unlike`, and has stopped changing."""
+    deadline, last = time.monotonic() + DEADLINE_S, picture(page, view)
+    while time.monotonic() < deadline:
+        page.wait_for_timeout(250)
+        now = picture(page, view)
+        is_still = changed_share(last, now) == 0
+        if is_still and now.std() > 12 and (unlike is None or changed_share(unlike, now) > 0.004):
+            return now
+        last = now
+    pytest.fail(f"the view {view!r} did not change within {DEADLINE_S} s")
+
+
+def first_cells(page: Any) -> list[str]:
+    return [row.locator("td").first.inner_text() for row in page.locator("tr[data-camera]").all()[:3]]
+
+
+def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) -> None:
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.set_default_timeout(1000 * DEADLINE_S)
+    outside, errors = [], []
+    own = address.split("/?", maxsplit=1)[0]
+    page.on("request", lambda request: outside.append(request.url) if not request.url.startswith((own, "data:", "blob:")) else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(address)
+    # The seams are measured last: from here on nothing changes by itself.
+    page.locator("[data-layer='Seams']").wait_for()
+    first = settled(page, "Map")
+    box = page.locator("[data-layer='Regions'] input")
+    assert box.is_checked()
+    box.click()
+    without = settled(page, "Map", unlike=first)
+    assert changed_share(first, without) > 0.2, "hiding the regions left their ground as it was"
+    box.click()
+    assert changed_share(first, settled(page, "Map", unlike=without)) < 0.01, "showing them again gave another map"
+    solo = page.locator("[data-layer='Edges'] button", has_text="solo")
+    solo.click()
+    page.wait_for_function("document.querySelectorAll('[data-layer] input:checked').length === 1")
+    solo.click()
+    page.wait_for_function("document.querySelectorAll('[data-layer] input:checked').length > 3")
+
+    assert first_cells(page) == ["DJI_0000.JPG", "DJI_0008.JPG", "DJI_0016.JPG"], "the worst photograph does not come first"
+    page.locator("th", has_text="PSNR").click()
+    page.wait_for_function("document.querySelector('tr[data-camera] td').innerText === 'DJI_0016.JPG'")
+    assert first_cells(page) == ["DJI_0016.JPG", "DJI_0008.JPG", "DJI_0000.JPG"]
+    before = settled(page, "3D")
+    page.locator("tr[data-camera='DJI_0016.JPG']").click()
+    page.locator("[data-chosen]", has_text="DJI_0016.JPG").wait_for()
+    page.locator("[data-kind='difference']").click()
+    shown = page.locator(".rad-photo img")
+    assert shown.evaluate("image => image.decode().then(() => [image.naturalWidth, image.naturalHeight])") == [80, 60]
+    page.locator("[data-action='fly']").click()
+    flown = settled(page, "3D", unlike=before)
+
+    page.locator("[data-tab='seams']").click()
+    page.get_by_text("Next", exact=True).click()
+    page.locator("tr[data-seam].chosen").wait_for()
+    steps = [float(row.locator("td").nth(1).inner_text()) for row in page.locator("tr[data-seam]").all()]
+    assert steps == sorted(steps, reverse=True)
+    assert steps[0] > 30, "the planted seam of 40 levels was not found"
+    assert "harbour" in page.locator("tr[data-seam]").first.get_attribute("data-seam")
+    assert changed_share(flown, settled(page, "3D", unlike=flown)) > 0.05
+    page.locator("[data-action='theme']").click()
+    page.wait_for_function("document.querySelector('.v-theme--dark') !== null")
+    assert settled(page, "Map", unlike=settled(page, "3D")).mean() < 160, "the dark map is bright"
+    assert (outside, errors) == ([], [])
+
+    stranger = browser.new_page()
+    stranger.goto(f"{own}/?secret=guessed")
+    stranger.wait_for_timeout(1500)
+    assert "DJI_" not in stranger.content()
+    assert stranger.locator("[data-layer]").count() == 0
+
+
+def test_rows_say_every_figure_once_with_its_unit(run_folder: Path) -> None:
+    run = load_run_view(run_folder)
+    figures = run_camera_figures(run)
+    headers, rows = camera_headers(figures), camera_rows(figures)
+    titles = [header["title"] for header in headers]
+    assert titles[:5] == ["Photograph", "Region", "Device", "Use", "PSNR (dB)"]
+    assert len(set(titles)) == len(titles)
+    assert len(rows) == 24
+    assert rows[8]["psnr_db"] == "21.00"
+    assert rows[1]["psnr_db"] == ""
+    layers = {row["name"]: row for row in map(layer_row, run_layers(run))}
+    assert layers["Cameras by PSNR"]["heat"] == {"label": "PSNR of held-out photographs (dB)", "low": "20", "high": "22"}
+    assert layers["Regions"]["legend"][0]["text"].startswith("north: ")
+
+
+def test_pictures_come_only_where_this_machine_may_see_them(run_folder: Path) -> None:
+    run = load_run_view(run_folder)
+    held_out, trained = pictures_of(run, 8), pictures_of(run, 1)
+    assert all(held_out[kind].startswith("data:image/jpeg;base64,") for kind in ("photograph", "render", "difference"))
+    assert (trained["photograph"], trained["render"]) == ("", "")
+    assert "stays with device" in trained["reason"]
+
+
+def test_what_cannot_be_served_is_one_sentence(run_folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(BadInput, match=r"cannot be bound.*another --port"):
+        open_page(run_folder, print, port=taken.getsockname()[1])
+    with pytest.raises(BadInput, match=r"192\.0\.2\.1"):
+        open_page(run_folder, print, host="192.0.2.1", port=0)
+    with pytest.raises(BadInput, match="is no run"):
+        open_page(tmp_path, print, port=0)
+    assert "not encrypted" in address_text("0.0.0.0", 80, "s")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"trame.*'web'.*--screenshot"):
+        require_web()
