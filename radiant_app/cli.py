@@ -15,7 +15,7 @@ import typer
 from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
 from radiant_app.cli_replan import replan_plan
-from radiant_app.option_types import BenchPlot, BenchScene
+from radiant_app.option_types import BenchPlot, BenchScene, RasterCellOption
 from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
 
@@ -89,6 +89,7 @@ def run(
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
     masks: MaskFolder = None,
     plan: PlanFile = None,
+    raster_cell_m: RasterCellOption = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
     upload: Annotated[UploadFormat | None, typer.Option(help=_UPLOAD_HELP)] = None,
     teachers: Annotated[Teachers, typer.Option(help="Render an edge's teachers as each device arrives, or after the last.")] = "early",
@@ -134,6 +135,7 @@ def run(
         poses=poses,
         masks=masks,
         plan=plan,
+        raster_cell_m=raster_cell_m,
         single_owner=single_owner,
         teachers=teachers,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats, settings=settings_of(settings or ())),

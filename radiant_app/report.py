@@ -95,6 +95,7 @@ def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
         "evaluation": "evaluate",
         "sfm": "structure from motion",
         "positions": "plan",
+        "planning": "plan",
     }
     rows = []
     nodes = {stage: times for stage, times in stages.items() if not stage.endswith(UPLINK)}
