@@ -52,9 +52,9 @@ def canaries_of(photographs: Path, poses: Cameras, sizes_px: Iterable[int]) -> C
             assert len(repr(degrees)) > 9, "a round number may stand anywhere"
             found["GPS"] += [struct.pack("<d", degrees), struct.pack(">d", degrees), repr(degrees).encode()]
         found["pixels"] += _stretches(photographs / name, sizes_px)
-    translations = poses.cam_from_world[:, :3, 3]
-    written = [array.astype(kind).tobytes() for array in (*translations, *poses.centers) for kind in ("<f4", "<f8")]
-    texts = [repr(float(value)).encode() for array in (*translations, *poses.centers) for value in array]
+    rows = poses.cam_from_world[:, :3].reshape(-1, 4)
+    written = [array.astype(kind).tobytes() for array in (*rows, *poses.centers) for kind in ("<f4", "<f8")]
+    texts = [repr(float(value)).encode() for array in (*poses.cam_from_world[:, :3, 3], *poses.centers) for value in array]
     # A round number may stand anywhere.
     return Canaries(photographs=found, poses=[*written, *(text for text in texts if len(text) > 12)])
 

@@ -97,17 +97,26 @@ def interior_db(scene: Splats, device: int) -> float:
     return psnr_db(view.image, truth.image)
 
 
-def test_honest_regions_lose_less_than_a_tenth_of_a_decibel_and_would_lose_decibels() -> None:
-    """Regions that do not touch the attacker's: what is missing beside it is another matter than what it spoils."""
-    attack, away = "blanket", (0, 3)
+@pytest.fixture(scope="module")
+def clean_db() -> dict[int, float]:
+    """What every region reaches when all are honest."""
+    scene = joined(dict(enumerate(HONEST)))
+    return {device: interior_db(scene, device) for device in range(6)}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_honest_regions_lose_less_than_a_tenth_of_a_decibel(attack: str, clean_db: dict[int, float]) -> None:
     models = attacked(attack)
-    kept = {device: model for device, model in enumerate(models) if device not in contradicted(models, CAMERAS).refused}
-    clean, defended, open_to_it = joined(dict(enumerate(HONEST))), joined(kept), joined(dict(enumerate(models)))
-    for device in away:
-        loss_db = interior_db(clean, device) - interior_db(defended, device)
-        undefended_db = interior_db(clean, device) - interior_db(open_to_it, device)
-        assert loss_db < 0.1, f"region {device} loses {loss_db:.2f} dB"
-        assert undefended_db > 1.0, f"without the defence region {device} loses {undefended_db:.2f} dB: the attack is none"
+    refused = contradicted(models, CAMERAS).refused
+    scene = joined({device: model for device, model in enumerate(models) if device not in refused})
+    losses_db = {device: clean_db[device] - interior_db(scene, device) for device in range(6) if device not in ATTACKS[attack]}
+    assert max(losses_db.values()) < 0.1, losses_db
+
+
+def test_undefended_the_same_attack_costs_every_honest_region_decibels(clean_db: dict[int, float]) -> None:
+    """Else the test above would show nothing. A blanket alone costs 0.15 dB: training holds what fills whole images."""
+    scene = joined(dict(enumerate(attacked("out of region"))))
+    assert min(clean_db[device] - interior_db(scene, device) for device in (0, 1, 2, 3, 5)) > 10.0
 
 
 def test_two_that_contradict_each_other_both_stay() -> None:
