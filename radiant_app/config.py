@@ -71,7 +71,7 @@ class RunConfig:
     plan: Path | None = None
     """A plan made before capture: every photograph goes to the device that was to take it; None: plan from what was captured."""
     raster_cell_m: float | None = None
-    """Side of the cells of the count raster that the cloud plans from; 0: it plans from positions; None: 0 with frames "shared", else 5 m."""
+    """Side of the cells of the count raster that the cloud plans from; 0: it plans from positions; None: 0 with frames shared, else 5 m."""
     single_owner: bool = False
     """With frames "gps" or "known": all devices are one owner's, so comparison pictures may be collected in the run."""
     matching: Literal["auto", "spatial", "exhaustive"] = "auto"

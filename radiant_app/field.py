@@ -1,6 +1,7 @@
 """The run in which photographs stay with the device that took them (`--frames gps` or `known`); nothing is computed here.
 
-positions, or of devices' own folders counts in a raster → plan → Tree(cloud(edge(device: sfm, frame, model …))) → every device scores the scene on what it held out → evaluation/
+positions, or counts in a raster from devices with folders of their own → plan →
+Tree(cloud(edge(device: sfm, frame, model …))) → every device scores the scene on what it held out → evaluation/
 
 The source is a folder of photographs that the plan deals to devices, each of which fetches its own; or one subfolder per device, named
 by its id: the photographs it took, which no other process opens. A device that cannot deliver is reported missing, the rest goes on.

@@ -75,15 +75,15 @@ def main() -> None:
     parser.add_argument("--photographs", type=Path)
     arguments = parser.parse_args()
     rows: dict[str, list[list[tuple[float, float]]]] = {}
+    sides_m: dict[str, float] = {}
     for name, positions, system, seed in cases(arguments.town, arguments.photographs):
-        name = f"{name}, {np.ptp(positions, axis=0).max():.0f} m"
-        name = next((known for known in rows if known.rsplit(", ", 1)[0] == name.rsplit(", ", 1)[0]), name)
+        sides_m.setdefault(name, float(np.ptp(positions, axis=0).max()))
         rows.setdefault(name, []).append(costs(positions, system, seed))
     print("| case | " + " | ".join(f"{cell_m:g} m" for cell_m in CELLS_M) + " |\n" + "|---" * (1 + len(CELLS_M)) + "|")
     for name, found in rows.items():
         table = np.array(found)
         cells = [f"{np.median(c[:, 0]):.3f} / {c[:, 0].max():.3f} ({100 * np.median(c[:, 1]):.0f} %)" for c in table.transpose(1, 0, 2)]
-        print(f"| {name} | {' | '.join(cells)} |")
+        print(f"| {name}, {sides_m[name]:.0f} m | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":

@@ -19,14 +19,15 @@ from radiant_app.events import Event, StageDone, StageSkipped, Warned
 from radiant_app.field import _middle
 from radiant_app.inbox import _are_one_group
 from radiant_app.pipeline import RunResult, run
+from radiant_app.report import ledger_by_tier
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
 from radiant_core.train.needs import Overrides
 from radiant_viewer.run_view import load_run_view
-from tests.app.canary import canaries_of, finds, mark
 from tests.app.alex_weights import write_alex_weights
+from tests.app.canary import canaries_of, finds, mark
 
 TINY = Overrides(long_side_px=96, num_steps=60, max_num_splats=1500)
 TWO_EDGES = "".join(f'[[edge]]\nid = "{edge}"\n[[edge.device]]\nid = "{edge}-1"\n' for edge in ("north", "south"))
@@ -323,4 +324,10 @@ def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, Ru
     fetched = {row["node"]: row["num_photographs"] for row in ledger}
     assert {node for node, count in fetched.items() if count} == {"devices/north-1", "devices/south-1"}, "each fetched its own"
     assert sum(fetched.values()) == 12
-    assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score"}
+    assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score", "planning"}
+    tiers = {row["tier"]: row for row in ledger_by_tier(ledger)}
+    assert [row["num_nodes"] for row in tiers.values()] == [2, 2, 2] and list(tiers) == ["device", "edge", "cloud"]
+    assert tiers["device"]["num_photographs"] == 12 and tiers["edge"]["photograph_bytes"] == tiers["cloud"]["photograph_bytes"] == 0
+    assert sum(row["other_bytes"] for row in tiers.values()) == sum(row["other_bytes"] for row in ledger)
+    page = (config.out / "report.html").read_text()
+    assert "Executor: local" in page and "planned from a count raster" in page and "no device&#39;s id" in page

@@ -3,8 +3,8 @@
     python tests/stress/mutation.py --seed 0 --sample 150 --json mutants.json
 
 Draws mutants at random from all there are, applies each in a forked process that imports the changed module in place of the file, and
-runs the tests that name the module; with --whole a mutant that those leave alive meets all tests of its package. Killed: a test fails, or nothing
-ends within the time limit. The parent holds the heavy libraries, so that a mutant costs its tests and nothing else.
+runs the tests that name the module; with --whole a mutant that those leave alive meets all tests of its package. Killed: a test fails,
+or nothing ends within the time limit. The parent holds the heavy libraries, so that a mutant costs its tests and nothing else.
 mutmut 3 runs the whole suite first to learn which test reaches what, and rewrites every function of a copied tree into a switch between
 its mutants: ten minutes before the first, and no random sample. The changes made here are of its kinds; those that hardly any
 test could miss (every assignment to None, arguments left out) are not drawn, which lowers the score.

@@ -1,4 +1,4 @@
-"""Which of several models contradict the others where they show the same: a poisoned one is left out before anything is joined. Once per join.
+"""Which of several models contradict the others where they show the same: poisoned ones are left out before anything is joined. Per join.
 
 Every model is asked at some cameras of every other, as a guest:
 

@@ -39,7 +39,7 @@ def planned(positions: FloatArray, system: System, cell_m: float) -> tuple[Cloud
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("cell_m", [1e-3, 7.0, 1e4])
 def test_a_raster_counts_every_camera_in_the_cell_it_lies_in(layout: str, cell_m: float) -> None:
-    positions = LAYOUTS[layout](np.random.default_rng(0), 150) - [250.0, 0.0]
+    positions = LAYOUTS[layout](np.random.default_rng(0), 150) - np.array([250.0, 0.0])
     raster = count_raster(positions, cell_m)
     assert raster.counts.sum() == 150 and len(raster.places) == 150
     assert np.abs(np.sort(middles_of_cells(positions, cell_m), axis=0) - np.sort(raster.places, axis=0)).max() <= 1e-9 * max(1, cell_m)
@@ -61,7 +61,7 @@ def test_with_tiny_cells_and_exact_curves_it_is_the_plan_from_positions(layout: 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("cell_m", [3.0, 40.0, 1000.0])
 def test_every_camera_follows_the_border_it_lies_within(layout: str, cell_m: float) -> None:
-    positions = LAYOUTS[layout](np.random.default_rng(2), 160) + [3e5, 5e6]
+    positions = LAYOUTS[layout](np.random.default_rng(2), 160) + np.array([3e5, 5e6])
     regions, plan = planned(positions, replace_positions(four_edges(), [3e5, 5e6]), cell_m)
     used = np.flatnonzero(regions.counts)
     expected = used[assign(positions, regions.sites[used], regions.weights[used])]
