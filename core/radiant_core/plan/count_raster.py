@@ -51,7 +51,8 @@ class CountRaster:
     @property
     def places(self) -> FloatArray:
         """(C,2) m: the middle of its cell for every camera."""
-        return np.repeat((self.cells + 0.5) * self.cell_m, self.counts, axis=0)
+        middles: FloatArray = (self.cells.astype(np.float64) + 0.5) * self.cell_m
+        return np.repeat(middles, self.counts, axis=0)
 
 
 def count_raster(positions: ArrayLike, cell_m: float) -> CountRaster:
