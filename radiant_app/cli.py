@@ -125,6 +125,7 @@ def run(
 
     given = {"train_preset": train_preset, "aggregate_preset": aggregate_preset, "plan_method": plan_method, "matching": matching}
     chosen = run_preset(preset, **given, upload=upload)
+    held: dict[str, Any] = {"poses": poses, "masks": masks, "plan": plan, "single_owner": single_owner, "raster_cell_m": raster_cell_m}
     config = RunConfig(
         source=source,
         out=out,
@@ -132,11 +133,7 @@ def run(
         emulated=emulate is not None,
         **chosen,
         frames=frames,
-        poses=poses,
-        masks=masks,
-        plan=plan,
-        raster_cell_m=raster_cell_m,
-        single_owner=single_owner,
+        **held,
         teachers=teachers,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats, settings=settings_of(settings or ())),
         lpips_weights=lpips_weights,
