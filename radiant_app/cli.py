@@ -16,7 +16,7 @@ from radiant_app.cli_output import export, render
 from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
 from radiant_app.cli_replan import replan_plan
-from radiant_app.option_types import BenchPlot, BenchScene, SizeOption
+from radiant_app.option_types import BenchPlot, BenchScene, RasterCellOption, SizeOption
 from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
 
@@ -94,6 +94,7 @@ def run(
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
     masks: MaskFolder = None,
     plan: PlanFile = None,
+    raster_cell_m: RasterCellOption = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
     upload: Annotated[UploadFormat | None, typer.Option(help=_UPLOAD_HELP)] = None,
     teachers: Annotated[Teachers, typer.Option(help="Render an edge's teachers as each device arrives, or after the last.")] = "early",
@@ -129,6 +130,7 @@ def run(
 
     given = {"train_preset": train_preset, "aggregate_preset": aggregate_preset, "plan_method": plan_method, "matching": matching}
     chosen = run_preset(preset, **given, upload=upload)
+    held: dict[str, Any] = {"poses": poses, "masks": masks, "plan": plan, "single_owner": single_owner, "raster_cell_m": raster_cell_m}
     config = RunConfig(
         source=source,
         out=out,
@@ -136,10 +138,7 @@ def run(
         emulated=emulate is not None,
         **chosen,
         frames=frames,
-        poses=poses,
-        masks=masks,
-        plan=plan,
-        single_owner=single_owner,
+        **held,
         teachers=teachers,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats, settings=settings_of(settings or ())),
         lpips_weights=lpips_weights,

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from radiant_app.option_types import BufferOption, DeadlineOption, FieldOfViewOption, GroundOption
+from radiant_app.option_types import BufferOption, DeadlineOption, FieldOfViewOption, GroundOption, RasterCellOption
 from radiant_app.tables import finish
 
 
@@ -24,6 +24,7 @@ def plan(
     slack: Annotated[float | None, typer.Option(min=1, help="Makespan may be so many times the shortest for shorter ways: 1.1.")] = None,
     slack_curve: Annotated[bool, typer.Option("--slack-curve", help="Table and picture of what several slacks buy.")] = False,
     constraints: Annotated[Path | None, typer.Option(help="TOML of fixed weights, locked regions, pinned cameras.")] = None,
+    raster_cell_m: RasterCellOption = None,
     ground: GroundOption = None,
     field_of_view: FieldOfViewOption = 73.7,
     buffer: BufferOption = None,
@@ -58,6 +59,7 @@ def plan(
         slack=slack,
         slack_curve=slack_curve,
         constraints=constraints,
+        raster_cell_m=raster_cell_m or None,
         content=content_request(ground, field_of_view, buffer, deadline),
         train_preset=train_preset,
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),

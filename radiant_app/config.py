@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from radiant_core.aggregate.config import AggregatePreset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import LpipsNetwork
 from radiant_core.io.upload import UploadFormat
+from radiant_core.plan.count_raster import DEFAULT_CELL_M
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
@@ -68,6 +70,8 @@ class RunConfig:
     """Folder of masks, see `radiant_core.io.masks`; None: photographs are used whole."""
     plan: Path | None = None
     """A plan made before capture: every photograph goes to the device that was to take it; None: plan from what was captured."""
+    raster_cell_m: float | None = None
+    """Side of the cells of the count raster that the cloud plans from; 0: it plans from positions; None: 0 with frames shared, else 5 m."""
     single_owner: bool = False
     """With frames "gps" or "known": all devices are one owner's, so comparison pictures may be collected in the run."""
     matching: Literal["auto", "spatial", "exhaustive"] = "auto"
@@ -91,6 +95,13 @@ class RunConfig:
         return self.teachers == "early" and not self.emulated
 
     @property
+    def cell_m(self) -> float | None:
+        """Side of the raster's cells, None where the cloud may plan from positions."""
+        if self.raster_cell_m is None:
+            return None if self.frames == "shared" else DEFAULT_CELL_M
+        return self.raster_cell_m or None
+
+    @property
     def num_workers(self) -> int:
         """Processes at a time."""
         return self.max_workers or os.cpu_count() or 1
@@ -100,6 +111,8 @@ class RunConfig:
             raise BadInput(f"max_workers is {self.max_workers}, expected 0 (one per core) or more.")
         if self.emulated and (self.system is None or self.max_workers):
             raise BadInput("an emulated run needs a system file and runs all its devices at once: leave the number of workers out.")
+        if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:
+            raise BadInput(f"raster_cell_m is {self.raster_cell_m}, expected a side in metres, or 0 to plan from positions.")
         if not 0 <= self.seed < 2**31:
             raise BadInput(f"seed is {self.seed}, expected 0 to {2**31 - 1}.")
         if self.frames != "known" and self.poses is not None:

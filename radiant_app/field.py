@@ -1,6 +1,7 @@
 """The run in which photographs stay with the device that took them (`--frames gps` or `known`); nothing is computed here.
 
-positions → plan → Tree(cloud(edge(device: sfm, frame, model …))) → every device scores the scene on what it held out → evaluation/
+positions, or counts in a raster from devices with folders of their own → plan →
+Tree(cloud(edge(device: sfm, frame, model …))) → every device scores the scene on what it held out → evaluation/
 
 The source is a folder of photographs that the plan deals to devices, each of which fetches its own; or one subfolder per device, named
 by its id: the photographs it took, which no other process opens. A device that cannot deliver is reported missing, the rest goes on.
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from radiant_app.cloud_planning import STAGE
 from radiant_app.config import RunConfig
 from radiant_app.dealing import received
 from radiant_app.evaluation import PICTURE_KINDS
@@ -47,6 +49,7 @@ from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.assigned import assigned_plan, device_indices
 from radiant_core.plan.captured import plan_of_owners, taken_for_others
+from radiant_core.plan.count_raster import middles_of_cells
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.sfm.given_poses import GivenPoses, given_poses
@@ -67,6 +70,8 @@ class Captured:
     """(P,3) metres about `origin`, or in the unit of the poses; NaN where nothing says where."""
     origin: FloatArray | None
     """(3,) latitude, longitude, altitude; None for given poses."""
+    told: dict[str, FloatArray] | None = None
+    """Where devices tell a raster alone: by device the middles (K,2) m of the cells of its training photographs; no position is known."""
 
     @property
     def placed(self) -> Any:
@@ -88,8 +93,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     progress.manifest.forget("plan")
     folders = _device_folders(config.source, system)
     poses = given_poses(config.source, config.poses) if config.frames == "known" else None
-    captured = _by_poses(poses, folders, config.source) if poses is not None else _by_gps(config, folders, progress)
-    _tell_unplaced(captured, progress)
+    captured = _captured(config, poses, folders, progress)
     system = with_uploads(system, config.upload, progress)
     system, cloud_plan, edge_plans, shares = _planned(config, system, captured, folders, progress)
     train, aggregate, backend = training_settings(config, progress)
@@ -112,7 +116,8 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     executor = executor_of(config, system, progress, may_fail=lambda node: node.tier != "cloud")
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
     positions = {"positions", *(f"positions/{device}" for device in folders or ())}
-    progress.manifest.keep_stages({*positions, *scores, *(node.id for node in tree)})
+    planning = {STAGE} if (config.out / STAGE).is_dir() else set()
+    progress.manifest.keep_stages({*positions, *planning, *scores, *(node.id for node in tree)})
     executor.fold(tree, dealer.prepare, counting_down(config, system, edge_plans, progress))
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
@@ -120,9 +125,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     lpips_network = config.lpips_network if config.lpips_weights else None
     scorer = Scorer(dealer=dealer, moves=dealer.moves(), long_side_px=train.long_side_px, lpips_network=lpips_network)
     executor.fold(_scoring_tree(scorer.moves), scorer.prepare, progress.listen)
-    heads = sorted((config.out / "positions").rglob("positions.json"))
-    told = [{"node": "plan", "tier": "owner", **received(heads)}] if config.frames == "gps" else []
-    progress.manifest.ledger = [*told, *dealer.ledger, *scorer.ledger]
+    progress.manifest.ledger = [*_planning_ledger(config), *dealer.ledger, *scorer.ledger]
     num_held_out = sum(len(share.held_out) for share in shares.values())
     result = collect_scores(config.out, sorted(scorer.moves), missing, lpips_network, num_held_out)
     (config.out / "evaluation").mkdir(exist_ok=True)
@@ -159,6 +162,70 @@ def _device_folders(source: Path, system: System) -> dict[str, Path] | None:
     return named
 
 
+def _captured(config: RunConfig, poses: GivenPoses | None, folders: dict[str, Path] | None, progress: Progress) -> Captured:
+    if poses is None and folders is not None and config.cell_m is not None:
+        return _told_by_devices(config.cell_m, folders, progress)
+    captured = _by_poses(poses, folders, config.source) if poses is not None else _by_gps(config, folders, progress)
+    _tell_unplaced(captured, progress)
+    return captured
+
+
+def _planning_ledger(config: RunConfig) -> list[dict[str, Any]]:
+    """What the owner's planning and the cloud's were told."""
+    told = config.out / "positions"
+    heads = sorted(path for path in told.rglob("*.json") if path.name in ("positions.json", "raster.json"))
+    owner = [{"node": "plan", "tier": "owner", **received(heads)}] if config.frames == "gps" else []
+    task = config.out / STAGE / "task.json"
+    return [*owner, *([{"node": STAGE, "tier": "cloud", **received([task])}] if task.is_file() else [])]
+
+
+def _told_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
+    """Every device counts its own training photographs in a raster; neither a name nor a position of one leaves it."""
+    owned = [
+        (device, path.name)
+        for device, folder in folders.items()
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in SUFFIXES and path.is_file()
+    ]
+    held = held_out_mask([f"{device}/{name}" for device, name in owned])
+    places: dict[str, FloatArray] = {}
+    for device, folder in folders.items():
+        held_out = [name for (owner, name), out in zip(owned, held, strict=True) if owner == device and out]
+        try:
+            told = _positions_in(folder, f"positions/{device}", progress, cell_m, held_out)
+        except (BadInput, StageFailed, OSError) as error:
+            progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {error}"))
+            continue
+        if told["num_unplaced"]:
+            message = f"{told['num_unplaced']} of {told['num_photographs']} photographs of device {device} have no usable position."
+            progress.listen(Warned(stage="plan", message=message))
+        cells = np.array(told["cells"], np.float64).reshape(-1, 3)
+        middles = np.column_stack([cells[:, :2], np.full(len(cells), told["altitude_m"] or 0.0)])
+        places[device] = np.repeat(middles, cells[:, 2].astype(np.int64), axis=0)
+    known = np.concatenate([*places.values(), np.zeros((0, 3))])
+    origin = _origin_of(known)
+    positions = enu_from_geodetic(known, origin)
+    owners = [device for device, middles in places.items() for _ in middles]
+    _leave_out_other_sites([f"those of {owner}" for owner in owners], positions, progress)
+    near = np.isfinite(positions).all(axis=1)
+    by_device = {device: positions[near & (np.array(owners) == device), :2] for device in places}
+    return Captured(
+        names=tuple(name for _, name in owned),
+        owners=tuple(device for device, _ in owned),
+        positions=np.full((len(owned), 3), np.nan),
+        origin=origin,
+        told=by_device,
+    )
+
+
+def _origin_of(known: FloatArray) -> FloatArray:
+    """Middle of positions (P,3), rounded to some ten metres: it is told to everybody, and a median is somebody's position."""
+    if not len(known):
+        raise BadInput("no photograph has a GPS position, which --frames gps needs: give poses with --frames known, or pool them (shared).")
+    middle = _middle(known)
+    return np.array([*np.round(middle[:2], 4), np.round(middle[2], -1)])
+
+
 def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progress) -> Captured:
     """Positions from EXIF: one process per device folder reads the heads of its photographs, or one for the folder of all."""
     places = {None: _photo_folder(config.source)} if folders is None else dict(folders)
@@ -167,7 +234,7 @@ def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progre
     geodetic: list[tuple[float, float, float] | None] = []
     for owner, place in places.items():
         try:
-            found = _positions_in(place, "positions" if owner is None else f"positions/{owner}", progress)
+            found = _positions_in(place, "positions" if owner is None else f"positions/{owner}", progress)["photographs"]
         except (BadInput, StageFailed, OSError) as error:
             if owner is None:
                 raise
@@ -177,24 +244,22 @@ def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progre
         owners += [owner] * len(found)
         geodetic += found.values()
     known = np.array([place for place in geodetic if place is not None], np.float64).reshape(-1, 3)
-    if not len(known):
-        raise BadInput("no photograph has a GPS position, which --frames gps needs: give poses with --frames known, or pool them (shared).")
-    origin = _middle(known)
+    origin = _origin_of(known)
     positions = np.full((len(names), 3), np.nan)
     positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
     _leave_out_other_sites(names, positions, progress)
     return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)
 
 
-def _positions_in(place: Path, stage: str, progress: Progress) -> dict[str, tuple[float, float, float] | None]:
-    """Degrees, degrees, metres or None by file name of the photographs in `place`, read by a process of its own."""
+def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | None = None, held_out: Sequence[str] = ()) -> dict[str, Any]:
+    """What `run_positions` finds out of the photographs in `place`, in a process of its own."""
     folder = progress.manifest.folder / stage
     folder.mkdir(parents=True, exist_ok=True)
-    task = {"folders": {"photographs": str(place.resolve())}}
+    task = {"photographs": str(place.resolve()), "cell_m": cell_m, "held_out": list(held_out)}
     write_json(folder / "task.json", task)
     key = content_key(__version__, task, [(path.name, path.stat().st_size) for path in sorted(place.iterdir()) if path.is_file()])
     run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
-    return read_json(folder / "positions.json", ("photographs",))["photographs"]
+    return read_json(folder / ("positions.json" if cell_m is None else "raster.json"))
 
 
 def _middle(lat_lon_alt: FloatArray) -> FloatArray:
@@ -257,11 +322,15 @@ def _planned(
 ) -> tuple[System, CloudPlan, tuple[EdgePlan, ...], dict[str, DeviceShare]]:
     """The plan of the training photographs with a position, and every device's photographs."""
     chosen = np.flatnonzero(captured.placed & ~captured.held_out)
-    if len(chosen) < 2:
-        raise BadInput(f"{len(chosen)} training photographs have a position, expected at least 2: give more photographs with GPS.")
-    positions = captured.positions[chosen, :2]
+    positions, owners = captured.positions[chosen, :2], [captured.owners[index] or "" for index in chosen]
+    if captured.told is not None:
+        positions = np.concatenate([*captured.told.values(), np.zeros((0, 2))])
+        owners = [device for device, middles in captured.told.items() for _ in middles]
+    if len(positions) < 2:
+        raise BadInput(f"{len(positions)} training photographs have a position, expected at least 2: give more photographs with GPS.")
     if folders is not None:
-        owners = [captured.owners[index] or "" for index in chosen]
+        if captured.told is None and config.cell_m is not None:
+            positions = middles_of_cells(positions, config.cell_m)
         if config.plan is None:
             cloud_plan, edge_plans = assigned_plan(positions, owners, system)
         else:

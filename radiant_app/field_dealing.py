@@ -7,9 +7,11 @@ did; who delivered nothing is left out. Then every device gets the finished scen
 from __future__ import annotations
 
 import shutil
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from radiant_app.dealing import Dealer, Filled, deal_files, received
 from radiant_app.evaluation import LPIPS_NAME
@@ -17,6 +19,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
+from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.given_poses import GivenPoses
@@ -162,7 +165,7 @@ class Scorer:
         device = node.id.split("/")[1]
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         deal_files(run / "cloud", ["scene.ply"], folder / "inbox")
-        deal_files(run, ["plan.json"], folder / "inbox")
+        self._deal_borders(folder / "inbox" / "plan.json")
         if self.lpips_network:
             deal_files(run / "evaluation", [LPIPS_NAME], folder / "inbox")
         task = {
@@ -175,6 +178,11 @@ class Scorer:
         inputs = [folder / "inbox", *(folder.parent / name for name in ("held_out.safetensors", "model.safetensors"))]
         self.ledger.append({"node": node.id, "tier": "device", **received([folder / "inbox"])})
         return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task, *inputs))
+
+    def _deal_borders(self, path: Path) -> None:
+        """The regions alone: cameras, strips and devices are no other device's business."""
+        cloud, _ = load_plan(self.dealer.run / "plan.json")
+        save_plan(path, replace(cloud, edge_of_camera=np.zeros(0, np.int64)), ())
 
 
 def device_cameras(dealer: FieldDealer) -> dict[str, Path]:

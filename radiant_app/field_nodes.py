@@ -2,7 +2,7 @@
 
 | kind | reads | writes |
 |---|---|---|
-| positions | task.json, the heads of the photographs it names | positions.json |
+| positions | task.json, the heads of the photographs it names | positions.json of a pooled folder; raster.json of a device's own |
 | field | task.json, its own photographs, poses where given | {model,cameras,scene,initial,held_out}.safetensors, frame.json |
 | score | task.json, inbox/{scene.ply,plan.json}, its own photographs | result.json: numbers; pictures that stay |
 
@@ -25,20 +25,51 @@ from radiant_app.nodes import load_images, sfm_progress, train_device
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
+from radiant_core.frames import WGS84_SEMI_MAJOR_M
 from radiant_core.io.photos import photograph_positions
 from radiant_core.io.records import load_cameras, load_plan, load_splats, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 
 Emit = Callable[[Event], None]
 
 
 def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """GPS positions of the photographs in the folders that task.json names; nothing of their pixels is read."""
-    task = read_json(folder / "task.json", ("folders",))
-    found = {owner: photograph_positions(Path(place)) for owner, place in task["folders"].items()}
-    write_json(folder / "positions.json", found)
-    return ["positions.json"]
+    """GPS positions of the photographs in the folder that task.json names; nothing of their pixels is read.
+
+    Of a device's own folder only counts come out: how many training photographs lie in each cell of a raster, and how high about.
+    """
+    task = read_json(folder / "task.json", ("photographs", "cell_m", "held_out"))
+    found = photograph_positions(Path(task["photographs"]))
+    if task["cell_m"] is None:
+        write_json(folder / "positions.json", {"photographs": found})
+        return ["positions.json"]
+    held_out = set(task["held_out"])
+    placed = {name: place for name, place in found.items() if place is not None}
+    training = np.array([place for name, place in placed.items() if name not in held_out], np.float64).reshape(-1, 3)
+    told = {**told_raster(training, task["cell_m"]), "num_photographs": len(found), "num_unplaced": len(found) - len(placed)}
+    write_json(folder / "raster.json", told)
+    return ["raster.json"]
+
+
+def told_raster(lat_lon_alt: FloatArray, cell_m: float) -> dict[str, Any]:
+    """What a device tells of positions (P,3) deg, deg, m: `cells` as [lat, lon] of their middles and a count, one `altitude_m` for all.
+
+    Cells lie on the parallels and meridians, so that they say nothing of where the device began.
+    """
+    if not len(lat_lon_alt):
+        return {"cells": [], "altitude_m": None}
+    lat_step = np.degrees(cell_m / WGS84_SEMI_MAJOR_M)
+    rows = (np.floor(lat_lon_alt[:, 0] / lat_step) + 0.5) * lat_step
+    # As wide as high at the whole degree of latitude: a finer one would tell where the device is.
+    lon_step = lat_step / max(1e-2, float(np.cos(np.radians(np.round(np.median(lat_lon_alt[:, 0]))))))
+    columns = (np.floor(lat_lon_alt[:, 1] / lon_step) + 0.5) * lon_step
+    cells, numbers = np.unique(np.stack([rows, columns], axis=1), axis=0, return_counts=True)
+    return {
+        "cells": [[float(lat), float(lon), int(number)] for (lat, lon), number in zip(cells, numbers, strict=True)],
+        "altitude_m": float(np.round(np.median(lat_lon_alt[:, 2]), -1)),
+    }
 
 
 def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:

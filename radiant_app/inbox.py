@@ -55,8 +55,39 @@ def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> 
             emit(Warned(stage=stage, message=f"the model of {name} is left out: {model}"))
         else:
             arrived[name] = model, own
-    inbox = _joined(folder, arrived, stage, emit)
+    inbox = _without_contradicted(_joined(folder, arrived, stage, emit), stage, emit)
     return replace(inbox, corrections={**inbox.corrections, **dict.fromkeys(rejected)}, refused={**inbox.refused, **rejected})
+
+
+def _without_contradicted(inbox: Inbox, stage: str, emit: Emit) -> Inbox:
+    """The inbox without models that most of their neighbours contradict."""
+    from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, contradicted
+
+    found = contradicted(inbox.models, inbox.cameras)
+    if not np.isfinite(found.agreement_db).any():
+        return inbox
+    refused = {inbox.senders[index]: reason for index, reason in found.refused.items()}
+    for name, reason in refused.items():
+        emit(Warned(stage=stage, message=f"the model of {name} is left out: {reason}"))
+    choice = f"{', '.join(refused)} left out" if refused else "all are joined"
+    decision = Decision(
+        stage=stage,
+        topic="models that contradict others",
+        choice=choice,
+        figure=float(np.nanmin(found.agreement_db)),
+        unit="dB between the two that agree least",
+        reason=f"a model is left out where most that show the same places contradict it, below {MIN_AGREEMENT_DB:g} dB",
+    )
+    emit(Decided(decision=decision))
+    kept = [index for index, name in enumerate(inbox.senders) if name not in refused]
+    return replace(
+        inbox,
+        senders=tuple(inbox.senders[index] for index in kept),
+        models=tuple(inbox.models[index] for index in kept),
+        cameras=tuple(inbox.cameras[index] for index in kept),
+        corrections={**inbox.corrections, **dict.fromkeys(refused)},
+        refused={**inbox.refused, **refused},
+    )
 
 
 def _joined(folder: Path, arrived: dict[str, tuple[Splats, Cameras]], stage: str, emit: Emit) -> Inbox:

@@ -56,12 +56,14 @@ MASKS = "masks"
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json."""
     from radiant_app.batch import run_job
+    from radiant_app.cloud_planning import run_regions
     from radiant_app.evaluation import run_evaluate
     from radiant_app.field_nodes import run_field, run_positions, run_score
 
     runners = {
         "sfm": run_sfm,
         "positions": run_positions,
+        "regions": run_regions,
         "device": run_device,
         "field": run_field,
         "teacher": run_teacher,

@@ -1,4 +1,4 @@
-"""Options of `radiant plan` about cameras, ground and buffer captures, and of `radiant bench`, as the command line names them."""
+"""Options of `radiant plan` about cameras, ground, buffer captures and privacy, and of `radiant bench`, as the command line names them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ BufferOption = Annotated[
     typer.Option("--buffer", help="Capture what a neighbour has too where it sees 20% of this region, or stands within 15m of it."),
 ]
 DeadlineOption = Annotated[float | None, typer.Option("--deadline", min=0, help="Seconds within which an edge takes buffer captures.")]
+RasterCellOption = Annotated[
+    float | None,
+    typer.Option(min=0, help="The cloud plans from counts in cells of so many metres; 0: from positions. Runs by gps, known: 5."),
+]
 BenchScene = Annotated[
     Path | None,
     typer.Option(

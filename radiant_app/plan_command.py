@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from radiant_app.cloud_planning import placed_by_raster, planned_from_raster, raster_decision
 from radiant_app.commands import require_file_to_be, stage_bar, training_part
 from radiant_app.config import PlanMethod
 from radiant_app.constraints_file import load_constraints
@@ -35,7 +36,6 @@ from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypo
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.comparators import Compared, compare
 from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.slack_curve import SlackPoint, slack_curve
@@ -71,6 +71,8 @@ class PlanRequest:
     """What will be trained: it decides how many photographs memory holds, and whether the machines' curves are of that training."""
     overrides: Overrides = Overrides()
     """Sizes and steps of that training."""
+    raster_cell_m: float | None = None
+    """Side of the cells of a count raster that the cloud plans from; None: it plans from positions."""
     slack: float | None = None
     """Factor on the shortest makespan that the plan may take where that brings cameras nearer to their edges."""
     slack_curve: bool = False
@@ -194,7 +196,7 @@ def _made_plan(
     positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report, names: Sequence[str]
 ) -> _Plan:
     report(1, len(PHASES), PHASES[1])
-    system = place_edges(system, positions, origin, request.seed)
+    system = placed_by_raster(system, positions, origin, request.raster_cell_m, request.seed)
     training, warnings = None, ()
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
@@ -202,7 +204,13 @@ def _made_plan(
         system, _, warnings = with_camera_limits(system, train, len(positions))
     given = None if request.constraints is None else load_constraints(request.constraints, names)
     start, constraints = (None, None) if given is None else (given.start, given.constraints)
-    cloud = plan_regions(positions, system, method=request.method, slack=request.slack, constraints=constraints, start=start)
+    if request.raster_cell_m is not None:
+        if request.slack is not None or constraints is not None:
+            raise BadInput("--slack and --constraints need positions and --raster-cell-m plans without them: choose one.")
+        cloud = planned_from_raster(system, positions, request.raster_cell_m, request.method)
+        warnings = (*warnings, _raster_note(request.raster_cell_m, cloud))
+    else:
+        cloud = plan_regions(positions, system, method=request.method, slack=request.slack, constraints=constraints, start=start)
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
     compared = compare(positions, system) if request.compare else ()
@@ -213,6 +221,11 @@ def _made_plan(
     if training is not None:
         warnings = (*warnings, *prediction_warnings(system, edges, training))
     return _Plan(cloud=cloud, edges=edges, system=system, compared=compared, warnings=warnings, curve=curve)
+
+
+def _raster_note(cell_m: float, plan: CloudPlan) -> str:
+    decision = raster_decision(cell_m, plan)
+    return f"Planned from {decision.choice}, {decision.figure:.1f} {decision.unit}: {decision.reason}."
 
 
 def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import cv2
 import jinja2
 import numpy as np
 
+from radiant_app.cloud_planning import STAGE
 from radiant_app.events import UPLINK
 from radiant_app.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.run_folder import Manifest, software_versions
@@ -24,6 +25,14 @@ if TYPE_CHECKING:
 
 MAX_COMPARISONS = 12
 """Photographs shown beside their renders: the worst, the best and some between."""
+
+HOLDS = {
+    "device": "its own photographs, EXIF, poses and model; the finished scene and its borders",
+    "edge": "its devices' models and poses, under numbers; no pixel, EXIF or file name",
+    "cloud": "edges' models, virtual cameras and borders; no device's id, number or pose, no pixel",
+    "owner": "what planning was told, and every device's scores",
+}
+"""What a tier may hold where devices own their photographs; with frames "shared" the owner has all of it."""
 
 GANTT_TEXT = {
     False: "Predicted for machines that all work at once; measured here, where processes wait for a free core. Nothing was sent.",
@@ -44,6 +53,8 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         metrics=metrics,
         frame=_frame_facts(run),
         pooled=metrics.get("pooled", True),
+        planned_by_raster=(run / STAGE / "task.json").is_file(),
+        ledger_tiers=ledger_by_tier(manifest.ledger),
         pictures={name: _embedded(path) for name, path in pictures.items()},
         comparisons=[_comparison(run, row) for row in shown_images(metrics["images"]) if _has_pictures(run, row)],
         nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
@@ -52,6 +63,17 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
     )
     write_atomic(run / "report.html", page.encode())
     return run / "report.html"
+
+
+def ledger_by_tier(ledger: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """One row per tier in the order devices, edges, cloud, owner: what its nodes received together, and what the tier may hold."""
+    rows = []
+    for tier, holds in HOLDS.items():
+        own = [row for row in ledger if row["tier"] == tier]
+        if own:
+            sums = {key: sum(row[key] for row in own) for key in ("num_photographs", "photograph_bytes", "other_bytes")}
+            rows.append({"tier": tier, "num_nodes": len({row["node"].removesuffix("/score") for row in own}), **sums, "holds": holds})
+    return rows
 
 
 def shown_images(images: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -95,6 +117,7 @@ def _timeline_rows(stages: Mapping[str, Mapping[str, float]]) -> list[Any]:
         "evaluation": "evaluate",
         "sfm": "structure from motion",
         "positions": "plan",
+        "planning": "plan",
     }
     rows = []
     nodes = {stage: times for stage, times in stages.items() if not stage.endswith(UPLINK)}

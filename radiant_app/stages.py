@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from radiant_app.cloud_planning import placed_by_raster, plan_at_cloud
 from radiant_app.config import RunConfig
 from radiant_app.events import Decided, Event, Listener, StageSkipped, Warned
 from radiant_app.executors.emulated import EmulatedExecutor
@@ -26,7 +27,6 @@ from radiant_core.io.upload import BYTES_FACTORS, UploadFormat
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.captured import plan_of_captured, require_same_system
 from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
@@ -61,7 +61,7 @@ def plan_stage(
     config: RunConfig, system: System, positions: FloatArray, origin: FloatArray | None, progress: Progress
 ) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
     """Plan positions (C,2) m about `origin` (3,) lat lon alt, if they are on the globe; writes plan.json. BadInput when nothing fits."""
-    system = place_edges(system, positions, origin, config.seed)
+    system = placed_by_raster(system, positions, origin, config.cell_m, config.seed)
     if config.plan is not None:
         # What is captured stays where it is, however little memory there is.
         cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan, origin), positions, system=system)
@@ -71,13 +71,16 @@ def plan_stage(
         system, decision, warnings = with_camera_limits(system, train, len(positions), BYTES_FACTORS[config.upload])
         if decision is not None:
             progress.listen(Decided(decision=decision))
-        cloud_plan, edge_plans = _planned(config, system, positions)
+        cloud_plan, edge_plans = _planned(config, system, positions, progress)
     save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress, warnings))
     save_system(config.out, system)
     return system, cloud_plan, edge_plans
 
 
-def _planned(config: RunConfig, system: System, positions: FloatArray) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def _planned(config: RunConfig, system: System, positions: FloatArray, progress: Progress) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    if config.cell_m is not None:
+        regions = plan_at_cloud(config, config.cell_m, system, positions, (progress.listen, progress.clock))
+        return regions, split_edges(positions, regions, system)
     cloud_plan = plan_regions(positions, system, method=config.plan_method)
     if isinstance(cloud_plan, PlanInfeasible):
         raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system} and add --resume.")

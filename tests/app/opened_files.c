@@ -1,4 +1,5 @@
-/* Preloaded into every process of a run: appends "command line<TAB>path" to $OPENED_FILES for each file that is opened to be read or written. */
+/* Preloaded into every process of a run: appends "command line<TAB>path" to $OPENED_FILES for each file that is opened to be read or written,
+   "command line<TAB>network" for each socket that is bound or connected beyond this machine's own file system. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>
@@ -6,6 +7,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/socket.h>
 #include <sys/types.h>
 #include <unistd.h>
 
@@ -15,11 +17,10 @@ typedef FILE* (*fopen_t)(const char*, const char*);
 
 static int real_open(const char* path, int flags, mode_t mode) { return ((open_t)dlsym(RTLD_NEXT, "open"))(path, flags, mode); }
 
-static void note(const char* path) {
+static void write_line(const char* whole) {
   const char* log = getenv("OPENED_FILES");
-  if (!log || !path) return;
-  char line[12288], command[4096], whole[4096];
-  if (!realpath(path, whole)) return;
+  if (!log) return;
+  char line[12288], command[4096];
   int from = real_open("/proc/self/cmdline", O_RDONLY, 0);
   ssize_t length = from < 0 ? 0 : read(from, command, sizeof command - 1);
   if (from >= 0) close(from);
@@ -33,6 +34,19 @@ static void note(const char* path) {
     close(to);
   }
 }
+
+static void note(const char* path) {
+  char whole[4096];
+  if (path && realpath(path, whole)) write_line(whole);
+}
+
+typedef int (*address_t)(int, const struct sockaddr*, socklen_t);
+static int noted_address(const char* name, int socket, const struct sockaddr* address, socklen_t length) {
+  if (address && address->sa_family != AF_UNIX) write_line("network");
+  return ((address_t)dlsym(RTLD_NEXT, name))(socket, address, length);
+}
+int connect(int socket, const struct sockaddr* address, socklen_t length) { return noted_address("connect", socket, address, length); }
+int bind(int socket, const struct sockaddr* address, socklen_t length) { return noted_address("bind", socket, address, length); }
 
 #define MODE va_list rest; va_start(rest, flags); mode_t mode = va_arg(rest, int); va_end(rest)
 int open(const char* path, int flags, ...) { MODE; note(path); return real_open(path, flags, mode); }

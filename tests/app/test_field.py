@@ -19,6 +19,7 @@ from radiant_app.events import Event, StageDone, StageSkipped, Warned
 from radiant_app.field import _middle
 from radiant_app.inbox import _are_one_group
 from radiant_app.pipeline import RunResult, run
+from radiant_app.report import ledger_by_tier
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
@@ -26,6 +27,7 @@ from radiant_core.io.records import load_cameras
 from radiant_core.train.needs import Overrides
 from radiant_viewer.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
+from tests.app.canary import canaries_of, finds, mark
 
 TINY = Overrides(long_side_px=96, num_steps=60, max_num_splats=1500)
 TWO_EDGES = "".join(f'[[edge]]\nid = "{edge}"\n[[edge.device]]\nid = "{edge}-1"\n' for edge in ("north", "south"))
@@ -131,6 +133,8 @@ def test_models_that_do_not_hang_together_are_no_group(kept: list[bool], expecte
 @pytest.mark.parametrize("frames", ["known", "gps"])
 def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path, system: Path, preload: Path, tmp_path: Path) -> None:
     source = split_by_device(hamlet / "images", tmp_path / "captured")
+    for photograph in source.rglob("*.jpg"):
+        mark(photograph)
     log = tmp_path / "opened.txt"
     command = [sys.executable, "-m", "radiant_app", "run", source, "--out", tmp_path / "run", "--frames", frames]
     poses = ["--poses", hamlet / "known"] if frames == "known" else []
@@ -155,6 +159,41 @@ def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path,
         others = [process for path, who in opened.items() if f"devices/{device}/" in path for process in who]
         assert all(f"devices/{device}" in process for process in others), others
     assert_no_image_bytes(tmp_path / "run", source)
+    assert "\tnetwork" not in log.read_text(errors="replace"), "the local executor needs no socket"
+    assert_no_canary_elsewhere(tmp_path / "run", source)
+    assert_models_and_little_else_were_sent(tmp_path / "run")
+
+
+def assert_no_canary_elsewhere(run_folder: Path, source: Path) -> None:
+    """Nothing of a device's photographs is in a file of any other node, nothing of its poses but at its edge; the owner's report aside."""
+    for edge, other in (("north", "south"), ("south", "north")):
+        device = run_folder / "devices" / f"{edge}-1"
+        canaries = canaries_of(source / device.name, load_cameras(device / "cameras.safetensors"), sizes_px=[64])
+        own_edge, elsewhere = run_folder / "edges" / edge, [
+            run_folder / place for place in (f"devices/{other}-1", f"positions/{other}-1", f"edges/{other}", "cloud", "planning")
+        ]  # fmt: skip
+        elsewhere = [place for place in elsewhere if place.exists()]
+        assert len(elsewhere) >= 3
+        for kind, patterns in canaries.photographs.items():
+            assert len(patterns) >= 6, kind
+            assert finds(patterns, [*elsewhere, own_edge]) == [], kind
+        assert finds(canaries.poses, elsewhere) == []
+        # The search finds what is there.
+        assert finds(canaries.poses, [own_edge]) and finds(canaries.photographs["names"], [device])
+        assert all(finds(canaries.photographs[kind], [source / device.name]) for kind in ("names", "EXIF", "comments"))
+
+
+def assert_models_and_little_else_were_sent(run_folder: Path) -> None:
+    """Bytes that went up: the model, the poses or virtual cameras, and a record under 1 kB; the ledger counts just that."""
+    ledger = {row["node"]: row["other_bytes"] for row in json.loads((run_folder / "manifest.json").read_text())["ledger"]}
+    for node, tier in (("edges/north", "devices"), ("edges/south", "devices"), ("cloud", "edges")):
+        inbox = run_folder / node / "inbox"
+        assert ledger[node] == sum(path.stat().st_size for path in inbox.rglob("*") if path.is_file())
+        for sender in inbox.iterdir():
+            sent = {path.name: path.stat().st_size for path in sender.iterdir()}
+            assert sent.pop("model.safetensors") == (run_folder / tier / sender.name / "upload.safetensors").stat().st_size
+            assert sent.pop("cameras.safetensors" if tier == "devices" else "virtual_cameras.safetensors") > 0
+            assert sum(sent.values()) <= 1000, sent
 
 
 def split_by_device(images: Path, target: Path) -> Path:
@@ -285,4 +324,10 @@ def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, Ru
     fetched = {row["node"]: row["num_photographs"] for row in ledger}
     assert {node for node, count in fetched.items() if count} == {"devices/north-1", "devices/south-1"}, "each fetched its own"
     assert sum(fetched.values()) == 12
-    assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score"}
+    assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score", "planning"}
+    tiers = {row["tier"]: row for row in ledger_by_tier(ledger)}
+    assert [row["num_nodes"] for row in tiers.values()] == [2, 2, 2] and list(tiers) == ["device", "edge", "cloud"]
+    assert tiers["device"]["num_photographs"] == 12 and tiers["edge"]["photograph_bytes"] == tiers["cloud"]["photograph_bytes"] == 0
+    assert sum(row["other_bytes"] for row in tiers.values()) == sum(row["other_bytes"] for row in ledger)
+    page = (config.out / "report.html").read_text()
+    assert "Executor: local" in page and "planned from a count raster" in page and "no device&#39;s id" in page

@@ -64,6 +64,14 @@ def test_ten_million_gaussians_are_refused_by_the_header_alone(tmp_path: Path) -
     assert load_arrived(path, CAMERAS) == f"it has 10,000,000 Gaussians, expected 1 to {MAX_SPLATS:,}."
 
 
+def test_as_many_as_allowed_are_allowed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    save_upload(tmp_path / "model.safetensors", GROUND, "float16")
+    for limit, passes in ((len(GROUND), True), (len(GROUND) - 1, False)):
+        monkeypatch.setattr("radiant_core.aggregate.arrival.MAX_SPLATS", limit)
+        assert (check_splats(GROUND, CAMERAS) is None) is passes
+        assert isinstance(load_arrived(tmp_path / "model.safetensors", CAMERAS), Splats) is passes
+
+
 def test_files_that_are_no_model_are_refused_with_their_reason(tmp_path: Path) -> None:
     path = tmp_path / "model.safetensors"
     assert "no such file" in str(load_arrived(path, CAMERAS))

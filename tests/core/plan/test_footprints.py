@@ -75,6 +75,8 @@ def test_unknown_angles_are_down_and_along_the_flight() -> None:
 def test_poison_is_refused() -> None:
     with pytest.raises(BadInput, match="field of view is 180"):
         Optics(field_of_view_deg=180)
+    with pytest.raises(BadInput, match=r"^positions .*not finite"):
+        Views(positions=np.array([[0, np.nan]]), heights_m=np.ones(1), corner_rays=np.ones((1, 4, 3)))
     with pytest.raises(BadInput, match="not finite"):
         views_before_capture([[0, np.nan]], [1.0], Optics())
     with pytest.raises(BadInput, match="not finite"):

@@ -1,0 +1,102 @@
+"""Which of several models contradict the others where they show the same: poisoned ones are left out before anything is joined. Per join.
+
+Every model is asked at some cameras of every other, as a guest:
+
+    agree(i, j):  PSNR of i's and j's pictures at j's cameras where both are opaque  ≥  MIN_AGREEMENT_DB
+
+The model with the largest share of contradicting neighbours goes if that is most of them, then the rest is counted again without it.
+Models that contradict each other while nobody else knows the place both stay: nothing says which of them is wrong. Attackers need about
+half of somebody's neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.render.contract import Backend
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import Splats
+
+MIN_AGREEMENT_DB = 10.0
+"""Half grey against a photograph is about 14 dB; the demo's four models agree to 16 to 22 dB (docs/threat_model.md)."""
+MIN_MODELS = 3
+"""Of two that contradict each other nobody can say which is wrong."""
+NUM_ASKED = 4
+"""Cameras of each model at which the others are asked."""
+LONG_SIDE_PX = 96
+OPAQUE = 0.8
+MIN_SHARE = 0.05
+"""Of the pixels: two models are neighbours where both are opaque in at least so many."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Agreement:
+    """agreement_db (M,M): what guest i shows at the cameras of host j against j, NaN where they share too little; reasons by model."""
+
+    agreement_db: FloatArray
+    refused: dict[int, str]
+
+
+def contradicted(models: Sequence[Splats], cameras: Sequence[Cameras], backend: Backend = "auto") -> Agreement:
+    """Which of M models with their cameras are not to be joined, one sentence each; nobody where there are fewer than three."""
+    if len(models) != len(cameras):
+        raise BadInput(f"{len(cameras)} sets of cameras for {len(models)} models: give one each.")
+    if len(models) < MIN_MODELS:
+        return Agreement(agreement_db=np.full((len(models), len(models)), np.nan), refused={})
+    agreement_db = np.full((len(models), len(models)), np.nan)
+    for host, own in enumerate(cameras):
+        asked = _some(own)
+        if not len(asked):
+            continue
+        home = list(render_views(models[host], asked, backend))
+        for guest in range(len(models)):
+            if guest != host:
+                agreement_db[guest, host] = _agreement_db(home, list(render_views(models[guest], asked, backend)))
+    return Agreement(agreement_db=agreement_db, refused=_outvoted(agreement_db))
+
+
+def _some(cameras: Cameras) -> Cameras:
+    rows = np.unique(np.linspace(0, len(cameras) - 1, min(NUM_ASKED, len(cameras))).astype(np.int64))
+    return cameras.select(rows).scaled(LONG_SIDE_PX) if len(cameras) else cameras
+
+
+def _agreement_db(home: Sequence, guest: Sequence) -> float:
+    """PSNR over all pixels that both show; NaN where they are too few."""
+    both = [(one.alpha > OPAQUE) & (other.alpha > OPAQUE) for one, other in zip(home, guest, strict=True)]
+    num_shared, num_pixels = sum(int(mask.sum()) for mask in both), sum(mask.size for mask in both)
+    if num_shared < MIN_SHARE * num_pixels:
+        return float("nan")
+    squares = sum(float(np.square(one.image[m] - other.image[m]).sum()) for one, other, m in zip(home, guest, both, strict=True))
+    return float(-10 * np.log10(max(squares / (3 * num_shared), 1e-10)))
+
+
+def _outvoted(agreement_db: FloatArray) -> dict[int, str]:
+    """Models to leave out, from what pairs say of each other in both directions.
+
+    In rounds the model with the largest share of contradicting neighbours, or all that are equal in that; only those that most of their
+    neighbours outside of these contradict.
+    """
+    # Of a pair the worse direction counts, NaN where they share no place.
+    pairs = np.fmin(agreement_db, agreement_db.T)
+    neighbours, against = ~np.isnan(pairs), pairs < MIN_AGREEMENT_DB
+    left, refused = np.ones(len(pairs), bool), dict[int, str]()
+    while left.sum() >= MIN_MODELS:
+        asked = (neighbours & left).sum(axis=1)
+        shares = np.where(left, (against & left).sum(axis=1) / np.maximum(asked, 1), 0.0)
+        worst = shares == shares.max()
+        outvoted = np.flatnonzero(worst & left & (2 * (against & left & ~worst).sum(axis=1) > asked))
+        if not len(outvoted):
+            break
+        for model in outvoted.tolist():
+            refused[model] = (
+                f"it contradicts {int((against & left)[model].sum())} of the {asked[model]} models that show the same places "
+                f"(below {MIN_AGREEMENT_DB:g} dB)."
+            )
+        left[outvoted] = False
+    return refused

@@ -1,0 +1,99 @@
+"""What devices tell of where they were, what the cloud is told, and `radiant plan` from a raster."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from radiant_app.cloud_planning import cloud_task, placed_by_raster, planned_at_cloud, planned_from_raster, run_regions
+from radiant_app.config import RunConfig
+from radiant_app.field_nodes import told_raster
+from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.progress import ProgressDisplay
+from radiant_app.system_file import even_system
+from radiant_core.errors import BadInput
+from radiant_core.frames import enu_from_geodetic
+from radiant_core.io.records import load_plan
+from radiant_core.io.run_store import write_json
+from radiant_core.plan.count_raster import DEFAULT_CELL_M, count_raster
+
+ORIGIN = np.array([47.35, 8.51, 420.0])
+
+
+def captured(count: int = 60) -> np.ndarray:
+    """Positions (P,3) deg, deg, m over some 300 m."""
+    rng = np.random.default_rng(0)
+    return ORIGIN + rng.uniform(-1, 1, (count, 3)) * [1.3e-3, 2e-3, 20.0]
+
+
+@pytest.mark.parametrize("cell_m", [1.0, 5.0, 100.0])
+def test_a_device_tells_how_many_lie_in_a_cell_and_no_position(cell_m: float) -> None:
+    places = captured()
+    told = told_raster(places, cell_m)
+    cells = np.array(told["cells"])
+    assert cells[:, 2].sum() == 60 and told["altitude_m"] % 10 == 0
+    middles = np.column_stack([cells[:, :2], np.full(len(cells), 420.0)])
+    flat = np.column_stack([places[:, :2], np.full(60, 420.0)])
+    away = np.abs(enu_from_geodetic(middles, ORIGIN)[None, :, :2] - enu_from_geodetic(flat, ORIGIN)[:, None, :2])
+    # A metre on the sphere is up to 0.7 % off that on the ellipsoid.
+    assert (away.max(axis=2).min(axis=1) <= 0.51 * cell_m + 1e-3).all(), "every position lies in a cell that is told"
+    text = json.dumps(told)
+    assert not any(repr(float(value)) in text for value in places[:, :2].ravel())
+    # The same cells from any start: two devices at one place tell the same.
+    assert {tuple(cell[:2]) for cell in told_raster(places[:7], cell_m)["cells"]} <= {tuple(cell[:2]) for cell in told["cells"]}
+    assert told_raster(places[:0], cell_m) == {"cells": [], "altitude_m": None}
+
+
+def test_the_cloud_answers_from_its_task_alone(tmp_path: Path) -> None:
+    positions = enu_from_geodetic(captured(), ORIGIN)[:, :2]
+    system = placed_by_raster(even_system(3, 2), positions, None, 20.0, 0)
+    task = cloud_task(count_raster(positions, 20.0), system, "exact")
+    text = json.dumps(task)
+    assert not any(device.id in text for device in system.devices) and "device" not in text
+    write_json(tmp_path / "task.json", task)
+    assert run_regions(tmp_path, "planning", lambda event: None) == ["regions.json"]
+    regions, edges = load_plan(tmp_path / "regions.json")
+    assert edges == () and regions.counts.sum() == 60
+    again = planned_at_cloud(json.loads((tmp_path / "task.json").read_text()))
+    np.testing.assert_array_equal(again.weights, regions.weights)
+    plan = planned_from_raster(system, positions, 20.0, "exact")
+    np.testing.assert_array_equal(plan.weights, regions.weights)
+    assert plan.counts.sum() == 60 and plan.makespan_s >= plan.lower_bound_s
+
+
+def test_what_the_edges_cannot_hold_is_refused_with_its_reason() -> None:
+    positions = enu_from_geodetic(captured(), ORIGIN)[:, :2]
+    system = placed_by_raster(even_system(2, 1), positions, None, 20.0, 0)
+    task = cloud_task(count_raster(positions, 20.0), system, "exact")
+    for edge in task["edges"]:
+        edge["max_cameras"] = 20
+    with pytest.raises(BadInput, match="can hold 40 of 60"):
+        planned_at_cloud(task)
+
+
+def test_radiant_plan_from_a_raster_says_so_and_refuses_what_needs_positions(tmp_path: Path) -> None:
+    rows = "\n".join(f"{name},{lat},{lon},{alt}" for name, (lat, lon, alt) in enumerate(captured()))
+    (tmp_path / "way.csv").write_text(f"name,latitude,longitude,altitude\n{rows}\n")
+    display = ProgressDisplay(Console(quiet=True))
+    request = {"source": tmp_path / "way.csv", "out": tmp_path / "plan.json", "system": None, "method": "exact", "seed": 0}
+    result = plan(PlanRequest(**request, raster_cell_m=10.0), display)
+    assert "count raster of 10 m" in result["warnings"] and result["makespan_s"] >= result["lower_bound_s"]
+    cloud, edges = load_plan(tmp_path / "plan.json")
+    assert sum(len(edge.camera_indices) for edge in edges) == cloud.counts.sum() == 60
+    with pytest.raises(BadInput, match="choose one"):
+        plan(PlanRequest(**{**request, "out": tmp_path / "other.json"}, raster_cell_m=10.0, slack=1.1), display)
+    assert not (tmp_path / "other.json").exists()
+
+
+def test_who_plans_from_a_raster_by_itself(tmp_path: Path) -> None:
+    given = {"source": tmp_path, "out": tmp_path / "run"}
+    assert RunConfig(**given).cell_m is None and RunConfig(**given, raster_cell_m=7.0).cell_m == 7.0
+    assert RunConfig(**given, frames="gps").cell_m == DEFAULT_CELL_M == RunConfig(**given, frames="known").cell_m
+    assert RunConfig(**given, frames="gps", raster_cell_m=0.0).cell_m is None
+    for wrong in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(BadInput, match="raster_cell_m"):
+            RunConfig(**given, raster_cell_m=wrong)
