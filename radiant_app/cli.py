@@ -100,6 +100,7 @@ def run(
     lpips_net: LpipsNet = "vgg",
     seed: Seed = 0,
     workers: Annotated[int, typer.Option(min=0, help="Processes at a time; 0: one per core.")] = 0,
+    checkpoint_every: Annotated[str, typer.Option(help="Time between two checkpoints of a training.")] = "10s",
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -119,6 +120,7 @@ def run(
     if plan is not None and plan_method is not None:
         raise BadInput("--plan keeps to a plan that is made and --plan-method makes another: leave one of them out.")
     from radiant_app.config import RunConfig, run_preset
+    from radiant_app.quantities import seconds_of
     from radiant_app.settings import settings_of
     from radiant_core.train.needs import Overrides
 
@@ -141,6 +143,7 @@ def run(
         lpips_network=lpips_net,
         seed=seed,
         max_workers=workers,
+        checkpoint_every_s=seconds_of(checkpoint_every),
     )
     _run(config, resume, as_json, context.obj)
 

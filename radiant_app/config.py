@@ -84,6 +84,8 @@ class RunConfig:
     """Seed of every random choice."""
     max_workers: int = 0
     """Processes at a time; 0: one per core."""
+    checkpoint_every_s: float = 10.0
+    """Seconds between two checkpoints of a training: what a kill may lose."""
 
     @property
     def early_teachers(self) -> bool:

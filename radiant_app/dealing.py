@@ -49,6 +49,7 @@ class Dealer:
     aggregate: AggregateConfig
     backend: str
     upload: UploadFormat = "float32"
+    checkpoint_every_s: float = 10.0
     ledger: list[dict[str, Any]] = field(default_factory=list)
 
     def prepare(self, node: Tree) -> NodeTask | None:
@@ -66,9 +67,11 @@ class Dealer:
             _drop_other_views(folder, key)
         else:
             self.ledger.append({"node": node.id, "tier": node.tier, **received(inputs)})
-        # Who rendered a view does not change it, so it is not in the edge's key.
-        teachers = {"teachers": [child.name for child in node.children if child.tier == "teacher"]} if node.tier == "edge" else {}
-        write_json(folder / "task.json", {**task, **teachers})
+        # What changes no bit of the result is not in the key: who rendered a view, how often a training is saved.
+        unkeyed: dict[str, Any] = {"checkpoint_every_s": self.checkpoint_every_s}
+        if node.tier == "edge":
+            unkeyed["teachers"] = [child.name for child in node.children if child.tier == "teacher"]
+        write_json(folder / "task.json", {**task, **unkeyed})
         return NodeTask(kind=self.kinds[node.tier], stage=node.id, folder=folder, key=key)
 
     @property

@@ -94,7 +94,14 @@ class Failed:
     exit_code: int
 
 
-Event = StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
+@dataclass(frozen=True, kw_only=True)
+class Beat:
+    """The process of a stage is alive; for the executor alone."""
+
+    stage: str
+
+
+Event = Beat | StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
 Listener = Callable[[Event], None]
 
 _TYPES: dict[str, Any] = {kind.__name__: kind for kind in get_args(Event)}

@@ -102,6 +102,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
         aggregate=aggregate,
         backend=backend,
         upload=config.upload,
+        checkpoint_every_s=config.checkpoint_every_s,
         frames=config.frames,
         shares=shares,
         origin=captured.origin,

@@ -125,6 +125,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
         aggregate=aggregate,
         backend=backend,
         upload=config.upload,
+        checkpoint_every_s=config.checkpoint_every_s,
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
