@@ -86,6 +86,8 @@ class RunConfig:
     """Processes at a time; 0: one per core."""
     checkpoint_every_s: float = 10.0
     """Seconds between two checkpoints of a training: what a kill may lose."""
+    deadline_factor: float = 10.0
+    """A device or edge that takes so many times its planned time, corrected by what was measured, is given up; 0: never."""
 
     @property
     def early_teachers(self) -> bool:
@@ -100,6 +102,8 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.max_workers < 0:
             raise BadInput(f"max_workers is {self.max_workers}, expected 0 (one per core) or more.")
+        if not (self.deadline_factor == 0 or 1 <= self.deadline_factor < float("inf")):
+            raise BadInput(f"the deadline is {self.deadline_factor} times the planned time, expected 1 or more, or 0 for none.")
         if self.emulated and (self.system is None or self.max_workers):
             raise BadInput("an emulated run needs a system file and runs all its devices at once: leave the number of workers out.")
         if not 0 <= self.seed < 2**31:

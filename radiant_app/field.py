@@ -110,11 +110,12 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
         sfm={"matching": config.matching, "seed": config.seed, "two_view_points": True},
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
-    executor = executor_of(config, system, progress, may_fail=lambda node: node.tier != "cloud")
+    listen = counting_down(config, system, edge_plans, progress)
+    executor = executor_of(config, system, progress, lambda node, error: node.tier != "cloud", listen)
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
     positions = {"positions", *(f"positions/{device}" for device in folders or ())}
     progress.manifest.keep_stages({*positions, *scores, *(node.id for node in tree)})
-    executor.fold(tree, dealer.prepare, counting_down(config, system, edge_plans, progress))
+    executor.fold(tree, dealer.prepare, listen)
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
         raise StageFailed("no device delivered a model. " + " ".join(f"{name}: {reason}" for name, reason in missing.items()))

@@ -129,7 +129,8 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
-    executor_of(config, system, progress).fold(tree, dealer.prepare, counting_down(config, system, edge_plans, progress))
+    listen = counting_down(config, system, edge_plans, progress)
+    executor_of(config, system, progress, _goes_on_without, listen).fold(tree, dealer.prepare, listen)
     progress.manifest.ledger = dealer.ledger
     missing = dealer.missing()
     if not any(dealer.delivered(node) for node in tree if node.tier == "edge"):
@@ -138,6 +139,11 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     for kind in PICTURE_KINDS:
         shutil.copytree(config.out / "evaluation" / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
     return cloud_plan, tree, missing
+
+
+def _goes_on_without(node: Tree, error: BadInput | StageFailed) -> bool:
+    """One owner can mend what is unusable input; a machine that is gone he may not get back."""
+    return node.tier != "cloud" and isinstance(error, StageFailed)
 
 
 def sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:

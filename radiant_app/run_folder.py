@@ -197,7 +197,7 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
     for name in ("system", "poses", "plan", "masks"):
         path = getattr(config, name)
         fields[name] = None if path is None else str(path.resolve())
-    for name in ("out", "max_workers", "checkpoint_every_s", "teachers", "lpips_weights", "lpips_network"):
+    for name in ("out", "max_workers", "checkpoint_every_s", "deadline_factor", "teachers", "lpips_weights", "lpips_network"):
         del fields[name]
     return fields
 

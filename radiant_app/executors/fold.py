@@ -42,6 +42,10 @@ class Ended:
     """Whether it ended without saying why, so that another try may help."""
 
 
+MayFail = Callable[[Tree, BadInput | StageFailed], bool]
+"""Whether the rest goes on without a node that failed so."""
+
+
 class Runner(Protocol):
     """Where the processes of nodes run."""
 
@@ -68,10 +72,6 @@ class Runner(Protocol):
 
 class Watch(Protocol):
     """Who is late."""
-
-    def note(self, event: Event) -> None:
-        """Learn from what was measured."""
-        ...
 
     def late(self, node_id: str, ran_s: float) -> str | None:
         """Why a node that has run so long is late, and None while it is not."""
@@ -102,7 +102,7 @@ class Fold:
     prepare: Prepare
     listen: Listener
     clock: Callable[[], float]
-    may_fail: Callable[[Tree], bool]
+    may_fail: MayFail
     attempts: int = 1
     watch: Watch | None = None
     running: dict[str, _Running] = field(default_factory=dict)
@@ -160,7 +160,7 @@ class Fold:
             return
         if is_sealed(task.folder, task.key):
             self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
-            self._tell(StageSkipped(stage=task.stage))
+            self.listen(StageSkipped(stage=task.stage))
             return
         if node.id in self.needless:
             self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
@@ -168,15 +168,10 @@ class Fold:
         self._start(node, task, now_s)
 
     def _start(self, node: Tree, task: NodeTask, now_s: float) -> None:
-        self._tell(StageStarted(stage=task.stage))
+        self.listen(StageStarted(stage=task.stage))
         self.num_tries[node.id] = self.num_tries.get(node.id, 0) + 1
         self.running[node.id] = _Running(node=node, task=task, started_s=now_s, heard_s=time.monotonic())
         self.runner.start(node, task)
-
-    def _tell(self, event: Event) -> None:
-        if self.watch is not None:
-            self.watch.note(event)
-        self.listen(event)
 
     def _handle(self, node_id: str, message: Event | Ended | None) -> None:
         running = self.running[node_id]
@@ -185,7 +180,7 @@ class Fold:
             del self.running[node_id]
             self._finish(running, running.given_up or message)
         elif message is not None:
-            self._tell(message)
+            self.listen(message)
 
     def _finish(self, running: _Running, ended: Ended) -> None:
         task, error = running.task, ended.error
@@ -193,15 +188,15 @@ class Fold:
             full = shutil.disk_usage(task.folder).free < FULL_BYTES
             if ended.crashed and not full and self.num_tries[running.node.id] < self.attempts:
                 self._start(running.node, task, self._now_s())
-                self._tell(Warned(stage=task.stage, message=f"{_reason(task, error)} It is tried again from its last checkpoint."))
+                self.listen(Warned(stage=task.stage, message=f"{_reason(task, error)} It is tried again from its last checkpoint."))
                 return
-            if full or not self.may_fail(running.node):
+            if full or not self.may_fail(running.node, error):
                 raise error
-            self._tell(Warned(stage=task.stage, message=_reason(task, error)))
+            self.listen(Warned(stage=task.stage, message=_reason(task, error)))
         now_s = self._now_s()
         self.times[running.node.id] = NodeTime(started_s=running.started_s, ended_s=now_s)
         if error is None:
-            self._tell(StageDone(stage=task.stage, seconds=now_s - running.started_s))
+            self.listen(StageDone(stage=task.stage, seconds=now_s - running.started_s))
 
     def _look_for_late(self) -> None:
         for node_id, running in self.running.items():
@@ -215,12 +210,14 @@ class Fold:
                 self._look_at(node_id, running, self._now_s() - running.started_s, self.watch)
 
     def _look_at(self, node_id: str, running: _Running, ran_s: float, watch: Watch) -> None:
-        reason = watch.too_late(node_id, ran_s)
-        if reason is not None and self.may_fail(running.node):
-            self._give_up(running, Ended(error=StageFailed(f"{running.task.stage}: {reason}, and was given up.")))
-        elif not running.warned and (reason := watch.late(node_id, ran_s)) is not None:
+        if (reason := watch.too_late(node_id, ran_s)) is not None:
+            error = StageFailed(f"{running.task.stage}: {reason}, and was given up.")
+            if self.may_fail(running.node, error):
+                self._give_up(running, Ended(error=error))
+                return
+        if not running.warned and (reason := watch.late(node_id, ran_s)) is not None:
             running.warned = True
-            self._tell(Warned(stage=running.task.stage, message=f"{reason}; it goes on."))
+            self.listen(Warned(stage=running.task.stage, message=f"{reason}; it goes on."))
 
     def _give_up(self, running: _Running, ended: Ended) -> None:
         if running.given_up is None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from radiant_app.events import Beat, Event, Failed, Listener, decode
-from radiant_app.executors.fold import FULL_BYTES, Ended, Fold, Watch
+from radiant_app.executors.fold import FULL_BYTES, Ended, Fold, MayFail, Watch
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
@@ -40,7 +40,7 @@ class LocalExecutor:
     num_workers: int
     clock: Callable[[], float] = time.monotonic
     command: Callable[[NodeTask], list[str]] = worker_command
-    may_fail: Callable[[Tree], bool] = lambda node: False
+    may_fail: MayFail = lambda node, error: False
     """Nodes without which the rest goes on: their failure is a warning."""
     attempts: int = 1
     """How often a node is tried whose process ends without saying why."""
