@@ -100,6 +100,9 @@ def run(
     lpips_net: LpipsNet = "vgg",
     seed: Seed = 0,
     workers: Annotated[int, typer.Option(min=0, help="Processes at a time; 0: one per core.")] = 0,
+    executor: Annotated[Literal["local", "ray"], typer.Option(help="local: processes here; ray: tasks of one owner's cluster.")] = "local",
+    address: Annotated[str | None, typer.Option(help="ray: host:port of the cluster's head, or local.", show_default=False)] = None,
+    deadline: Annotated[float, typer.Option("--deadline-factor", min=0, help="Give up who takes so many times its time; 0: never.")] = 10.0,
     checkpoint_every: Annotated[str, typer.Option(help="Time between two checkpoints of a training.")] = "10s",
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
     as_json: AsJson = False,
@@ -143,6 +146,9 @@ def run(
         lpips_network=lpips_net,
         seed=seed,
         max_workers=workers,
+        executor=executor,
+        address=address,
+        deadline_factor=deadline,
         checkpoint_every_s=seconds_of(checkpoint_every),
     )
     _run(config, resume, as_json, context.obj)

@@ -22,6 +22,8 @@ class StageStarted:
     """A stage or node of the tree begins."""
 
     stage: str
+    machine: str = ""
+    """Where, in a cluster."""
     emulated: bool = False
     """Whether its time says how long an emulated machine or link takes, and not this one."""
 

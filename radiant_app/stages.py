@@ -139,6 +139,17 @@ def executor_of(config: RunConfig, system: System, progress: Progress, may_fail:
             reason="an emulated edge renders them itself, at its own speed",
         )
         progress.listen(Decided(decision=decision))
+    if config.address is not None:
+        from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
+
+        return RayExecutor(
+            address=config.address,
+            log=config.out / LOG_NAME,
+            clock=progress.clock,
+            may_fail=may_fail,
+            attempts=ATTEMPTS,
+            watch=watch,
+        )
     local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=may_fail, attempts=ATTEMPTS, watch=watch)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 

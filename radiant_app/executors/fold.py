@@ -33,6 +33,13 @@ LOOK_S = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
+class Began:
+    """A node that had to wait for a machine runs."""
+
+    machine: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Ended:
     """A node's process is gone."""
 
@@ -53,12 +60,15 @@ class Runner(Protocol):
         """Whether another node may be started now."""
         ...
 
-    def start(self, node: Tree, task: NodeTask) -> None:
-        """Start the node's process; the node is not running."""
+    def start(self, node: Tree, task: NodeTask) -> bool:
+        """Start the node's process; whether it runs now, else a `Began` will say when. The node is not running."""
         ...
 
-    def wait(self, timeout_s: float) -> tuple[str, Event | Ended | None] | None:
-        """The next message of a running node, by node id: an event, its end, or None for a mere sign of life. None after the timeout."""
+    def wait(self, timeout_s: float) -> tuple[str, Event | Began | Ended | None] | None:
+        """The next message of a running node, by node id: an event, its end, or None for a mere sign of life. None after the timeout.
+
+        StageFailed when the runner itself is lost.
+        """
         ...
 
     def stop(self, node_id: str) -> None:
@@ -89,6 +99,10 @@ class _Running:
     started_s: float
     heard_s: float
     """When it last gave a sign of life, by the system's clock."""
+    began: bool = False
+    """Whether it runs, or waits for a machine."""
+    note: str = ""
+    """Why it is tried again."""
     warned: bool = False
     given_up: Ended | None = None
     """Why it was told to end before it was done."""
@@ -167,16 +181,26 @@ class Fold:
             return
         self._start(node, task, now_s)
 
-    def _start(self, node: Tree, task: NodeTask, now_s: float) -> None:
-        self.listen(StageStarted(stage=task.stage))
+    def _start(self, node: Tree, task: NodeTask, now_s: float, note: str = "") -> None:
         self.num_tries[node.id] = self.num_tries.get(node.id, 0) + 1
-        self.running[node.id] = _Running(node=node, task=task, started_s=now_s, heard_s=time.monotonic())
-        self.runner.start(node, task)
+        running = _Running(node=node, task=task, started_s=now_s, heard_s=time.monotonic(), note=note)
+        self.running[node.id] = running
+        if self.runner.start(node, task):
+            self._began(running)
 
-    def _handle(self, node_id: str, message: Event | Ended | None) -> None:
+    def _began(self, running: _Running, machine: str = "") -> None:
+        running.began = True
+        self.listen(StageStarted(stage=running.task.stage, machine=machine))
+        if running.note:
+            self.listen(Warned(stage=running.task.stage, message=running.note))
+
+    def _handle(self, node_id: str, message: Event | Began | Ended | None) -> None:
         running = self.running[node_id]
         running.heard_s = time.monotonic()
-        if isinstance(message, Ended):
+        if isinstance(message, Began):
+            running.started_s = self._now_s()
+            self._began(running, message.machine)
+        elif isinstance(message, Ended):
             del self.running[node_id]
             self._finish(running, running.given_up or message)
         elif message is not None:
@@ -187,20 +211,20 @@ class Fold:
         if error is not None:
             full = shutil.disk_usage(task.folder).free < FULL_BYTES
             if ended.crashed and not full and self.num_tries[running.node.id] < self.attempts:
-                self._start(running.node, task, self._now_s())
-                self.listen(Warned(stage=task.stage, message=f"{_reason(task, error)} It is tried again from its last checkpoint."))
+                note = " ".join([running.note, f"{_reason(task, error)} It is tried again from its last checkpoint."]).strip()
+                self._start(running.node, task, self._now_s(), note)
                 return
             if full or not self.may_fail(running.node, error):
                 raise error
             self.listen(Warned(stage=task.stage, message=_reason(task, error)))
         now_s = self._now_s()
         self.times[running.node.id] = NodeTime(started_s=running.started_s, ended_s=now_s)
-        if error is None:
+        if error is None and running.began:
             self.listen(StageDone(stage=task.stage, seconds=now_s - running.started_s))
 
     def _look_for_late(self) -> None:
         for node_id, running in self.running.items():
-            if running.given_up is not None:
+            if running.given_up is not None or not running.began:
                 continue
             stage, silent_s = running.task.stage, time.monotonic() - running.heard_s
             if silent_s > SILENT_S:

@@ -90,12 +90,13 @@ class _Processes:
     def has_room(self) -> bool:
         return len(self.running) < self.num_workers
 
-    def start(self, node: Tree, task: NodeTask) -> None:
-        with _interrupts_later():
+    def start(self, node: Tree, task: NodeTask) -> bool:
+        with interrupts_later():
             process = _spawn(self.command(task), task.folder, self.num_threads)
             reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
             self.running[node.id] = _Running(task=task, process=process, reader=reader)
             reader.start()
+        return True
 
     def wait(self, timeout_s: float) -> tuple[str, Event | Ended | None] | None:
         try:
@@ -118,7 +119,7 @@ class _Processes:
         killer.start()
 
     def stop_all(self) -> None:
-        with _interrupts_later():
+        with interrupts_later():
             for running in self.running.values():
                 _signal_group(running.process, signal.SIGTERM)
             for running in self.running.values():
@@ -168,7 +169,7 @@ def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Pop
 
 
 @contextmanager
-def _interrupts_later() -> Iterator[None]:
+def interrupts_later() -> Iterator[None]:
     """Hold Ctrl-C and termination back while a worker is started or stopped: it would outlive the run."""
     if threading.current_thread() is not threading.main_thread():
         yield
