@@ -21,6 +21,7 @@ from radiant_app.config import RunConfig
 from radiant_app.dealing import received
 from radiant_app.evaluation import PICTURE_KINDS
 from radiant_app.events import Warned
+from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field_dealing import DeviceShare, FieldDealer, Scorer
@@ -111,7 +112,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     listen = counting_down(config, system, edge_plans, progress)
-    executor = executor_of(config, system, progress, lambda node, error: node.tier != "cloud", listen)
+    executor = executor_of(config, system, progress, Faults(may_fail=lambda node, error: node.tier != "cloud", watch=listen))
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
     positions = {"positions", *(f"positions/{device}" for device in folders or ())}
     progress.manifest.keep_stages({*positions, *scores, *(node.id for node in tree)})

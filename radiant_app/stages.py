@@ -9,7 +9,7 @@ from pathlib import Path
 from radiant_app.config import RunConfig
 from radiant_app.events import Decided, Event, Listener, StageSkipped, Warned
 from radiant_app.executors.emulated import EmulatedExecutor
-from radiant_app.executors.fold import MayFail, Watch
+from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.nodes import read_notes
@@ -127,7 +127,7 @@ def _made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints
     return cloud_plan, edge_plans, waypoints
 
 
-def executor_of(config: RunConfig, system: System, progress: Progress, may_fail: MayFail, watch: Watch) -> Executor:
+def executor_of(config: RunConfig, system: System, progress: Progress, faults: Faults) -> Executor:
     """Who runs the nodes: this machine as it is, or as slow as the system says."""
     if config.emulated and config.teachers == "early":
         decision = Decision(
@@ -139,18 +139,12 @@ def executor_of(config: RunConfig, system: System, progress: Progress, may_fail:
             reason="an emulated edge renders them itself, at its own speed",
         )
         progress.listen(Decided(decision=decision))
+    faults = replace(faults, attempts=ATTEMPTS)
     if config.address is not None:
         from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
 
-        return RayExecutor(
-            address=config.address,
-            log=config.out / LOG_NAME,
-            clock=progress.clock,
-            may_fail=may_fail,
-            attempts=ATTEMPTS,
-            watch=watch,
-        )
-    local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=may_fail, attempts=ATTEMPTS, watch=watch)
+        return RayExecutor(address=config.address, log=config.out / LOG_NAME, clock=progress.clock, faults=faults)
+    local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, faults=faults)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 
 

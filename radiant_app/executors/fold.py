@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -92,6 +92,19 @@ class Watch(Protocol):
         ...
 
 
+@dataclass(frozen=True, kw_only=True)
+class Faults:
+    """What is done about nodes that fail."""
+
+    may_fail: MayFail = lambda node, error: False
+    attempts: int = 1
+    """How often a node is tried whose process ends without saying why."""
+    watch: Watch | None = None
+    """Who is late; None: nobody is."""
+    on_lost: Callable[[Tree, Collection[str]], None] = lambda node, begun: None
+    """Told of a node that the rest goes on without, and of the ids of all that run or are done by then."""
+
+
 @dataclass(kw_only=True)
 class _Running:
     node: Tree
@@ -116,9 +129,7 @@ class Fold:
     prepare: Prepare
     listen: Listener
     clock: Callable[[], float]
-    may_fail: MayFail
-    attempts: int = 1
-    watch: Watch | None = None
+    faults: Faults
     running: dict[str, _Running] = field(default_factory=dict)
     times: dict[str, NodeTime] = field(default_factory=dict)
     needless: set[str] = field(default_factory=set)
@@ -210,13 +221,14 @@ class Fold:
         task, error = running.task, ended.error
         if error is not None:
             full = shutil.disk_usage(task.folder).free < FULL_BYTES
-            if ended.crashed and not full and self.num_tries[running.node.id] < self.attempts:
+            if ended.crashed and not full and self.num_tries[running.node.id] < self.faults.attempts:
                 note = " ".join([running.note, f"{_reason(task, error)} It is tried again from its last checkpoint."]).strip()
                 self._start(running.node, task, self._now_s(), note)
                 return
-            if full or not self.may_fail(running.node, error):
+            if full or not self.faults.may_fail(running.node, error):
                 raise error
             self.listen(Warned(stage=task.stage, message=_reason(task, error)))
+            self.faults.on_lost(running.node, {*self.times, *self.running})
         now_s = self._now_s()
         self.times[running.node.id] = NodeTime(started_s=running.started_s, ended_s=now_s)
         if error is None and running.began:
@@ -230,13 +242,13 @@ class Fold:
             if silent_s > SILENT_S:
                 message = f"{stage}: its process gave no sign of life for {silent_s:.0f} s and was stopped; run again with --resume."
                 self._give_up(running, Ended(error=StageFailed(message), crashed=True))
-            elif self.watch is not None:
-                self._look_at(node_id, running, self._now_s() - running.started_s, self.watch)
+            elif self.faults.watch is not None:
+                self._look_at(node_id, running, self._now_s() - running.started_s, self.faults.watch)
 
     def _look_at(self, node_id: str, running: _Running, ran_s: float, watch: Watch) -> None:
         if (reason := watch.too_late(node_id, ran_s)) is not None:
             error = StageFailed(f"{running.task.stage}: {reason}, and was given up.")
-            if self.may_fail(running.node, error):
+            if self.faults.may_fail(running.node, error):
                 self._give_up(running, Ended(error=error))
                 return
         if not running.warned and (reason := watch.late(node_id, ran_s)) is not None:

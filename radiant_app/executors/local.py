@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from radiant_app.events import Beat, Event, Failed, Listener, decode
-from radiant_app.executors.fold import FULL_BYTES, Ended, Fold, MayFail, Watch
+from radiant_app.executors.fold import FULL_BYTES, Ended, Faults, Fold
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
@@ -40,26 +40,13 @@ class LocalExecutor:
     num_workers: int
     clock: Callable[[], float] = time.monotonic
     command: Callable[[NodeTask], list[str]] = worker_command
-    may_fail: MayFail = lambda node, error: False
-    """Nodes without which the rest goes on: their failure is a warning."""
-    attempts: int = 1
-    """How often a node is tried whose process ends without saying why."""
-    watch: Watch | None = None
-    """Who is late; None: nobody is."""
+    faults: Faults = field(default_factory=Faults)
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
         threads = max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, _width(tree))))
         runner = _Processes(num_workers=self.num_workers, command=self.command, num_threads=threads)
-        fold = Fold(
-            runner=runner,
-            prepare=prepare,
-            listen=listen,
-            clock=self.clock,
-            may_fail=self.may_fail,
-            attempts=self.attempts,
-            watch=self.watch,
-        )
+        fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, faults=self.faults)
         return fold.run(tree)
 
 

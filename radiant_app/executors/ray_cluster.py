@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.events import Beat, Event, Failed, Listener, decode
-from radiant_app.executors.fold import Began, Ended, Fold, MayFail, Watch
+from radiant_app.executors.fold import Began, Ended, Faults, Fold
 from radiant_app.executors.local import end_of, interrupts_later, worker_command
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
@@ -51,24 +51,14 @@ class RayExecutor:
     """File for what Ray itself has to say."""
     clock: Callable[[], float] = time.monotonic
     command: Callable[[NodeTask], list[str]] = worker_command
-    may_fail: MayFail = lambda node, error: False
-    attempts: int = 1
-    watch: Watch | None = None
+    faults: Faults = field(default_factory=Faults)
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`. BadInput where Ray is not installed or no cluster answers at the address."""
         if find_spec("ray") is None:
             raise BadInput("Ray is not installed: pip install 'radiant-splats[cluster]', or leave out --executor ray.")
         runner = _Cluster(address=self.address, log=self.log, command=self.command, tree=tree)
-        fold = Fold(
-            runner=runner,
-            prepare=prepare,
-            listen=listen,
-            clock=self.clock,
-            may_fail=self.may_fail,
-            attempts=self.attempts,
-            watch=self.watch,
-        )
+        fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, faults=self.faults)
         with runner:
             return fold.run(tree)
 
