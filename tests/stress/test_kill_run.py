@@ -27,6 +27,8 @@ import radiant_app.stages
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageStarted, Warned
+from radiant_core.io.records import load_plan
+from radiant_core.io.run_store import read_json
 from radiant_core.train.needs import Overrides
 from tests.stress.kill_harness import differing_files, random_moments, run_killed
 
@@ -66,13 +68,18 @@ def config_of(out: Path) -> RunConfig:
     )
 
 
+def hamlet_in(folder: Path) -> None:
+    """The hamlet with its known poses as a COLMAP project of that name in `folder`."""
+    (folder / "hamlet").mkdir()
+    (folder / "hamlet" / "images").symlink_to(sample_scenes_folder() / "hamlet" / "images")
+    (folder / "hamlet" / "sparse").symlink_to(sample_scenes_folder() / "hamlet" / "known")
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, float]]:
     """A run left alone, and the CPU seconds of its stages."""
     folder = tmp_path_factory.mktemp("kills")
-    (folder / "hamlet").mkdir()
-    (folder / "hamlet" / "images").symlink_to(sample_scenes_folder() / "hamlet" / "images")
-    (folder / "hamlet" / "sparse").symlink_to(sample_scenes_folder() / "hamlet" / "known")
+    hamlet_in(folder)
     (folder / "system.toml").write_text(SYSTEM)
     seconds: dict[str, float] = {}
     before_s = 0.0
@@ -193,3 +200,26 @@ def test_a_run_whose_main_process_is_killed_again_and_again_resumes_with_the_sam
     assert story.num_kills >= 1, story
     assert differing_files(undisturbed, out, RESULTS) == []
     assert worker_in(out / "cloud") is None
+
+
+def test_the_photographs_of_a_device_that_always_dies_go_to_one_that_has_not_begun_and_are_named(
+    whole: tuple[Path, dict[str, float]],
+) -> None:
+    undisturbed, seconds = whole
+    out = undisturbed.parent / "lost"
+    shutil.copytree(undisturbed, out)
+    for node in ("devices", "edges", "cloud"):
+        shutil.rmtree(out / node)
+    killer = Killer("devices/a-1", out / "devices/a-1", [0.3 * seconds["devices/a-1"]] * radiant_app.stages.ATTEMPTS)
+    result = radiant_app.pipeline.run(config_of(out), killer, resume=True)
+    manifest = read_json(out / "manifest.json")
+    (decision,) = (row for row in manifest["decisions"] if row["topic"] == "lost device")
+    _, before = load_plan(undisturbed / "plan.json")
+    assert decision["choice"].startswith(f"{len(before[0].cameras_of('a-1'))} photographs of a-1 go to")
+    cloud, after = load_plan(out / "plan.json")
+    assert sum(len(plan.cameras_of(device)) for plan in after for device in plan.device_ids) == len(cloud.edge_of_camera)
+    assert len(after[0].cameras_of("a-1")) == 0 and result.metrics["missing"] == {}
+    assert (out / "devices/a-1/done.json").exists() is False
+    begun: list[str] = []
+    radiant_app.pipeline.run(config_of(out), lambda event: begun.extend([event.stage] * isinstance(event, StageStarted)), resume=True)
+    assert begun == [], "what others trained in its place is not trained again"
