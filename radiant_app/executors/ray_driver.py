@@ -30,6 +30,7 @@ os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 
 import ray
+from ray.exceptions import RayError
 
 from radiant_app.events import Failed, encode
 from radiant_core.errors import RadiantError, StageFailed
@@ -115,8 +116,8 @@ class _Driver:
         for node in [node for node, task in self.tasks.items() if any(task.items is items for items in ready)]:
             task = self.tasks[node]
             try:
-                item = ray.get(next(task.items))
-            except (StopIteration, ray.exceptions.RayError) as error:
+                item: Any = ray.get(next(task.items))
+            except (StopIteration, RayError) as error:
                 del self.tasks[node]
                 _say(node=node, lost=f"its machine or Ray's worker is gone ({type(error).__name__}).")
                 continue
@@ -250,7 +251,7 @@ def _connect(address: str) -> str | None:
         return f"no Ray cluster answers at {address} ({error}): start it by `ray start --head`, or correct --address."
     try:
         ray.init(address=address, **quiet)
-    except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+    except (ConnectionError, RuntimeError, ValueError, RayError) as error:
         first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         return f"this machine cannot join the Ray cluster at {address} ({first}): run `ray start --address {address}` here too."
     return None

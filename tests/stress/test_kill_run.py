@@ -221,5 +221,10 @@ def test_the_photographs_of_a_device_that_always_dies_go_to_one_that_has_not_beg
     assert len(after[0].cameras_of("a-1")) == 0 and result.metrics["missing"] == {}
     assert (out / "devices/a-1/done.json").exists() is False
     begun: list[str] = []
-    radiant_app.pipeline.run(config_of(out), lambda event: begun.extend([event.stage] * isinstance(event, StageStarted)), resume=True)
+
+    def note(event: Event) -> None:
+        if isinstance(event, StageStarted):
+            begun.append(event.stage)
+
+    radiant_app.pipeline.run(config_of(out), note, resume=True)
     assert begun == [], "what others trained in its place is not trained again"
