@@ -17,6 +17,7 @@ from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
 from radiant_app.cli_replan import replan_plan
 from radiant_app.option_types import BenchPlot, BenchScene, RasterCellOption, SizeOption
+from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
 
@@ -106,6 +107,10 @@ def run(
     lpips_net: LpipsNet = "vgg",
     seed: Seed = 0,
     workers: Annotated[int, typer.Option(min=0, help="Processes at a time; 0: one per core.")] = 0,
+    executor: Annotated[Literal["local", "ray"], typer.Option(help="local: processes here; ray: tasks of one owner's cluster.")] = "local",
+    address: Annotated[str | None, typer.Option(help="ray: host:port of the cluster's head, or local.", show_default=False)] = None,
+    deadline: Annotated[float, typer.Option("--deadline-factor", min=0, help="Give up who takes so many times its time; 0: never.")] = 10.0,
+    checkpoint_every: Annotated[str, typer.Option(help="Time between two checkpoints of a training.")] = "10s",
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -118,18 +123,13 @@ def run(
     if is_job_file(source):
         _run_batch(context, source, out, resume, as_json)
         return
-    if out is None:
-        raise BadInput("--out is missing: name the run's folder.")
-    if system is not None and emulate is not None:
-        raise BadInput("--system and --emulate both name a system: keep one of them.")
-    if plan is not None and plan_method is not None:
-        raise BadInput("--plan keeps to a plan that is made and --plan-method makes another: leave one of them out.")
+    out = _checked_out(out, both_systems=None not in (system, emulate), both_plans=None not in (plan, plan_method))
     from radiant_app.config import RunConfig, run_preset
     from radiant_app.settings import settings_of
     from radiant_core.train.needs import Overrides
 
     given = {"train_preset": train_preset, "aggregate_preset": aggregate_preset, "plan_method": plan_method, "matching": matching}
-    chosen = run_preset(preset, **given, upload=upload)
+    chosen = run_preset(preset, **given, upload=upload, executor=executor, address=address, deadline_factor=deadline)
     held: dict[str, Any] = {"poses": poses, "masks": masks, "plan": plan, "single_owner": single_owner, "raster_cell_m": raster_cell_m}
     config = RunConfig(
         source=source,
@@ -145,6 +145,7 @@ def run(
         lpips_network=lpips_net,
         seed=seed,
         max_workers=workers,
+        checkpoint_every_s=seconds_of(checkpoint_every),
     )
     _run(config, resume, as_json, context.obj)
 
@@ -207,7 +208,6 @@ def train(
     as_json: AsJson = False,
 ) -> None:
     """One model from all photographs of a scene but every 8th, without regions; scored on those that were held out."""
-    from radiant_app.quantities import bytes_of, seconds_of
     from radiant_app.settings import settings_of
     from radiant_app.train_command import TrainRequest
     from radiant_app.train_command import train as run_training
@@ -426,6 +426,17 @@ def _interrupt(number: int, frame: Any) -> NoReturn:
     # Raised inside a finalizer, Python drops it: ask again until somebody hears.
     signal.setitimer(signal.ITIMER_REAL, 1.0)
     raise KeyboardInterrupt
+
+
+def _checked_out(out: Path | None, *, both_systems: bool, both_plans: bool) -> Path:
+    """The folder of `radiant run`; BadInput where options contradict."""
+    if out is None:
+        raise BadInput("--out is missing: name the run's folder.")
+    if both_systems:
+        raise BadInput("--system and --emulate both name a system: keep one of them.")
+    if both_plans:
+        raise BadInput("--plan keeps to a plan that is made and --plan-method makes another: leave one of them out.")
+    return out
 
 
 def _run(config: Any, resume: bool, as_json: bool, listener: Any = None) -> None:

@@ -88,6 +88,14 @@ class RunConfig:
     """Seed of every random choice."""
     max_workers: int = 0
     """Processes at a time; 0: one per core."""
+    checkpoint_every_s: float = 10.0
+    """Seconds between two checkpoints of a training: what a kill may lose."""
+    executor: Literal["local", "ray"] = "local"
+    """Where nodes run: as processes of this machine, or as tasks of a Ray cluster of one owner's machines."""
+    address: str | None = None
+    """With executor "ray": host:port of the cluster's head, or "local" for a cluster on this machine alone."""
+    deadline_factor: float = 10.0
+    """A device or edge that takes so many times its planned time, corrected by what was measured, is given up; 0: never."""
 
     @property
     def early_teachers(self) -> bool:
@@ -109,6 +117,12 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.max_workers < 0:
             raise BadInput(f"max_workers is {self.max_workers}, expected 0 (one per core) or more.")
+        if not (self.deadline_factor == 0 or 1 <= self.deadline_factor < float("inf")):
+            raise BadInput(f"the deadline is {self.deadline_factor} times the planned time, expected 1 or more, or 0 for none.")
+        if (self.executor == "ray") != (self.address is not None):
+            raise BadInput("--executor ray and --address belong together: give the address of the cluster's head, host:port, or local.")
+        if self.executor == "ray" and (self.emulated or self.max_workers):
+            raise BadInput("a Ray cluster has machines and processes of its own: leave out --emulate and --workers.")
         if self.emulated and (self.system is None or self.max_workers):
             raise BadInput("an emulated run needs a system file and runs all its devices at once: leave the number of workers out.")
         if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:

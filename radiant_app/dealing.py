@@ -33,6 +33,8 @@ from radiant_core.train.config import TrainConfig
 MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
 """What a device or edge keeps, and what it sends where that is not the same file. In an inbox both are called by the first name."""
 
+ENDED = "its process ended before it was done; the warnings say how."
+
 Filled = tuple[dict[str, Any], Sequence[Path]]
 """The content of a node's task.json and the files it may read besides."""
 
@@ -49,7 +51,10 @@ class Dealer:
     aggregate: AggregateConfig
     backend: str
     upload: UploadFormat = "float32"
+    checkpoint_every_s: float = 10.0
     ledger: list[dict[str, Any]] = field(default_factory=list)
+    keys: dict[str, str] = field(default_factory=dict)
+    """Node id → the key it is sealed with when it is done, so that only what this run finished is used."""
 
     def prepare(self, node: Tree) -> NodeTask | None:
         """Fill the node's folder and say what to run there; None where nothing arrived that could be joined."""
@@ -66,9 +71,12 @@ class Dealer:
             _drop_other_views(folder, key)
         else:
             self.ledger.append({"node": node.id, "tier": node.tier, **received(inputs)})
-        # Who rendered a view does not change it, so it is not in the edge's key.
-        teachers = {"teachers": [child.name for child in node.children if child.tier == "teacher"]} if node.tier == "edge" else {}
-        write_json(folder / "task.json", {**task, **teachers})
+        # What changes no bit of the result is not in the key: who rendered a view, how often a training is saved.
+        unkeyed: dict[str, Any] = {"checkpoint_every_s": self.checkpoint_every_s}
+        if node.tier == "edge":
+            unkeyed["teachers"] = [child.name for child in node.children if child.tier == "teacher"]
+        write_json(folder / "task.json", {**task, **unkeyed})
+        self.keys[node.id] = key
         return NodeTask(kind=self.kinds[node.tier], stage=node.id, folder=folder, key=key)
 
     @property
@@ -89,8 +97,12 @@ class Dealer:
         raise NotImplementedError
 
     def delivered(self, node: Tree) -> bool:
-        """Whether a device or edge that has run has a model; False where devices may fail."""
-        return True
+        """Whether a device or edge is done in this run and has a model."""
+        return self.is_done(node.id)
+
+    def is_done(self, node_id: str) -> bool:
+        """Whether the node with this id is done in this run."""
+        return node_id in self.keys and is_sealed(self.run / node_id, self.keys[node_id])
 
     def fill_teacher(self, node: Tree, folder: Path) -> Filled | None:
         """What the teacher's device uploaded."""
@@ -164,18 +176,26 @@ class SharedDealer(Dealer):
     scene: SfmScene
 
     def delivered(self, node: Tree) -> bool:
-        """Whether a device or edge that has run has a model: an edge has none where all that arrived was refused."""
+        """Whether a device or edge is done and has a model: an edge has none where all that arrived was refused."""
+        if not self.is_done(node.id):
+            return False
         return node.tier != "edge" or read_json(self.run / node.id / "frame.json", ("status",))["status"] == "placed"
 
     def missing(self) -> dict[str, str]:
-        """Devices whose model is not in the scene, and why."""
+        """Devices with photographs whose model is not in the scene, and why."""
         cloud = self._refused("cloud")
-        found = {}
+        found: dict[str, str] = {}
         for plan in self.edge_plans:
-            edge = plan.edge_id
-            found |= {device: f"edges/{edge} refused {device}: {reason}" for device, reason in self._refused(f"edges/{edge}").items()}
-            if edge in cloud:
-                found |= {device: f"cloud refused {edge}: {cloud[edge]}" for device in plan.device_ids if device not in found}
+            edge, refused = plan.edge_id, self._refused(f"edges/{plan.edge_id}")
+            for device in (device for device in plan.device_ids if len(plan.cameras_of(device))):
+                if not self.is_done(f"devices/{device}"):
+                    found[device] = f"{ENDED} Its {len(plan.cameras_of(device))} photographs are in no model."
+                elif device in refused:
+                    found[device] = f"edges/{edge} refused {device}: {refused[device]}"
+                elif not self.is_done(f"edges/{edge}"):
+                    found[device] = f"edges/{edge}: {ENDED}"
+                elif edge in cloud:
+                    found[device] = f"cloud refused {edge}: {cloud[edge]}"
         return found
 
     def _refused(self, node_id: str) -> dict[str, str]:

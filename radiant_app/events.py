@@ -22,6 +22,8 @@ class StageStarted:
     """A stage or node of the tree begins."""
 
     stage: str
+    machine: str = ""
+    """Where, in a cluster."""
     emulated: bool = False
     """Whether its time says how long an emulated machine or link takes, and not this one."""
 
@@ -94,7 +96,14 @@ class Failed:
     exit_code: int
 
 
-Event = StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
+@dataclass(frozen=True, kw_only=True)
+class Beat:
+    """The process of a stage is alive; for the executor alone."""
+
+    stage: str
+
+
+Event = Beat | StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
 Listener = Callable[[Event], None]
 
 _TYPES: dict[str, Any] = {kind.__name__: kind for kind in get_args(Event)}

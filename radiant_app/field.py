@@ -23,6 +23,7 @@ from radiant_app.config import RunConfig
 from radiant_app.dealing import received
 from radiant_app.evaluation import PICTURE_KINDS
 from radiant_app.events import Warned
+from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field_dealing import DeviceShare, FieldDealer, Scorer
@@ -106,6 +107,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
         aggregate=aggregate,
         backend=backend,
         upload=config.upload,
+        checkpoint_every_s=config.checkpoint_every_s,
         frames=config.frames,
         shares=shares,
         origin=captured.origin,
@@ -113,12 +115,13 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
         sfm={"matching": config.matching, "seed": config.seed, "two_view_points": True},
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
-    executor = executor_of(config, system, progress, may_fail=lambda node: node.tier != "cloud")
+    listen = counting_down(config, system, edge_plans, progress)
+    executor = executor_of(config, system, progress, Faults(may_fail=lambda node, error: node.tier != "cloud", watch=listen))
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
     positions = {"positions", *(f"positions/{device}" for device in folders or ())}
     planning = {STAGE} if (config.out / STAGE).is_dir() else set()
     progress.manifest.keep_stages({*positions, *planning, *scores, *(node.id for node in tree)})
-    executor.fold(tree, dealer.prepare, counting_down(config, system, edge_plans, progress))
+    executor.fold(tree, dealer.prepare, listen)
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
         raise StageFailed("no device delivered a model. " + " ".join(f"{name}: {reason}" for name, reason in missing.items()))

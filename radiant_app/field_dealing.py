@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.dealing import Dealer, Filled, deal_files, received
+from radiant_app.dealing import ENDED, Dealer, Filled, deal_files, received
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
@@ -45,8 +45,6 @@ class FieldDealer(Dealer):
     origin: FloatArray | None
     poses: GivenPoses | None
     sfm: dict[str, Any]
-    keys: dict[str, str] = field(default_factory=dict)
-    """Node id → the key it is sealed with when it is done."""
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -54,13 +52,11 @@ class FieldDealer(Dealer):
         return {**super().kinds, "device": "field"}
 
     def prepare(self, node: Tree) -> NodeTask | None:
-        """As in a shared run; the keys are kept, so that only what this run finished is used."""
+        """As in a shared run; what a device fetches itself is counted too."""
         task = super().prepare(node)
-        if task is not None:
-            self.keys[node.id] = task.key
-            if node.tier == "device" and self.shares[node.name].copy:
-                fetched = received(self._photographs_of(node.name))
-                self.ledger[-1] |= {key: fetched[key] for key in ("num_photographs", "photograph_bytes")}
+        if task is not None and node.tier == "device" and self.shares[node.name].copy:
+            fetched = received(self._photographs_of(node.name))
+            self.ledger[-1] |= {key: fetched[key] for key in ("num_photographs", "photograph_bytes")}
         return task
 
     def _photographs_of(self, device: str) -> list[Path]:
@@ -108,9 +104,7 @@ class FieldDealer(Dealer):
 
     def has_model(self, node_id: str) -> bool:
         """Whether the node with this id is done in this run and has a model."""
-        folder = self.run / node_id
-        done = node_id in self.keys and is_sealed(folder, self.keys[node_id])
-        return done and read_json(folder / "frame.json", ("status",))["status"] == "placed"
+        return self.is_done(node_id) and read_json(self.run / node_id / "frame.json", ("status",))["status"] == "placed"
 
     def moves(self) -> dict[str, list[Any]]:
         """Devices whose model is in the scene → the similarities from their own frame to the scene's, first to last."""
@@ -132,7 +126,7 @@ class FieldDealer(Dealer):
         if key is None:
             return "it has no photograph to train on whose place is known."
         if not is_sealed(folder, key):
-            return "its process ended before it was done; the warnings say how."
+            return ENDED
         frame = read_json(folder / "frame.json", ("status", "reason"))
         if frame["status"] == "missing":
             return frame["reason"]

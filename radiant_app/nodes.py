@@ -13,7 +13,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +49,9 @@ if TYPE_CHECKING:
 Emit = Callable[[Event], None]
 CHECKPOINTS = "checkpoints"
 """Folder of a training's checkpoints inside its node's; gone when the node is done."""
+CHECKPOINT_EVERY_S = 10.0
+UNKEYED = ("teachers", "checkpoint_every_s")
+"""What a task.json says that changes no bit of the result: who rendered a view, how often a training is saved."""
 MASKS = "masks"
 """Folder of masks beside a node's photographs, where there are any."""
 
@@ -141,7 +144,7 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     scene, views = without_useless(scene, views, config, running)
     config = needed(scene, views, config, task["backend"], running)
     initial = first_model(scene, views, config, running)
-    checkpoints = checkpoints_in(folder, training_key(initial, views, config, options), running)
+    checkpoints = checkpoints_in(folder, training_key(initial, views, config, options), task, running)
     result = fit(initial, views, config, replace(options, checkpoints=checkpoints), running)
     save_splats(folder / "model.safetensors", result.splats)
     summary = {**training_summary(result), "num_photographs": len(views), "num_points": len(scene.points)}
@@ -151,12 +154,17 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     return initial, ["model.safetensors", "summary.json", *uploaded]
 
 
-def checkpoints_in(folder: Path, key: str, running: tuple[str, Emit]) -> CheckpointFolder:
+def checkpoints_in(folder: Path, key: str, task: Mapping[str, Any], running: tuple[str, Emit]) -> CheckpointFolder:
     """Checkpoints of the training with this key in a node's folder, without those that an older plan or other settings left there."""
     from radiant_core.train.checkpoint import CheckpointFolder
 
     stage, emit = running
-    checkpoints = CheckpointFolder(folder / CHECKPOINTS, key, warn=lambda message: emit(Warned(stage=stage, message=message)))
+    checkpoints = CheckpointFolder(
+        folder / CHECKPOINTS,
+        key,
+        every_s=task.get("checkpoint_every_s", CHECKPOINT_EVERY_S),
+        warn=lambda message: emit(Warned(stage=stage, message=message)),
+    )
     checkpoints.remove_foreign()
     return checkpoints
 
@@ -259,9 +267,7 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     ]
     if len(inbox.models) > 1:
         emit(Decided(decision=_teachers_decision(stage, rendered, inbox.cameras)))
-    # Who rendered a view does not change it.
-    key = content_key(__version__, {name: value for name, value in task.items() if name != "teachers"}, folder / "inbox")
-    checkpoints = checkpoints_in(folder, key, (stage, emit))
+    checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
     options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
     strips = [np.array(task["strips"][task["devices"].index(name)]).reshape(-1, 2) for name in inbox.senders]
     asked = zip(inbox.models, inbox.cameras, rendered, strict=True)
@@ -292,12 +298,15 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         return _nothing_placed(folder, inbox)
     outputs = ["scene.ply", "summary.json", *save_frames(folder, inbox)]
     if aggregate.cloud == "retrain":
-        joined = retrained_at_cloud(task, inbox, stage, emit, fit_options(stage, task["backend"], emit))
+        checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
+        options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
+        joined = retrained_at_cloud(task, inbox, stage, emit, options)
         if joined is not None:
             for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
                 emit(Decided(decision=decision))
             save_ply(folder / "scene.ply", joined.splats)
             write_json(folder / "summary.json", training_summary(joined.trained))
+            checkpoints.remove()
             return outputs
     rows = [task["edges"].index(name) for name in inbox.senders]
     sites, weights = np.array(task["sites"])[rows], np.array(task["weights"])[rows]
@@ -307,6 +316,11 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
     write_json(folder / "summary.json", counts)
     return outputs
+
+
+def _inbox_key(folder: Path, task: Mapping[str, Any]) -> str:
+    """Key of a training on what was sent to this node: all of its task that can change a bit of the result."""
+    return content_key(__version__, {name: value for name, value in task.items() if name not in UNKEYED}, folder / "inbox")
 
 
 def _nothing_placed(folder: Path, inbox: Inbox) -> Sequence[str]:

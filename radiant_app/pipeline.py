@@ -20,11 +20,14 @@ from radiant_app.evaluation import LPIPS_NAME, PICTURE_KINDS
 from radiant_app.event_file import EventFile
 from radiant_app.events import Listener, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
+from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.field import run_in_the_field
 from radiant_app.memory import peak_bytes
 from radiant_app.prediction_error import prediction_of
+from radiant_app.promises import promises_of
+from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.run_folder import Manifest, opened_run
 from radiant_app.sources import detect_source, source_files
 from radiant_app.stages import Progress, counting_down, executor_of, plan_stage, require_plan, training_settings, with_uploads
@@ -87,15 +90,15 @@ def run(
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
         progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
-        missing: dict[str, Any] = {}
+        more: dict[str, Any] = {"executor": config.executor, "promises": promises_of(config)}
         if config.frames == "shared":
             cloud_plan, tree, refused = _run_shared(config, system, progress)
-            missing["missing"] = refused
+            more["missing"] = refused
         else:
             cloud_plan, tree = run_in_the_field(config, system, progress)
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
         emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
-        metrics = _write_metrics(config.out, manifest, cloud_plan, {**emulation, **missing})
+        metrics = _write_metrics(config.out, manifest, cloud_plan, {**emulation, **more})
         manifest.status = "done"
         write_report(config.out, manifest, metrics)
     return RunResult(folder=config.out, metrics=metrics)
@@ -113,6 +116,8 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     system, cloud_plan, edge_plans = plan_stage(
         config, with_uploads(system, config.upload, progress), training.cameras.centers[:, :2], origin, progress
     )
+    first_key = plan_key(cloud_plan, edge_plans)
+    cloud_plan, edge_plans = replanned(config.out, cloud_plan, edge_plans)
     train, aggregate, backend = training_settings(config, progress)
     require_size(scene, train.long_side_px, config.lpips_network if config.lpips_weights else None)
     dealer = SharedDealer(
@@ -126,10 +131,16 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
         aggregate=aggregate,
         backend=backend,
         upload=config.upload,
+        checkpoint_every_s=config.checkpoint_every_s,
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
-    executor_of(config, system, progress).fold(tree, dealer.prepare, counting_down(config, system, edge_plans, progress))
+    listen = counting_down(config, system, edge_plans, progress)
+    rescue = Rescue(dealer=dealer, tree=tree, first_plan_key=first_key, listen=listen)
+    executor_of(config, system, progress, Faults(may_fail=_goes_on_without, watch=listen, on_lost=rescue)).fold(
+        tree, dealer.prepare, listen
+    )
+    cloud_plan = dealer.cloud_plan
     progress.manifest.ledger = dealer.ledger
     missing = dealer.missing()
     if not any(dealer.delivered(node) for node in tree if node.tier == "edge"):
@@ -138,6 +149,11 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     for kind in PICTURE_KINDS:
         shutil.copytree(config.out / "evaluation" / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
     return cloud_plan, tree, missing
+
+
+def _goes_on_without(node: Tree, error: BadInput | StageFailed) -> bool:
+    """One owner can mend what is unusable input; a machine that is gone he may not get back."""
+    return node.tier != "cloud" and isinstance(error, StageFailed)
 
 
 def sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:

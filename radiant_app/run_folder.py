@@ -26,7 +26,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.run_store import LOCK_NAME, RunLock, write_json
 
 MANIFEST_VERSION = 1
-RECORDED = ("config", "status", "stages", "emulated", "peak_bytes", "decisions", "warnings", "ledger")
+RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings", "ledger")
 
 
 @dataclass
@@ -40,6 +40,8 @@ class Manifest:
     """Stage → started_s and ended_s since the run began; a skipped stage keeps the times of the run that finished it."""
     emulated: dict[str, dict[str, float]] = field(default_factory=dict)
     """As `stages`, of devices, edges and their uplinks in an emulated run: never among measured times."""
+    machines: dict[str, str] = field(default_factory=dict)
+    """Stage → the machine of a cluster that ran it last."""
     peak_bytes: dict[str, int] = field(default_factory=dict)
     """Stage → the most memory its process held, with its libraries."""
     decisions: list[dict[str, Any]] = field(default_factory=list)
@@ -51,6 +53,8 @@ class Manifest:
         if isinstance(event, StageStarted):
             self.forget(event.stage)
             self._times(event)[event.stage] = {"started_s": now_s, "ended_s": now_s}
+            if event.machine:
+                self.machines[event.stage] = event.machine
         elif isinstance(event, StageDone):
             self._times(event)[event.stage]["ended_s"] = now_s
             self.save()
@@ -197,7 +201,17 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
     for name in ("system", "poses", "plan", "masks"):
         path = getattr(config, name)
         fields[name] = None if path is None else str(path.resolve())
-    for name in ("out", "max_workers", "teachers", "lpips_weights", "lpips_network"):
+    for name in (
+        "out",
+        "max_workers",
+        "executor",
+        "address",
+        "checkpoint_every_s",
+        "deadline_factor",
+        "teachers",
+        "lpips_weights",
+        "lpips_network",
+    ):
         del fields[name]
     return fields
 
@@ -221,6 +235,7 @@ class _Record(BaseModel):
     config: dict[str, Any]
     stages: dict[str, dict[str, float]]
     emulated: dict[str, dict[str, float]] = {}
+    machines: dict[str, str] = {}
     peak_bytes: dict[str, int] = {}
     decisions: list[dict[str, Any]]
     warnings: list[str]
@@ -232,7 +247,7 @@ def read_manifest(run: Path) -> Manifest:
     if not path.is_file():
         raise BadInput(f"{run} holds no manifest.json: give the folder of a run.")
     record = _record(path)
-    kept = {name: getattr(record, name) for name in ("config", "stages", "emulated", "peak_bytes", "decisions", "warnings")}
+    kept = {name: getattr(record, name) for name in ("config", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")}
     return Manifest(folder=run, **kept)
 
 
@@ -255,5 +270,5 @@ def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
         raise BadInput(
             f"{out} was begun with another {', '.join(differing)}: repeat those settings to resume, remove it, or choose another folder."
         )
-    kept = {name: getattr(record, name) for name in ("stages", "emulated", "peak_bytes", "decisions", "warnings")}
+    kept = {name: getattr(record, name) for name in ("stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")}
     return Manifest(folder=out, config=settings, **kept)

@@ -10,6 +10,7 @@ from radiant_app.cloud_planning import placed_by_raster, plan_at_cloud
 from radiant_app.config import RunConfig
 from radiant_app.events import Decided, Event, Listener, StageSkipped, Warned
 from radiant_app.executors.emulated import EmulatedExecutor
+from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.nodes import read_notes
@@ -18,7 +19,6 @@ from radiant_app.predictions import planned_training, prediction_warnings, train
 from radiant_app.run_folder import Manifest
 from radiant_app.time_left import TimeLeftListener
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
-from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
@@ -35,6 +35,8 @@ from radiant_core.render.contract import resolve_backend
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import fit_to_backend
 
+ATTEMPTS = 3
+"""How often a node is tried whose process was killed or whose machine is gone: more often it is not chance."""
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of an edge's retraining on the plain PyTorch backend."""
 
@@ -128,7 +130,7 @@ def _made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints
     return cloud_plan, edge_plans, waypoints
 
 
-def executor_of(config: RunConfig, system: System, progress: Progress, may_fail: Callable[[Tree], bool] = lambda node: False) -> Executor:
+def executor_of(config: RunConfig, system: System, progress: Progress, faults: Faults) -> Executor:
     """Who runs the nodes: this machine as it is, or as slow as the system says."""
     if config.emulated and config.teachers == "early":
         decision = Decision(
@@ -140,11 +142,16 @@ def executor_of(config: RunConfig, system: System, progress: Progress, may_fail:
             reason="an emulated edge renders them itself, at its own speed",
         )
         progress.listen(Decided(decision=decision))
-    local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, may_fail=may_fail)
+    faults = replace(faults, attempts=ATTEMPTS)
+    if config.address is not None:
+        from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
+
+        return RayExecutor(address=config.address, log=config.out / LOG_NAME, clock=progress.clock, faults=faults)
+    local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, faults=faults)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 
 
-def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> Listener:
+def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> TimeLeftListener:
     """`progress.listen` that also says after each device and edge how long the others will take."""
     return TimeLeftListener(
         listen=progress.listen,
@@ -153,6 +160,7 @@ def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePl
         num_workers=config.num_workers,
         emulated=config.emulated,
         clock=progress.clock,
+        deadline_factor=config.deadline_factor,
     )
 
 

@@ -11,6 +11,11 @@ from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.prediction import PlannedStage, corrected_system, left_s, planned_stages
 from radiant_core.plan.system import System
 
+LATE_FACTOR = 4.0
+"""A node that takes so many times its time is late: times of equal photographs differ by less than 2 (docs/experiments/emulation.md)."""
+LEAST_S = 60.0
+"""Nobody is late before: what starts and loads is not planned for small scenes."""
+
 
 @dataclass(kw_only=True)
 class TimeLeftListener:
@@ -23,6 +28,9 @@ class TimeLeftListener:
     emulated: bool
     """Whether nodes send over emulated links before they end; all of them then run at once."""
     clock: Callable[[], float] = time.monotonic
+    deadline_factor: float = 0.0
+    """A node that takes so many times its time is too late; 0: none ever is."""
+    _expected_s: dict[str, float] = field(default_factory=dict[str, float])
     _started_s: dict[str, float] = field(default_factory=dict[str, float])
     _measured: dict[tuple[str, str], float] = field(default_factory=dict[tuple[str, str], float])
     _done: set[str] = field(default_factory=set[str])
@@ -52,10 +60,26 @@ class TimeLeftListener:
         elif isinstance(event, StageSkipped):
             self._end(node)
 
+    def late(self, node_id: str, ran_s: float) -> str | None:
+        """See `Watch`."""
+        return self._over(node_id, ran_s, LATE_FACTOR)
+
+    def too_late(self, node_id: str, ran_s: float) -> str | None:
+        """See `Watch`."""
+        return self._over(node_id, ran_s, self.deadline_factor) if self.deadline_factor else None
+
+    def _over(self, node_id: str, ran_s: float, factor: float) -> str | None:
+        expected_s = self._expected_s.get(node_id)
+        # A system file may be wrong by any factor: without a measured node of this tier nobody knows who is late.
+        known = any(node.split("/")[0] == node_id.split("/", maxsplit=1)[0] for node, _ in self._measured)
+        if expected_s is None or not known or ran_s < max(LEAST_S, factor * expected_s):
+            return None
+        return f"it has run for {ran_s:.0f} s, where the plan, corrected by what was measured, says {expected_s:.0f} s"
+
     def _end(self, node: str) -> None:
         self._done.add(node)
         mended = planned_stages(corrected_system(self.system, self._planned, self._measured), self.edge_plans)
-        expected_s = _node_seconds(mended, with_sending=self.emulated)
+        self._expected_s = expected_s = _node_seconds(mended, with_sending=self.emulated)
         now_s = self.clock()
         running_s = {name: now_s - started_s for name, started_s in self._started_s.items() if name not in self._done}
         rest = [name for name in expected_s if name not in self._done]

@@ -10,12 +10,17 @@ import os
 import stat
 import sys
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
-from radiant_app.events import Event, Failed, MemoryPeaked, encode
+from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
 from radiant_app.memory import peak_bytes
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.run_store import seal
+
+BEAT_S = 5.0
+"""How often a worker says that it is alive."""
 
 
 def main(arguments: list[str]) -> int:
@@ -27,9 +32,13 @@ def main(arguments: list[str]) -> int:
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 
-    def emit(event: Event) -> None:
-        events.write(encode(event) + "\n")
+    writing = threading.Lock()
 
+    def emit(event: Event) -> None:
+        with writing:
+            events.write(encode(event) + "\n")
+
+    threading.Thread(target=_beat, args=(stage, emit), daemon=True).start()
     try:
         from radiant_app.nodes import run_node
 
@@ -46,6 +55,12 @@ def main(arguments: list[str]) -> int:
         emit(Failed(stage=stage, message="not enough memory: lower --max-splats or --long-side-px, or free some.", exit_code=1))
         return 1
     return 0
+
+
+def _beat(stage: str, emit: Callable[[Event], None]) -> None:
+    while True:
+        time.sleep(BEAT_S)
+        emit(Beat(stage=stage))
 
 
 def _end_with_the_executor() -> None:

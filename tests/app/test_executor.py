@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -36,11 +37,15 @@ seal(Path('.'), 'key', ['made'])
 """
 
 
-def executor(scripts: dict[str, str], num_workers: int = 2) -> LocalExecutor:
+def commands(scripts: dict[str, str]) -> Callable[[NodeTask], list[str]]:
     def command(task: NodeTask) -> list[str]:
         return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
 
-    return LocalExecutor(num_workers=num_workers, command=command)
+    return command
+
+
+def executor(scripts: dict[str, str], num_workers: int = 2) -> LocalExecutor:
+    return LocalExecutor(num_workers=num_workers, command=commands(scripts))
 
 
 def preparer(run: Path, order: list[str]):

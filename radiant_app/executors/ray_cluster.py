@@ -1,0 +1,205 @@
+"""The Ray executor: the same tree folded on a cluster of one owner's machines, one Ray task per node of the tree.
+
+This process never imports Ray: it talks to `ray_driver`, a process of its own, in lines of JSON over pipes. When the head of the cluster
+dies, Ray ends the process that is connected to it; then that is the driver, and the run can say what to do.
+
+    place     a machine started with `--resources '{"device:north-1": 1}'` runs that device, `edge:north` that edge and its teachers,
+              `cloud` the cloud; a node whose name no living machine has runs wherever there is room
+    files     the run's folder lies on a file system that all machines see under the same path. A node's process reads its photographs there
+              itself; through Ray go only its command, its events, and in the end the hash of its seal, which is compared with the file's
+    faults    Ray retries nothing (max_retries 0): what a lost machine leaves unfinished is started again by `Fold`, elsewhere if need be,
+              and goes on from its last checkpoint. A lock in the node's folder keeps a lost process that still lives from writing beside it
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from radiant_app.events import Beat, Event, Failed, Listener, decode
+from radiant_app.executors.fold import Began, Ended, Faults, Fold
+from radiant_app.executors.local import end_of, interrupts_later, worker_command
+from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
+from radiant_core.aggregate.tree import Tree
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.io.run_store import SEAL_NAME, file_sha256, read_json
+
+SEEN_S = 20.0
+"""How long a file that another machine wrote may take to be seen here: network file systems keep directories for some seconds."""
+STOP_S = 15.0
+LOG_NAME = "ray.log"
+DRIVER = "import sys; from radiant_app.executors.ray_driver import main; sys.exit(main(sys.argv[1:]))"
+"""Imported by its name, so that Ray's workers import the task and get no copy of it."""
+
+
+@dataclass(kw_only=True)
+class RayExecutor:
+    """Nodes as tasks of the Ray cluster at `address`, host:port, or "local" for one on this machine that lives as long as the fold."""
+
+    address: str
+    log: Path
+    """File for what Ray itself has to say."""
+    clock: Callable[[], float] = time.monotonic
+    command: Callable[[NodeTask], list[str]] = worker_command
+    faults: Faults = field(default_factory=Faults)
+
+    def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
+        """See `Executor.fold`. BadInput where Ray is not installed or no cluster answers at the address."""
+        if find_spec("ray") is None:
+            raise BadInput("Ray is not installed: pip install 'radiant-splats[cluster]', or leave out --executor ray.")
+        runner = _Cluster(address=self.address, log=self.log, command=self.command, tree=tree)
+        fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, faults=self.faults)
+        with runner:
+            return fold.run(tree)
+
+
+def place_of(node: Tree) -> str:
+    """The custom resource that the machine of a node offers, where one does: an edge renders its teachers, a device scores too."""
+    parts = node.id.split("/")
+    if len(parts) < 2:
+        return node.id
+    return f"{parts[0].removesuffix('s')}:{parts[1]}"
+
+
+@dataclass(kw_only=True)
+class _Cluster:
+    """The driver process and what runs by it; see `Runner`."""
+
+    address: str
+    log: Path
+    command: Callable[[NodeTask], list[str]]
+    tree: Tree
+    messages: queue.Queue[dict[str, Any] | None] = field(default_factory=queue.Queue)
+    running: dict[str, NodeTask] = field(default_factory=dict)
+    failures: dict[str, Failed] = field(default_factory=dict)
+    process: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> None:
+        self.log.parent.mkdir(parents=True, exist_ok=True)
+        with interrupts_later(), self.log.open("a") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", DRIVER, self.address],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                start_new_session=True,
+            )
+        threading.Thread(target=self._read, args=(self.process,), daemon=True).start()
+        try:
+            answer = self.messages.get()
+            if answer is None or "refused" in answer:
+                raise BadInput(f"{'' if answer is None else answer['refused']} See {self.log} for what Ray says.".strip())
+        except BaseException:
+            self.__exit__()
+            raise
+        self._send(leaves=[place_of(node) for node in self.tree if not node.children])
+
+    def __exit__(self, *exc_info: object) -> None:
+        assert self.process is not None and self.process.stdin is not None and self.process.stdout is not None
+        with interrupts_later():
+            with suppress(BrokenPipeError):
+                self.process.stdin.close()
+            try:
+                self.process.wait(timeout=STOP_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+    def has_room(self) -> bool:
+        """Ray lets wait what finds no room."""
+        return True
+
+    def start(self, node: Tree, task: NodeTask) -> bool:
+        self.running[node.id] = task
+        self.failures.pop(node.id, None)
+        record = task.folder / "task.json"
+        self._send(
+            start=node.id,
+            stage=task.stage,
+            command=self.command(task),
+            folder=str(task.folder.resolve()),
+            task_sha256=file_sha256(record) if record.is_file() else None,
+            place=place_of(node),
+            gpu=record.is_file() and read_json(record).get("backend") == "gsplat",
+        )
+        return False
+
+    def wait(self, timeout_s: float) -> tuple[str, Event | Began | Ended | None] | None:
+        try:
+            message = self.messages.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+        if message is None:
+            raise StageFailed(
+                f"the connection to the Ray cluster at {self.address} is lost; see {self.log}. What is finished is kept: "
+                "start the cluster again if its head is gone, then run again with --resume."
+            )
+        node_id = message["node"]
+        if node_id not in self.running:
+            return None
+        if "began" in message:
+            return node_id, Began(machine=message["began"])
+        if "line" in message:
+            event = decode(message["line"])
+            if isinstance(event, Failed):
+                self.failures[node_id] = event
+            return node_id, None if isinstance(event, Failed | Beat) else event
+        task = self.running.pop(node_id)
+        if "lost" in message:
+            return node_id, Ended(error=StageFailed(f"{task.stage}: {message['lost']} Run again with --resume."), crashed=True)
+        _wait_for_seal(task.folder, message["seal_sha256"])
+        return node_id, end_of(task, self.failures.get(node_id), message["code"])
+
+    def stop(self, node_id: str) -> None:
+        self._send(stop=node_id)
+
+    def stop_all(self) -> None:
+        for node_id in self.running:
+            self._send(stop=node_id)
+        deadline_s = time.monotonic() + STOP_S
+        with interrupts_later():
+            while self.running and time.monotonic() < deadline_s:
+                try:
+                    message = self.messages.get(timeout=0.5)
+                except queue.Empty:
+                    continue
+                if message is None:
+                    return
+                if "began" not in message and "line" not in message:
+                    self.running.pop(message["node"], None)
+
+    def _send(self, **message: Any) -> None:
+        assert self.process is not None and self.process.stdin is not None
+        try:
+            self.process.stdin.write(json.dumps(message) + "\n")
+            self.process.stdin.flush()
+        except BrokenPipeError:
+            return  # `wait` will say so
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        with process.stdout as lines:
+            for line in lines:
+                self.messages.put(json.loads(line))
+        self.messages.put(None)
+
+
+def _wait_for_seal(folder: Path, sha256: str | None) -> None:
+    """Until done.json has the bytes that its writer saw, at most `SEEN_S`; whether it then fits is for `is_sealed` to say."""
+    deadline_s = time.monotonic() + SEEN_S
+    seal = folder / SEAL_NAME
+    while sha256 is not None and time.monotonic() < deadline_s:
+        if seal.is_file() and file_sha256(seal) == sha256:
+            return
+        time.sleep(0.2)

@@ -1,0 +1,277 @@
+"""The process that is connected to a Ray cluster: submits tasks and passes on what they yield. Started by `RayExecutor`; see there.
+
+    in    {"leaves": [place…]} once, {"start": node, command, folder…}, {"stop": node}; the end of the input ends the process
+    out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code" and "seal_sha256"}
+
+A task is a generator: its first item says where it runs, then come the lines of the node's worker process, of which one comes every few
+seconds at least. It reserves `num_cpus` of its machine and gives its process as many threads.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+import queue
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+# Before Ray is imported: it reports to its makers what it is used for unless told not to.
+os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+# A task without a GPU is not to change what its process sees of the machine; without this Ray warns at every start.
+os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+
+import ray
+from ray.exceptions import RayError
+
+from radiant_app.events import Failed, encode
+from radiant_core.errors import RadiantError, StageFailed
+from radiant_core.io.run_store import SEAL_NAME, file_sha256
+
+CONNECT_S = 10.0
+LOOK_S = 2.0
+"""How often tasks that wait are checked for machines that could run them: one pinned to a machine that is gone would wait for ever."""
+GONE_S = 20.0
+"""How long no living machine may be able to run a waiting task before it counts as lost: a restarted machine joins again within seconds."""
+LOCK_S = 120.0
+"""How long a task waits for an earlier process in its folder to end. A machine that loses its head goes down within a minute."""
+SEEN_S = 20.0
+LOCAL_STORE_BYTES = 100 * 2**20
+"""Ray's least object store is 75 MB; no model ever lies in it."""
+LOCK_NAME = ".worker"
+PLACE_SHARE = 0.001
+"""What a task takes of its machine's name: it places, CPUs limit."""
+_OUT = sys.stdout
+"""Where messages go."""
+
+
+@dataclass
+class _Task:
+    message: dict[str, Any]
+    items: Any
+    began: bool = False
+    impossible_since_s: float | None = None
+
+
+@dataclass
+class _Driver:
+    """All tasks of one fold."""
+
+    commands: queue.Queue[dict[str, Any] | None] = field(default_factory=queue.Queue)
+    tasks: dict[str, _Task] = field(default_factory=dict)
+    leaves: Sequence[str] = ()
+    looked_s: float = 0.0
+
+    def run(self) -> None:
+        """Until the input ends; then everything that runs is cancelled."""
+        threading.Thread(target=self._listen, daemon=True).start()
+        while True:
+            try:
+                command = self.commands.get(block=not self.tasks)
+            except queue.Empty:
+                self._pass_on()
+                continue
+            if command is None:
+                break
+            self._obey(command)
+        for task in self.tasks.values():
+            ray.cancel(task.items, force=True)
+
+    def _listen(self) -> None:
+        for line in sys.stdin:
+            self.commands.put(json.loads(line))
+        self.commands.put(None)
+
+    def _obey(self, command: dict[str, Any]) -> None:
+        if "leaves" in command:
+            self.leaves = command["leaves"]
+        elif "start" in command:
+            self._start(command)
+        elif command["stop"] in self.tasks:
+            ray.cancel(self.tasks[command["stop"]].items, force=True)
+
+    def _start(self, message: dict[str, Any]) -> None:
+        fit = _fitting(message["place"], message["gpu"])
+        if not fit:
+            kind = "a GPU and a free CPU" if message["gpu"] else "a CPU"
+            _say(node=message["start"], lost=f"no living machine of the cluster has {kind}.")
+            return
+        pinned = message["place"] in fit[0]["Resources"]
+        message["threads"] = threads = _threads(fit, self.leaves)
+        message["resources"] = {message["place"]: PLACE_SHARE} if pinned else {}
+        task = _run_node.options(num_cpus=threads, num_gpus=int(message["gpu"]), resources=message["resources"])
+        items = task.remote(message["command"], message["folder"], message["stage"], message["task_sha256"], threads)
+        self.tasks[message["start"]] = _Task(message=message, items=items)
+
+    def _pass_on(self) -> None:
+        ready, _ = ray.wait([task.items for task in self.tasks.values()], timeout=0.1)
+        for node in [node for node, task in self.tasks.items() if any(task.items is items for items in ready)]:
+            task = self.tasks[node]
+            try:
+                item: Any = ray.get(next(task.items))
+            except (StopIteration, RayError) as error:
+                del self.tasks[node]
+                _say(node=node, lost=f"its machine or Ray's worker is gone ({type(error).__name__}).")
+                continue
+            task.began = True
+            _say(node=node, **item)
+            if "code" in item:
+                del self.tasks[node]
+        if time.monotonic() - self.looked_s > LOOK_S:
+            self.looked_s = time.monotonic()
+            self._look_for_impossible()
+
+    def _look_for_impossible(self) -> None:
+        waiting = {node: task for node, task in self.tasks.items() if not task.began}
+        machines = _machines() if waiting else []
+        for node, task in waiting.items():
+            wanted = {"CPU": task.message["threads"], "GPU": int(task.message["gpu"]), **task.message["resources"]}
+            if any(_has(machine, wanted) for machine in machines):
+                task.impossible_since_s = None
+            elif task.impossible_since_s is None:
+                task.impossible_since_s = time.monotonic()
+            elif time.monotonic() - task.impossible_since_s > GONE_S:
+                ray.cancel(task.items, force=True)
+                del self.tasks[node]
+                _say(node=node, lost="the machine that it waited for is gone.")
+
+
+@ray.remote(max_retries=0, num_returns="streaming")
+def _run_node(command: list[str], folder: str, stage: str, task_sha256: str | None, threads: int) -> Iterator[dict[str, Any]]:
+    """On the node's machine: start its worker process, yield its lines, and in the end its exit code and the hash of its seal."""
+    yield {"began": socket.gethostname()}
+    place = Path(folder)
+    try:
+        _require_same_files(place, task_sha256)
+        lock = _locked(place)
+    except (RadiantError, OSError) as error:
+        yield {"line": encode(Failed(stage=stage, message=str(error), exit_code=StageFailed.exit_code))}
+        yield {"code": StageFailed.exit_code, "seal_sha256": None}
+        return
+    environment = {**os.environ, "OMP_NUM_THREADS": str(threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
+    # The first word is the Python of the machine that started the run. The child keeps the lock for as long as it lives, whatever
+    # becomes of this process, and ends when its standard input closes.
+    with (place / "log.txt").open("w") as log:
+        process = subprocess.Popen(
+            [sys.executable, *command[1:]],
+            stdout=subprocess.PIPE,
+            stdin=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            env=environment,
+            pass_fds=[lock],
+            start_new_session=True,
+        )
+    os.close(lock)
+    assert process.stdout is not None
+    for line in process.stdout:
+        yield {"line": line}
+    code, seal = process.wait(), place / SEAL_NAME
+    yield {"code": code, "seal_sha256": file_sha256(seal) if code == 0 and seal.is_file() else None}
+
+
+def _require_same_files(folder: Path, task_sha256: str | None) -> None:
+    """Raise StageFailed unless this machine sees the folder, and in it the task that was dealt."""
+    deadline_s = time.monotonic() + SEEN_S
+    while True:
+        record = folder / "task.json"
+        if folder.is_dir() and (task_sha256 is None or (record.is_file() and file_sha256(record) == task_sha256)):
+            return
+        if time.monotonic() > deadline_s:
+            raise StageFailed(
+                f"the machine {socket.gethostname()} does not see {folder} as the machine that started the run does: put the run on a "
+                "file system that all machines share, under the same path."
+            )
+        time.sleep(0.5)
+
+
+def _locked(folder: Path) -> int:
+    """A file descriptor that holds the lock of a node's folder; StageFailed when an earlier process keeps it for too long."""
+    descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o644)
+    deadline_s = time.monotonic() + LOCK_S
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > deadline_s:
+                os.close(descriptor)
+                raise StageFailed(f"another process has been working in {folder} for {LOCK_S:.0f} s: end it.") from None
+            time.sleep(0.2)
+        else:
+            os.set_inheritable(descriptor, True)
+            return descriptor
+
+
+def _machines() -> list[dict[str, Any]]:
+    return [machine for machine in ray.nodes() if machine["Alive"]]
+
+
+def _fitting(place: str, gpu: bool) -> list[dict[str, Any]]:
+    """Living machines that can run a node: those that are named as its place, or all where none is."""
+    able = [machine for machine in _machines() if _has(machine, {"CPU": 1, "GPU": int(gpu)})]
+    return [machine for machine in able if _has(machine, {place: PLACE_SHARE})] or able
+
+
+def _has(machine: dict[str, Any], wanted: dict[str, float]) -> bool:
+    return all(machine["Resources"].get(name, 0) >= amount for name, amount in wanted.items())
+
+
+def _threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
+    """Threads of a node on any of these machines: its CPUs over the leaves of the tree that may run there at once, never fewer than one."""
+    machines = _machines()
+    named = {name for machine in machines for name in machine["Resources"]}
+    anywhere = sum(leaf not in named for leaf in leaves) / max(1, len(machines))
+    least = math.inf
+    for machine in fit:
+        num_leaves = math.ceil(anywhere + sum(leaf in machine["Resources"] for leaf in leaves))
+        least = min(least, machine["Resources"]["CPU"] // max(1, num_leaves))
+    return max(1, int(least))
+
+
+def _connect(address: str) -> str | None:
+    """Connect to the cluster; why that is not possible, or None."""
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    if address == "local":
+        ray.init(address="local", include_dashboard=False, object_store_memory=LOCAL_STORE_BYTES, **quiet)
+        return None
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal() or "://" in address:
+        return f"--address {address!r} is no host:port: give that of the cluster's head, 6379 if nothing else was said, or local."
+    try:
+        socket.create_connection((host, int(port)), timeout=CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        return f"no Ray cluster answers at {address} ({error}): start it by `ray start --head`, or correct --address."
+    try:
+        ray.init(address=address, **quiet)
+    except (ConnectionError, RuntimeError, ValueError, RayError) as error:
+        first = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        return f"this machine cannot join the Ray cluster at {address} ({first}): run `ray start --address {address}` here too."
+    return None
+
+
+def _say(**message: Any) -> None:
+    _OUT.write(json.dumps(message) + "\n")
+
+
+def main(arguments: list[str]) -> int:
+    """Serve one fold."""
+    global _OUT  # noqa: PLW0603 - the process has one
+    # Ray prints to standard output too: the messages keep the real one.
+    _OUT = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    refused = _connect(arguments[0])
+    if refused is not None:
+        _say(refused=refused)
+        return 2
+    _say(ready=True)
+    _Driver().run()
+    ray.shutdown()
+    return 0

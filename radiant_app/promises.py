@@ -1,0 +1,50 @@
+"""Which promises a run keeps, by who held the photographs and where its nodes ran. Once per run, for the report and metrics.json.
+
+A process of this machine reads only below its node's folder (traced in tests/app/test_field.py), but all run under one user. In a Ray
+cluster any task may run on any machine, list all of them and read what its user may read there: it is one owner's trust.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from radiant_app.config import RunConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Promise:
+    """One sentence about what is protected from whom, whether it holds in this run, and why."""
+
+    promise: str
+    holds: bool
+    reason: str
+
+
+def promises_of(config: RunConfig) -> list[dict[str, Any]]:
+    """The promises of a run with these settings, as metrics.json keeps them."""
+    in_field, in_cluster = config.frames != "shared", config.executor == "ray"
+    pooled = "the photographs were pooled with one owner (--frames shared)"
+    cluster = "a Ray cluster is one owner's trust: every task there can list its machines and read their files"
+    opens = Promise(
+        promise="No stage of an edge or of the cloud opens a photograph of a device.",
+        holds=True,
+        reason="a node's process is given its own folder alone; edges and the cloud are dealt models and cameras"
+        + (", and through Ray go commands, events and hashes, no file" if in_cluster else ""),
+    )
+    own = Promise(
+        promise="A device's photographs are readable on that device alone.",
+        holds=in_field and not in_cluster,
+        reason=cluster if in_cluster else "every device reads its own folder, by a process of its own" if in_field else pooled,
+    )
+    cloud = Promise(
+        promise="The cloud can learn no device's id, count or pose.",
+        holds=in_field and not in_cluster,
+        reason=cluster if in_cluster else "it is dealt edges' models and virtual cameras alone" if in_field else pooled,
+    )
+    whole = Promise(
+        promise="What is used is what was written: every file of a finished node has the hash in its seal.",
+        holds=True,
+        reason="seals are checked by the process that folds the tree, whatever ran the node",
+    )
+    return [asdict(promise) for promise in (opens, own, cloud, whole)]

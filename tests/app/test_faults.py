@@ -1,0 +1,158 @@
+"""Devices that are late or lost: who is given up, who gets their photographs, and what a resumed run makes of it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+
+from radiant_app.config import RunConfig
+from radiant_app.dealing import SharedDealer
+from radiant_app.events import Event, StageDone, StageStarted, Warned
+from radiant_app.executors.fold import Faults
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.promises import promises_of
+from radiant_app.rescue import Rescue, plan_key, replanned
+from radiant_app.system_file import even_system
+from radiant_app.time_left import LATE_FACTOR, LEAST_S, TimeLeftListener
+from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.frames import Frame
+from radiant_core.io.records import load_plan, save_plan
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.region_plan import plan_regions
+from radiant_core.scene import SfmScene
+from radiant_core.train.config import train_preset
+from tests.core.scenes import cameras_above
+
+
+def planned(run: Path) -> tuple[SharedDealer, Tree]:
+    """Two edges of two devices over 40 photographs."""
+    scene = SfmScene(
+        cameras=cameras_above([tuple(xy) for xy in np.random.default_rng(0).uniform(-20, 20, (40, 2)).round(2).tolist()]),
+        points=np.zeros((0, 3)),
+        colors=np.zeros((0, 3), np.uint8),
+        observations=np.zeros((0, 2), np.int64),
+        frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
+    )
+    positions = scene.cameras.centers[:, :2]
+    system = place_edges(even_system(2, 2), positions, None, 0)
+    cloud = plan_regions(positions, system)
+    assert isinstance(cloud, CloudPlan)
+    edges = split_edges(positions, cloud, system)
+    save_plan(run / "plan.json", cloud, edges)
+    settings = {"train": train_preset("draft"), "aggregate": aggregate_preset("default"), "backend": "native"}
+    dealer = SharedDealer(run=run, system=system, cloud_plan=cloud, edge_plans=edges, images=run, scene=scene, **settings)
+    return dealer, tree_of_plan(cloud, edges)
+
+
+def cameras_by_device(edges: Collection[EdgePlan]) -> dict[str, set[int]]:
+    return {device: set(plan.cameras_of(device).tolist()) for plan in edges for device in plan.device_ids}
+
+
+def test_a_lost_devices_photographs_go_to_those_that_have_not_begun_and_a_resumed_run_knows(tmp_path: Path) -> None:
+    dealer, tree = planned(tmp_path)
+    first = dealer.cloud_plan, dealer.edge_plans
+    lost, other, *waiting = [node for node in tree if node.tier == "device"]
+    before = cameras_by_device(dealer.edge_plans)
+    events: list[Event] = []
+    rescue = Rescue(dealer=dealer, tree=tree, first_plan_key=plan_key(*first), listen=events.append)
+    rescue(lost, {lost.id, other.id})
+    after = cameras_by_device(dealer.edge_plans)
+    assert after[lost.name] == set() and after[other.name] == before[other.name]
+    assert set().union(*(after[node.name] for node in waiting)) == set(range(40)) - before[other.name]
+    assert sum(map(len, after.values())) == 40
+    assert any(
+        isinstance(event, Warned) and f"{len(before[lost.name])} photographs of {lost.name} go to" in event.message for event in events
+    )
+    save_plan(tmp_path / "plan.json", *first)
+    _, resumed = replanned(tmp_path, *first)
+    assert cameras_by_device(resumed) == after == cameras_by_device(load_plan(tmp_path / "plan.json")[1])
+    assert replanned(tmp_path, dealer.cloud_plan, dealer.edge_plans)[1] is dealer.edge_plans, "another plan is left as it is"
+
+
+def test_where_every_other_device_has_begun_the_plan_stays_and_the_loss_is_named(tmp_path: Path) -> None:
+    dealer, tree = planned(tmp_path)
+    plan, (lost, *_) = dealer.cloud_plan, [node for node in tree if node.tier == "device"]
+    events: list[Event] = []
+    Rescue(dealer=dealer, tree=tree, first_plan_key="", listen=events.append)(lost, {node.id for node in tree})
+    assert dealer.cloud_plan is plan and not (tmp_path / "replanned").exists()
+    (warning,) = events
+    assert isinstance(warning, Warned) and "are in no model: every other device has begun or is full; --resume" in warning.message
+    assert set(dealer.missing()) == set(cameras_by_device(dealer.edge_plans)), "nothing of this run is done"
+
+
+def test_a_node_is_late_by_the_plan_only_once_another_of_its_tier_was_measured(tmp_path: Path) -> None:
+    dealer, tree = planned(tmp_path)
+    now_s = 0.0
+    told: list[Event] = []
+    watch = TimeLeftListener(
+        listen=told.append,
+        system=dealer.system,
+        edge_plans=dealer.edge_plans,
+        num_workers=4,
+        emulated=False,
+        clock=lambda: now_s,
+        deadline_factor=10.0,
+    )
+    first, second, *_ = [node.id for node in tree if node.tier == "device"]
+    watch(StageStarted(stage=first))
+    watch(StageStarted(stage=second))
+    assert watch.late(second, 1e9) is None and watch.too_late(second, 1e9) is None
+    now_s = 100.0
+    watch(StageDone(stage=first, seconds=100.0))
+    assert watch.late(second, LEAST_S) is None and watch.too_late(second, 100.0 * LATE_FACTOR) is None
+    late = watch.late(second, 100.0 * LATE_FACTOR * 1.5)
+    assert late is not None and "says 1" in late and watch.too_late(second, 1500.0) is not None
+    assert watch.late("edges/a", 1e9) is None, "no edge was measured"
+
+
+class Impatient:
+    """Waits for nobody."""
+
+    def late(self, node_id: str, ran_s: float) -> str | None:
+        return "it is slow"
+
+    def too_late(self, node_id: str, ran_s: float) -> str | None:
+        return "it is too slow" if node_id == "devices/2" else None
+
+
+def test_who_is_too_late_is_stopped_and_the_rest_goes_on(tmp_path: Path) -> None:
+    devices = tuple(Tree(id=f"devices/{number}", tier="device") for number in "12")
+    tree = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=devices),))
+    seal = "from pathlib import Path\nfrom radiant_core.io.run_store import seal\nseal(Path('.'), 'key', [])"
+
+    def command(task: NodeTask) -> list[str]:
+        work = "import time; time.sleep(60)" if task.stage == "devices/2" else seal
+        return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{work}"]
+
+    def prepare(node: Tree) -> NodeTask:
+        (tmp_path / node.id).mkdir(parents=True, exist_ok=True)
+        return NodeTask(kind=node.tier, stage=node.id, folder=tmp_path / node.id, key="key")
+
+    events: list[Event] = []
+    lost: list[tuple[str, frozenset[str]]] = []
+    faults = Faults(
+        may_fail=lambda node, error: node.tier == "device",
+        attempts=3,
+        watch=Impatient(),
+        on_lost=lambda node, begun: lost.append((node.id, frozenset(begun))),
+    )
+    times = LocalExecutor(num_workers=2, command=command, faults=faults).fold(tree, prepare, events.append)
+    assert set(times) == {node.id for node in tree} and [node_id for node_id, _ in lost] == ["devices/2"]
+    assert "devices/1" in lost[0][1]
+    assert Warned(stage="devices/2", message="it is too slow, and was given up.") in events
+    assert [event.stage for event in events if isinstance(event, StageDone)] == ["devices/1", "edges/a", "cloud"]
+
+
+def test_a_cluster_keeps_no_secret_of_a_device_and_the_report_says_so(tmp_path: Path) -> None:
+    field = RunConfig(source=tmp_path, out=tmp_path, frames="gps")
+    cluster = RunConfig(source=tmp_path, out=tmp_path, frames="gps", executor="ray", address="local")
+    shared = RunConfig(source=tmp_path, out=tmp_path)
+    holds = {name: [row["holds"] for row in promises_of(config)] for name, config in (("f", field), ("c", cluster), ("s", shared))}
+    assert holds == {"f": [True, True, True, True], "c": [True, False, False, True], "s": [True, False, False, True]}

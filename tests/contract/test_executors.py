@@ -1,0 +1,135 @@
+"""What every executor owes its caller, on `local` and on a Ray cluster of one machine with two CPUs."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, Warned, encode
+from radiant_app.executors.fold import Faults
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import Executor, NodeTask
+from radiant_app.executors.ray_cluster import RayExecutor, place_of
+from radiant_core.aggregate.tree import Tree
+from radiant_core.errors import BadInput
+
+from .ray_machines import ray_cluster
+
+DEVICES = tuple(Tree(id=f"devices/{number}", tier="device") for number in "123")
+TEACHERS = tuple(Tree(id=f"edges/a/teachers/{device.name}", tier="teacher", children=(device,)) for device in DEVICES)
+TAUGHT = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=TEACHERS),))
+SEAL = """
+import os
+from pathlib import Path
+from radiant_core.io.run_store import seal
+Path('made').write_text(os.environ['OMP_NUM_THREADS'])
+seal(Path('.'), 'key', ['made'])
+"""
+PROGRESS = StageProgress(stage="devices/1", done=1, total=2, note="half")
+Make = Callable[[dict[str, str]], Executor]
+
+
+@pytest.fixture(scope="session")
+def address() -> Iterator[str]:
+    if find_spec("ray") is None:
+        pytest.skip("Ray is not installed: the extra `cluster` brings it")
+    with ray_cluster() as cluster:
+        cluster.start("head", num_cpus=2, offers=["edge:a"])
+        yield cluster.address
+
+
+@pytest.fixture(params=["local", "ray"])
+def make(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
+    """Executors whose nodes run a script each, those without one just seal."""
+
+    def executor(scripts: dict[str, str]) -> Executor:
+        def command(task: NodeTask) -> list[str]:
+            return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
+
+        if request.param == "local":
+            return LocalExecutor(num_workers=2, command=command, faults=Faults(attempts=2))
+        return RayExecutor(address=request.getfixturevalue("address"), log=tmp_path / "ray.log", command=command, faults=Faults(attempts=2))
+
+    return executor
+
+
+def preparer(run: Path, order: list[str]) -> Callable[[Tree], NodeTask]:
+    def prepare(node: Tree) -> NodeTask:
+        order.append(node.id)
+        (run / node.id).mkdir(parents=True, exist_ok=True)
+        return NodeTask(kind=node.tier, stage=node.id, folder=run / node.id, key="key")
+
+    return prepare
+
+
+def test_a_tree_is_folded_a_crash_is_tried_again_a_teacher_is_stopped_and_a_second_fold_skips_all(make: Make, tmp_path: Path) -> None:
+    scripts = {
+        "devices/1": f"print({encode(PROGRESS)!r})\n{SEAL}",
+        "devices/2": f"import os, pathlib, signal\nif not pathlib.Path('once').exists():\n"
+        f"    pathlib.Path('once').touch()\n    os.kill(os.getpid(), 9)\n{SEAL}",
+        "devices/3": f"import time, pathlib\nwhile not pathlib.Path({str(tmp_path / 'taught')!r}).exists(): time.sleep(0.01)\n{SEAL}",
+        "edges/a/teachers/2": f"import time, pathlib; pathlib.Path({str(tmp_path / 'taught')!r}).touch(); time.sleep(60)",
+    }
+    order: list[str] = []
+    events: list[Event] = []
+    times = make(scripts).fold(TAUGHT, preparer(tmp_path, order), events.append)
+    assert (
+        set(times) == {node.id for node in TAUGHT} and order[:3] == [device.id for device in DEVICES] and order[-2:] == ["edges/a", "cloud"]
+    )
+    assert times["edges/a"].started_s >= max(times[device.id].ended_s for device in DEVICES)
+    assert times["cloud"].started_s >= times["edges/a"].ended_s
+    assert PROGRESS in events
+    (warning,) = (event for event in events if isinstance(event, Warned))
+    assert warning.stage == "devices/2" and "killed by signal 9" in warning.message and "tried again" in warning.message
+    done = [event.stage for event in events if isinstance(event, StageDone)]
+    assert done[-2:] == ["edges/a", "cloud"] and {device.id for device in DEVICES} <= set(done)
+    assert not (tmp_path / "edges/a/teachers/2/done.json").exists()
+    assert {(tmp_path / name / "made").read_text() for name in ("devices/1", "edges/a", "cloud")} == {"1"}, "two CPUs, three leaves"
+    again: list[Event] = []
+    make({node.id: "raise SystemExit(1)" for node in TAUGHT}).fold(TAUGHT, preparer(tmp_path, []), again.append)
+    assert {type(event) for event in again} == {StageSkipped}
+
+
+def test_a_failure_is_named_the_others_are_stopped_and_what_was_sealed_stays(make: Make, tmp_path: Path) -> None:
+    refusal = encode(Failed(stage="devices/2", message="no photographs: take some.", exit_code=2))
+    waits = f"import time, pathlib\nwhile not pathlib.Path({str(tmp_path / 'pid')!r}).exists(): time.sleep(0.01)\n"
+    scripts = {
+        "devices/1": f"import os, time, pathlib; pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(os.getpid())); time.sleep(60)",
+        "devices/2": f"{waits}print({refusal!r}); raise SystemExit(2)",
+    }
+    events: list[Event] = []
+    with pytest.raises(BadInput, match=r"devices/2: no photographs: take some\."):
+        make(scripts).fold(TAUGHT, preparer(tmp_path, []), events.append)
+    assert StageStarted not in {type(event) for event in events if getattr(event, "stage", "") == "edges/a"}
+    deadline_s = time.monotonic() + 10
+    while is_alive(int((tmp_path / "pid").read_text())) and time.monotonic() < deadline_s:
+        time.sleep(0.1)
+    assert not is_alive(int((tmp_path / "pid").read_text()))
+    assert not (tmp_path / "devices/1/done.json").exists()
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and was not collected does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z" and os.getpgid(pid) > 0
+    except (OSError, ProcessLookupError):
+        return False
+
+
+def test_the_machines_of_nodes_are_named_by_what_they_are() -> None:
+    assert [place_of(node) for node in TAUGHT] == ["device:1", "edge:a", "device:2", "edge:a", "device:3", "edge:a", "edge:a", "cloud"]
+    assert place_of(Tree(id="devices/1/score", tier="device")) == "device:1"
+
+
+@pytest.mark.parametrize(("address", "said"), [("nowhere", "no host:port"), ("127.0.0.1:1", "no Ray cluster answers at 127.0.0.1:1")])
+def test_an_address_where_no_cluster_is_gets_one_sentence(address: str, said: str, tmp_path: Path) -> None:
+    if find_spec("ray") is None:
+        pytest.skip("Ray is not installed: the extra `cluster` brings it")
+    with pytest.raises(BadInput, match=said):
+        RayExecutor(address=address, log=tmp_path / "ray.log").fold(TAUGHT, preparer(tmp_path, []), lambda event: None)
