@@ -22,8 +22,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from radiant_app.config import RunConfig
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
-from radiant_core.errors import BadInput
-from radiant_core.io.run_store import LOCK_NAME, RunLock, write_json
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, read_bounded, write_json
 
 MANIFEST_VERSION = 1
 RECORDED = ("config", "status", "stages", "emulated", "peak_bytes", "decisions", "warnings", "ledger")
@@ -178,6 +178,9 @@ def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (
     """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
     try:
         yield
+    except StoreDamaged:
+        # What was computed and stored is no input: whatever else lies there is worth looking at.
+        raise
     except BadInput:
         if not any(found for pattern in keep for found in out.glob(pattern)):
             for inner in list(out.iterdir()):
@@ -238,7 +241,7 @@ def read_manifest(run: Path) -> Manifest:
 
 def _record(path: Path) -> _Record:
     try:
-        return _Record.model_validate_json(path.read_bytes())
+        return _Record.model_validate_json(read_bounded(path, MAX_JSON_BYTES))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "the whole"
