@@ -97,6 +97,8 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
+    if not Path(path).is_file():
+        raise StoreDamaged(f"cannot read {path}: there is no such file: run the stage that writes it again.")
     require_layout(path)
     try:
         with safe_open(os.fspath(path), framework="np") as file:
