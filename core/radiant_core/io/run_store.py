@@ -149,8 +149,11 @@ def seal(folder: Path, key: str, names: Sequence[str]) -> None:
         if not _stays_inside(name):
             raise BadInput(f"cannot seal {name!r} in {folder}: give a name inside the folder, relative to it.")
     files = {name: file_sha256(folder / name) for name in names}
-    for name in names:
-        _fsync(folder / name)
+    try:
+        for name in names:
+            _fsync(folder / name)
+    except OSError as error:
+        raise BadInput(f"cannot seal {folder}: {error.strerror or error}: free space or choose another output folder.") from error
     write_json(folder / SEAL_NAME, {"version": SEAL_VERSION, "key": key, "files": files})
 
 
