@@ -29,6 +29,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.colmap import read_model
 from radiant_core.io.jpeg import read_jpeg_facts
+from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
 from radiant_core.io.photos import decoded_image, list_photographs, load_photograph, photograph_positions, promised_size_wh
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, save_cameras, save_scene, save_splats
@@ -212,6 +213,17 @@ def _toml(folder: Path) -> Target:
     return Target(seeds=seeds, place=lambda _: "s.toml", read=lambda inside, number: readers[number](inside / "s.toml"))
 
 
+def _spz(folder: Path) -> Target:
+    """SPZ itself, without the container whose hash would refuse every mutation: what a sender who signs can make Open3D read."""
+    counts = (3, 40)
+    seeds = [spz_bytes(ground_splats(count)) for count in counts]
+    return Target(
+        seeds=seeds,
+        place=lambda _: "m.spz",
+        read=lambda inside, number: splats_from_spz((inside / "m.spz").read_bytes(), counts[number], 0),
+    )
+
+
 def _json(folder: Path) -> Target:
     plan = (ROOT / "sample_scenes/runs/tiny/plan.json").read_bytes()
     collection = b'{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": {"name": "a"}, "geometry": '
@@ -286,6 +298,7 @@ def _exif_segment(order: str) -> bytes:
 TARGETS: dict[str, Callable[[Path], Target]] = {
     "ply": _ply,
     "safetensors": _safetensors,
+    "spz": _spz,
     "colmap": _colmap,
     "toml": _toml,
     "json": _json,

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from tests.core.io.store_faults import every_failing_call
 from tests.core.io.test_store_faults import undiscovered_flips
+from tests.memory_folder import memory_folder
 
 pytestmark = pytest.mark.stress
 
 
-def test_each_failing_write_leaves_the_previous_state(tmp_path: Path) -> None:
-    assert every_failing_call(tmp_path) == []
+def test_each_failing_write_leaves_the_previous_state() -> None:
+    with memory_folder() as folder:
+        assert every_failing_call(folder) == []
 
 
-def test_a_thousand_flipped_bits_are_all_found(tmp_path: Path) -> None:
-    assert undiscovered_flips(tmp_path, count=1000) == []
+def test_a_thousand_flipped_bits_are_all_found() -> None:
+    with memory_folder() as folder:
+        assert undiscovered_flips(folder, count=1000) == []

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from tests.core.io.protocol_world import REASONS, played
 from tests.core.io.test_delivery import tampered_uploads
+from tests.memory_folder import memory_folder
 
 pytestmark = pytest.mark.stress
 
@@ -19,5 +18,6 @@ def test_a_thousand_schedules_leave_every_camera_in_one_accepted_upload() -> Non
     assert min(counts[reason] for reason in REASONS) > 100
 
 
-def test_of_a_hundred_thousand_tampered_or_replayed_uploads_none_is_accepted(tmp_path: Path) -> None:
-    assert tampered_uploads(tmp_path, count=100_000, seed=9) == []
+def test_of_a_hundred_thousand_tampered_or_replayed_uploads_none_is_accepted() -> None:
+    with memory_folder() as folder:
+        assert tampered_uploads(folder, count=100_000, seed=9) == []

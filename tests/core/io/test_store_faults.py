@@ -14,11 +14,13 @@ from radiant_app.run_folder import Manifest, opened_run, read_manifest
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import RunLock, file_sha256, seal_problem
 from tests.core.io.store_faults import STAGES, Job, every_failing_call
+from tests.memory_folder import memory_folder
 
 
-def test_a_full_disk_at_any_moment_leaves_what_was_sealed_and_can_be_resumed(tmp_path: Path) -> None:
+def test_a_full_disk_at_any_moment_leaves_what_was_sealed_and_can_be_resumed() -> None:
     # `make stress` lets every call fail.
-    assert every_failing_call(tmp_path, step=9) == []
+    with memory_folder() as folder:
+        assert every_failing_call(folder, step=7) == []
 
 
 @pytest.fixture
@@ -43,9 +45,10 @@ def test_a_real_full_disk_pauses_and_more_space_lets_it_go_on(small_disk: Path) 
     assert set(job.run()) == set(STAGES) - sealed and job.sealed() == set(STAGES)
 
 
-def test_flipped_bits_of_stored_files_are_found_before_they_are_used(tmp_path: Path) -> None:
+def test_flipped_bits_of_stored_files_are_found_before_they_are_used() -> None:
     # `make stress` flips a thousand.
-    assert undiscovered_flips(tmp_path, count=200) == []
+    with memory_folder() as folder:
+        assert undiscovered_flips(folder, count=300) == []
 
 
 def undiscovered_flips(folder: Path, count: int) -> list[str]:
