@@ -18,7 +18,17 @@ from pathlib import Path
 
 from radiant_core.errors import BadInput
 from radiant_core.io.acceptance import Acceptance, Offer
-from radiant_core.io.delivery import MAX_RECORD_BYTES, RECORD_NAME, Delivery, Kind, check_files, load_delivery, save_delivery, sent_files
+from radiant_core.io.delivery import (
+    MAX_RECORD_BYTES,
+    RECORD_NAME,
+    SIGNATURE_NAME,
+    Delivery,
+    Kind,
+    check_files,
+    load_delivery,
+    save_delivery,
+    sent_files,
+)
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.signing import PUBLIC_NAME, load_public_key, make_signing_key
 
@@ -46,6 +56,9 @@ def introduce(run: Path, node: str, receiver: str | None) -> None:
         return
     made = make_signing_key(identity)
     registered = run / receiver / SENDERS / f"{Path(node).name}.pub"
+    if made:
+        # What an older key signed is worth nothing now: the seal no longer holds, and the node runs again.
+        (run / node / SIGNATURE_NAME).unlink(missing_ok=True)
     if made or not registered.is_file():
         registered.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(identity / PUBLIC_NAME, registered)

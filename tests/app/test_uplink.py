@@ -260,3 +260,16 @@ def test_uploads_of_another_run_or_key_are_refused(late: SharedDealer, tmp_path:
     run_node("edge", edge.folder, edge.stage, lambda event: None)
     refused = read_json(edge.folder / "frame.json")["refused"]
     assert list(refused) == [first] and "not signed by the key that is registered" in refused[first]
+
+
+def test_a_renewed_key_makes_its_device_sign_anew(late: SharedDealer, tmp_path: Path) -> None:
+    dealer = with_devices_of(late, tmp_path)
+    _, (first, second) = prepared_edge(dealer)
+    shutil.rmtree(tmp_path / "devices" / first / "identity")
+    tree = tree_of_plan(dealer.cloud_plan, dealer.edge_plans, teachers=False)
+    tasks = {Path(node.id).name: dealer.prepare(node) for node in tree if node.tier == "device"}
+    sealed = {name: is_sealed(task.folder, task.key) for name, task in tasks.items() if task is not None}
+    assert sealed == {first: False, second: True}
+    folded(dealer, teachers=False)
+    assert read_json(tmp_path / "edges" / "edge-1" / "frame.json")["refused"] == {}
+    assert read_json(tmp_path / "devices" / first / "delivery.json")["attempt"] == 2

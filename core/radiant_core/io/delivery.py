@@ -7,7 +7,6 @@
 |--------------|------------------------------------------------------------------------|------------------|
 | device_model | model.safetensors, cameras.safetensors, (frame.json)                    | device to edge   |
 | edge_model   | model.safetensors, (virtual_cameras.safetensors), (frame.json)          | edge to cloud    |
-| task         | task.json, (scene.safetensors), (poses.safetensors)                     | down             |
 
 The signature covers run, receiver and attempt, so that an upload is worth nothing in another run or elsewhere; which attempt counts
 is decided by `radiant_core.io.acceptance`. Files are safetensors and JSON and go through their own strict readers afterwards.
@@ -36,11 +35,10 @@ MAX_RECORD_BYTES = 16384
 MAX_FILE_BYTES = 2 * 10**9
 MAX_ATTEMPT = 10**6
 
-Kind = Literal["device_model", "edge_model", "task"]
+Kind = Literal["device_model", "edge_model"]
 FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "device_model": (frozenset({"model.safetensors", "cameras.safetensors"}), frozenset({"frame.json"})),
     "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "frame.json"})),
-    "task": (frozenset({"task.json"}), frozenset({"scene.safetensors", "poses.safetensors"})),
 }
 """Files that a delivery has to have, and those it may have."""
 _DOMAIN = f"{SCHEMA} {VERSION}\0".encode()
