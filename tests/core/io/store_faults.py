@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -111,7 +112,7 @@ class FailingDisk:
             self._call()
             return moved(path, target)
 
-        def failing_open(path: Path, mode: str = "r", *args: object, **kwargs: object) -> object:
+        def failing_open(path: Path, mode: str = "r", *args: Any, **kwargs: Any) -> Any:
             file = opened(path, mode, *args, **kwargs)
             if "x" not in mode:
                 return file
