@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.cloud_task import retrain_settings
+from radiant_app.delivering import DELIVERIES, introduce, introduce_teacher
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
@@ -21,6 +22,7 @@ from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
 from radiant_core.cameras import Cameras
+from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.masks import mask_name
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
@@ -65,12 +67,13 @@ class Dealer:
         if filled is None:
             return None
         task, inputs = filled
+        task |= self._crossing(node)
         key = content_key(__version__, task, *inputs)
         # A teacher is a part of its edge: what it is sent counts once, when the edge takes it.
         if node.tier == "teacher":
             _drop_other_views(folder, key)
         else:
-            self.ledger.append({"node": node.id, "tier": node.tier, **received(inputs)})
+            self.ledger.append({"node": node.id, "tier": node.tier, **received([*inputs, folder / DELIVERIES])})
         # What changes no bit of the result is not in the key: who rendered a view, how often a training is saved.
         unkeyed: dict[str, Any] = {"checkpoint_every_s": self.checkpoint_every_s}
         if node.tier == "edge":
@@ -83,6 +86,33 @@ class Dealer:
     def kinds(self) -> dict[str, str]:
         """Which worker runs the nodes of a tier."""
         return {"device": "device", "teacher": "teacher", "edge": "edge", "cloud": "cloud"}
+
+    def _crossing(self, node: Tree) -> dict[str, Any]:
+        """What a node's task says of signatures, after making its key and registering it with the receiver."""
+        if node.tier == "teacher":
+            (device,) = node.children
+            introduce_teacher(self.run, node.id, f"edges/{self._edge_of(device.name)}", device.name)
+            return {"signed": True}
+        if node.tier == "cloud":
+            introduce(self.run, node.id, None)
+            return {"signed": True}
+        receiver = f"edges/{self._edge_of(node.name)}" if node.tier == "device" else "cloud"
+        introduce(self.run, node.id, receiver)
+        sends: dict[str, Any] = {"sends": self.sends(node.tier)}
+        return sends if node.tier == "device" else {**sends, "signed": True}
+
+    def _edge_of(self, device: str) -> str:
+        return next(plan.edge_id for plan in self.edge_plans if device in plan.device_ids)
+
+    def sends(self, tier: str) -> list[str]:
+        """Files that a device or edge sends beside its model."""
+        if tier == "device":
+            return ["cameras.safetensors"]
+        return [VIRTUAL_CAMERAS] if self.aggregate.cloud == "retrain" else []
+
+    def deal_record(self, sender: str, receiver: Path) -> None:
+        """The signed record of what a device or edge sends."""
+        deal_files(self.run / sender, [RECORD_NAME, SIGNATURE_NAME], receiver / DELIVERIES / Path(sender).name)
 
     def fill_device(self, node: Tree, folder: Path) -> Filled:
         """Settings and files of a device."""
@@ -111,17 +141,20 @@ class Dealer:
             return None
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         self.deal_device(node.name, folder / "inbox")
+        self.deal_record(device.id, folder)
         return {"long_side_px": self.train.long_side_px, "backend": self.backend}, [folder / "inbox"]
 
     def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
         """What its devices uploaded."""
         leaves = [next(iter(child)) for child in node.children]
         devices = [device.name for device in leaves if self.delivered(device)]
-        shutil.rmtree(folder / "inbox", ignore_errors=True)
+        for place in ("inbox", DELIVERIES):
+            shutil.rmtree(folder / place, ignore_errors=True)
         if not devices:
             return None
         for device in devices:
             self.deal_device(device, folder / "inbox" / device)
+            self.deal_record(f"devices/{device}", folder)
         task = {
             "devices": devices,
             "strips": [self._strip_of(device) for device in devices],
@@ -139,11 +172,13 @@ class Dealer:
     def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
         """What the edges uploaded, and the plan's borders."""
         edges = [edge.name for edge in node.children if self.delivered(edge)]
-        shutil.rmtree(folder / "inbox", ignore_errors=True)
+        for place in ("inbox", DELIVERIES):
+            shutil.rmtree(folder / place, ignore_errors=True)
         if not edges:
             return None
         for edge in edges:
             self.deal_edge(edge, folder / "inbox" / edge)
+            self.deal_record(f"edges/{edge}", folder)
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
         task = {
             "edges": edges,
@@ -158,8 +193,7 @@ class Dealer:
     def deal_edge(self, edge: str, place: Path) -> None:
         """What the cloud gets of an edge: its model as it was uploaded, and virtual cameras where it retrains."""
         self.deal_upload(self.run / "edges" / edge, place)
-        if self.aggregate.cloud == "retrain":
-            deal_files(self.run / "edges" / edge, [VIRTUAL_CAMERAS], place)
+        deal_files(self.run / "edges" / edge, self.sends("edge"), place)
 
     def deal_upload(self, sender: Path, place: Path) -> None:
         """The model that a device or edge sends."""
@@ -215,7 +249,7 @@ class SharedDealer(Dealer):
     def deal_device(self, device: str, place: Path) -> None:
         """Its upload, and its cameras in the owner's scene."""
         self.deal_upload(self.run / "devices" / device, place)
-        save_cameras(place / "cameras.safetensors", self.scene.cameras.select(self._camera_indices(device)))
+        deal_files(self.run / "devices" / device, self.sends("device"), place)
 
     def _camera_indices(self, device: str) -> Any:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)

@@ -88,15 +88,19 @@ class FieldDealer(Dealer):
         task["model"] = self.poses.deal(names, folder)
         return task, [folder / ("poses" if task["model"] else "poses.safetensors")]
 
+    def sends(self, tier: str) -> list[str]:
+        """Beside their models: cameras (virtual ones of an edge), and how sure the frame is."""
+        return ["cameras.safetensors" if tier == "device" else VIRTUAL_CAMERAS, "frame.json"]
+
     def deal_device(self, device: str, place: Path) -> None:
         """Its upload, its poses under numbers, and how sure its frame is."""
         self.deal_upload(self.run / "devices" / device, place)
-        deal_files(self.run / "devices" / device, ["cameras.safetensors", "frame.json"], place)
+        deal_files(self.run / "devices" / device, self.sends("device"), place)
 
     def deal_edge(self, edge: str, place: Path) -> None:
         """Its upload, virtual cameras, and how sure its frame is."""
         self.deal_upload(self.run / "edges" / edge, place)
-        deal_files(self.run / "edges" / edge, [VIRTUAL_CAMERAS, "frame.json"], place)
+        deal_files(self.run / "edges" / edge, self.sends("edge"), place)
 
     def delivered(self, node: Tree) -> bool:
         """Whether a device or edge is done in this run and has a model."""

@@ -21,7 +21,7 @@ import numpy as np
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, moved_cameras, numbered, sim3_of
-from radiant_app.nodes import load_images, sfm_progress, train_device
+from radiant_app.nodes import load_images, sfm_progress, signed_upload, train_device
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
@@ -91,7 +91,7 @@ def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     write_json(folder / "frame.json", {"status": "placed", "reason": "", "uncertainty": placed.uncertainty})
     write_json(folder / "own.json", {"images": str(placed.images)})
     arrays = ("initial", "scene", "held_out", "cameras")
-    return [*outputs, *(f"{name}.safetensors" for name in arrays), "frame.json", "own.json"]
+    return [*outputs, *(f"{name}.safetensors" for name in arrays), "frame.json", "own.json", *signed_upload(folder, task)]
 
 
 def _missing(folder: Path, stage: str, reason: str, emit: Emit) -> Sequence[str]:

@@ -7,15 +7,17 @@ together, and a sender that it contradicts is left out. Once per edge and once a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from radiant_app.delivering import refusals
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_json, write_json
@@ -25,6 +27,8 @@ Emit = Callable[[Event], None]
 
 NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
 """The summary of a node that delivers no model."""
+MAX_FRAME_BYTES = 1 << 20
+"""Of an edge's frame.json, which names the devices that it refused."""
 VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
 NO_CAMERAS = concatenate_cameras([])
 _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
@@ -42,19 +46,21 @@ class Inbox:
     refused: dict[str, str]
 
 
-def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit) -> Inbox:
-    """The models in inbox/<sender>/ that pass `check_splats`, brought together through their geometry."""
-    from radiant_core.aggregate.arrival import load_arrived
-
-    arrived, rejected = {}, {}
+def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit, *, signed: bool = False) -> Inbox:
+    """The models in inbox/<sender>/ that pass `check_splats`, brought together through their geometry; with `signed` only those whose
+    sender's signature is right."""
+    places = {name: folder / "inbox" / name for name in senders}
+    rejected = refusals(folder, senders, places) if signed else {}
+    arrived = {}
     for name in senders:
-        own = _cameras_in(folder / "inbox" / name)
-        model = load_arrived(folder / "inbox" / name / "model.safetensors", own)
-        if isinstance(model, str):
-            rejected[name] = model
-            emit(Warned(stage=stage, message=f"the model of {name} is left out: {model}"))
-        else:
-            arrived[name] = model, own
+        if name not in rejected:
+            found = _arrived(places[name])
+            if isinstance(found, str):
+                rejected[name] = found
+            else:
+                arrived[name] = found
+        if name in rejected:
+            emit(Warned(stage=stage, message=f"the model of {name} is left out: {rejected[name]}"))
     inbox = _without_contradicted(_joined(folder, arrived, stage, emit), stage, emit)
     return replace(inbox, corrections={**inbox.corrections, **dict.fromkeys(rejected)}, refused={**inbox.refused, **rejected})
 
@@ -90,14 +96,44 @@ def _without_contradicted(inbox: Inbox, stage: str, emit: Emit) -> Inbox:
     )
 
 
+def _arrived(place: Path) -> tuple[Splats, Cameras] | str:
+    """A sender's model and cameras, or why they are not to be used."""
+    from radiant_core.aggregate.arrival import load_arrived
+
+    try:
+        own = _cameras_in(place)
+        _uncertainty_in(place)
+    except BadInput as error:
+        return str(error)
+    model = load_arrived(place / "model.safetensors", own)
+    return model if isinstance(model, str) else (model, own)
+
+
+def _uncertainty_in(place: Path) -> dict[str, float] | None:
+    """How sure a sender's frame is; None where it says that it is exact, or nothing. BadInput where it says anything else."""
+    from radiant_core.sfm.device_frame import FrameUncertainty
+
+    if not (place / "frame.json").is_file():
+        return None
+    found = read_json(place / "frame.json", ("uncertainty",), MAX_FRAME_BYTES)["uncertainty"]
+    names = {field.name for field in fields(FrameUncertainty)}
+    if found is None:
+        return None
+    if (
+        not isinstance(found, dict)
+        or found.keys() != names
+        or not all(type(value) in (int, float) and value >= 0 for value in found.values())
+    ):
+        raise BadInput(f"{place / 'frame.json'} says an uncertainty that is none, expected {', '.join(sorted(names))} of 0 or more.")
+    return {name: float(value) for name, value in found.items()}
+
+
 def _joined(folder: Path, arrived: dict[str, tuple[Splats, Cameras]], stage: str, emit: Emit) -> Inbox:
     """The models that may be joined, in one frame."""
     senders = tuple(arrived)
     places = [folder / "inbox" / name for name in senders]
     models, cameras = [model for model, _ in arrived.values()], [own for _, own in arrived.values()]
-    uncertainties = [
-        read_json(place / "frame.json", ("uncertainty",))["uncertainty"] if (place / "frame.json").is_file() else None for place in places
-    ]
+    uncertainties = [_uncertainty_in(place) for place in places]
     known = [uncertainty for uncertainty in uncertainties if uncertainty is not None]
     if len(known) < len(senders) or not senders:
         return _together(senders, models, cameras, [_UNMOVED] * len(senders), None)

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.cloud_task import BY_PRESET, join_decisions, retrained_at_cloud, virtual_cameras_of
+from radiant_app.delivering import deliver, refusals
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
 from radiant_app.memory import resident_bytes
@@ -120,7 +121,17 @@ def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Train one model from the folder's own photographs and points."""
     task = read_json(folder / "task.json", ("train", "backend", "upload"))
     scene = load_scene(folder / "scene.safetensors")
-    return train_device(folder, scene, folder / "photos", task, (stage, emit))[1]
+    outputs = train_device(folder, scene, folder / "photos", task, (stage, emit))[1]
+    save_cameras(folder / "cameras.safetensors", scene.cameras)
+    return [*outputs, "cameras.safetensors", *signed_upload(folder, task)]
+
+
+def signed_upload(folder: Path, task: dict[str, Any]) -> list[str]:
+    """Sign the model that a node sends and what its task says besides; the names written. Nothing where its task sends nothing."""
+    if "sends" not in task:
+        return []
+    model = folder / ("model.safetensors" if task["upload"] == "float32" else "upload.safetensors")
+    return deliver(folder, {"model.safetensors": model, **{name: folder / name for name in task["sends"]}})
 
 
 def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, Any], running: tuple[str, Emit]) -> tuple[Splats, list[str]]:
@@ -234,6 +245,9 @@ def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     from radiant_core.io.view_file import save_view
 
     task = read_json(folder / "task.json", ("long_side_px", "backend"))
+    if task.get("signed") and refusals(folder, [folder.name], {folder.name: folder / "inbox"}):
+        # Its edge refuses it too, and says why.
+        return []
     cameras = load_cameras(folder / "inbox" / "cameras.safetensors").scaled(task["long_side_px"])
     model = load_arrived(folder / "inbox" / "model.safetensors", cameras)
     if isinstance(model, str):
@@ -256,7 +270,7 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     from radiant_core.train.config import TrainConfig
 
     task = read_json(folder / "task.json")
-    inbox = read_inbox(folder, task["devices"], stage, emit)
+    inbox = read_inbox(folder, task["devices"], stage, emit, signed=task.get("signed", False))
     if not inbox.models:
         return _nothing_placed(folder, inbox)
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
@@ -282,8 +296,9 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     write_json(folder / "summary.json", {**training_summary(result), "num_models": len(inbox.models)})
     save_cameras(folder / VIRTUAL_CAMERAS, virtual_cameras_of(folder, inbox.cameras, splats))
     uploaded = _save_upload(folder, splats, task["upload"], stage, emit)
+    outputs = ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox), *uploaded]
     checkpoints.remove()
-    return ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox), *uploaded]
+    return [*outputs, *signed_upload(folder, task)]
 
 
 def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -293,7 +308,7 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
     task = read_json(folder / "task.json")
     aggregate = AggregateConfig(**task["aggregate"])
-    inbox = read_inbox(folder, task["edges"], stage, emit)
+    inbox = read_inbox(folder, task["edges"], stage, emit, signed=task.get("signed", False))
     if not inbox.models:
         return _nothing_placed(folder, inbox)
     outputs = ["scene.ply", "summary.json", *save_frames(folder, inbox)]

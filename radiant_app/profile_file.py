@@ -33,7 +33,7 @@ from pydantic import Field, ValidationError
 
 from radiant_app.toml_file import MAX_FILE_BYTES, Strict, load_toml, sentence
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import write_atomic
+from radiant_core.io.run_store import parse_json, write_atomic
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.curve_fit import FittedCurve
 from radiant_core.plan.profiles import Profile, ProfileKey
@@ -157,7 +157,7 @@ def _load_json(path: Path) -> Any:
     if len(data) > MAX_FILE_BYTES:
         raise BadInput(f"{path}: larger than {MAX_FILE_BYTES} bytes, which no {KIND} is: check the path.")
     try:
-        return json.loads(data)
+        return parse_json(data)
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: not a JSON file ({error}): correct it there.") from error
 

@@ -8,6 +8,8 @@ Written whole after every stage by the one process that holds the run's lock.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import platform
 import shutil
 from collections.abc import Collection, Iterator, Sequence
@@ -22,8 +24,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from radiant_app.config import RunConfig
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
-from radiant_core.errors import BadInput
-from radiant_core.io.run_store import LOCK_NAME, RunLock, write_json
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, write_json
 
 MANIFEST_VERSION = 1
 RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings", "ledger")
@@ -94,8 +96,8 @@ class Manifest:
 
     def save(self) -> None:
         """Write manifest.json."""
-        record = {key: getattr(self, key) for key in RECORDED}
-        write_json(self.folder / "manifest.json", {"version": MANIFEST_VERSION, "software": software_versions(), **record})
+        record = {"version": MANIFEST_VERSION, "software": software_versions(), **{key: getattr(self, key) for key in RECORDED}}
+        write_json(self.folder / "manifest.json", {**record, "sha256": _digest(record)})
 
 
 @contextmanager
@@ -182,6 +184,9 @@ def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (
     """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
     try:
         yield
+    except StoreDamaged:
+        # What was computed and stored is no input: whatever else lies there is worth looking at.
+        raise
     except BadInput:
         if not any(found for pattern in keep for found in out.glob(pattern)):
             for inner in list(out.iterdir()):
@@ -251,13 +256,31 @@ def read_manifest(run: Path) -> Manifest:
     return Manifest(folder=run, **kept)
 
 
+def _digest(record: dict[str, Any]) -> str:
+    """SHA-256 of a record as JSON writes it, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def _require_unchanged(record: Any) -> None:
+    """Raise BadInput where a manifest is not what was written; older ones say no hash and are taken as they are."""
+    known = {"version", "software", "sha256", *RECORDED}
+    if not isinstance(record, dict) or not record.keys() <= known:
+        raise BadInput("it has keys that no manifest has")
+    if "sha256" in record and record.pop("sha256") != _digest(record):
+        raise BadInput("its hash is not that of what was written")
+
+
 def _record(path: Path) -> _Record:
+    data = read_bounded(path, MAX_JSON_BYTES)
     try:
-        return _Record.model_validate_json(path.read_bytes())
+        _require_unchanged(parse_json(data))
+        return _Record.model_validate_json(data)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "the whole"
         raise BadInput(f"{path} is damaged or of another version ({place}: {first['msg']}): run again into another folder.") from error
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{path} is damaged ({error}): run again into another folder.") from error
 
 
 def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:

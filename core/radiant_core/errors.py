@@ -19,7 +19,5 @@ class StageFailed(RadiantError):
     """A stage of a run did not finish; the message names the stage and its reason."""
 
 
-class StoreDamaged(RadiantError):
+class StoreDamaged(BadInput):
     """A stored file is missing or its bytes are not those that were written."""
-
-    exit_code = 2

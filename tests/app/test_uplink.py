@@ -14,6 +14,7 @@ import pytest
 from radiant_app.bench.teachers import ViewTimes, simulated_latency_s
 from radiant_app.dealing import SharedDealer
 from radiant_app.events import Decided, Event, StageProgress, Warned
+from radiant_app.executors.protocol import NodeTask
 from radiant_app.nodes import run_node
 from radiant_app.system_file import even_system
 from radiant_core.aggregate.config import AggregateConfig
@@ -22,7 +23,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_splats
-from radiant_core.io.run_store import is_sealed, seal
+from radiant_core.io.run_store import is_sealed, read_json, seal
 from radiant_core.io.upload import BYTES_FACTORS, UploadFormat, load_upload
 from radiant_core.plan.deadline import device_time_s
 from radiant_core.plan.device_split import split_edges
@@ -94,8 +95,9 @@ def late(dealt: SharedDealer) -> SharedDealer:
 
 
 def with_devices_of(late: SharedDealer, folder: Path) -> SharedDealer:
-    """Another run whose devices are done."""
+    """A copy of a run whose devices are done."""
     shutil.copytree(late.run / "devices", folder / "devices")
+    shutil.copyfile(late.run / "run.json", folder / "run.json")
     return replace(late, run=folder, ledger=[])
 
 
@@ -221,3 +223,53 @@ def test_benchmarks_of_a_run_want_a_run(tmp_path: Path) -> None:
             run_bench(name, None, BenchOptions())
         with pytest.raises(BadInput, match=r"holds no plan\.json"):
             run_bench(name, None, BenchOptions(scene=tmp_path))
+
+
+def prepared_edge(dealer: SharedDealer) -> tuple[NodeTask, list[str]]:
+    """The edge of a run whose devices are done, before it runs, and its devices."""
+    tree = tree_of_plan(dealer.cloud_plan, dealer.edge_plans, teachers=False)
+    tasks = {node.id: dealer.prepare(node) for node in tree if node.tier != "cloud"}
+    (edge,) = (task for name, task in tasks.items() if name.startswith("edges/") and task is not None)
+    return edge, sorted(Path(name).name for name in tasks if name.startswith("devices/"))
+
+
+def test_an_edge_leaves_out_what_was_changed_on_its_way(late: SharedDealer, tmp_path: Path) -> None:
+    edge, (first, second) = prepared_edge(with_devices_of(late, tmp_path))
+    inbox = edge.folder / "inbox"
+    # Whole files of the right kind, but not those that were signed.
+    shutil.copyfile(inbox / second / "cameras.safetensors", inbox / first / "cameras.safetensors")
+    warnings: list[Event] = []
+    run_node("edge", edge.folder, edge.stage, warnings.append)
+    frame = read_json(edge.folder / "frame.json")
+    assert frame["status"] == "placed" and list(frame["refused"]) == [first]
+    assert "its sender signed" in frame["refused"][first] or "than its sender signed" in frame["refused"][first]
+    assert any(isinstance(event, Warned) and f"the model of {first} is left out" in event.message for event in warnings)
+
+
+def test_uploads_of_another_run_or_key_are_refused(late: SharedDealer, tmp_path: Path) -> None:
+    dealer = with_devices_of(late, tmp_path)
+    (tmp_path / "run.json").unlink()
+    edge, devices = prepared_edge(dealer)
+    run_node("edge", edge.folder, edge.stage, lambda event: None)
+    refused = read_json(edge.folder / "frame.json")["refused"]
+    assert sorted(refused) == devices and all("it belongs to run" in reason for reason in refused.values())
+    # Somebody else's key beside the files is not the one that was registered.
+    shutil.copyfile(late.run / "run.json", tmp_path / "run.json")
+    edge, (first, second) = prepared_edge(dealer)
+    shutil.copyfile(edge.folder / "senders" / f"{second}.pub", edge.folder / "senders" / f"{first}.pub")
+    run_node("edge", edge.folder, edge.stage, lambda event: None)
+    refused = read_json(edge.folder / "frame.json")["refused"]
+    assert list(refused) == [first] and "not signed by the key that is registered" in refused[first]
+
+
+def test_a_renewed_key_makes_its_device_sign_anew(late: SharedDealer, tmp_path: Path) -> None:
+    dealer = with_devices_of(late, tmp_path)
+    _, (first, second) = prepared_edge(dealer)
+    shutil.rmtree(tmp_path / "devices" / first / "identity")
+    tree = tree_of_plan(dealer.cloud_plan, dealer.edge_plans, teachers=False)
+    tasks = {Path(node.id).name: dealer.prepare(node) for node in tree if node.tier == "device"}
+    sealed = {name: is_sealed(task.folder, task.key) for name, task in tasks.items() if task is not None}
+    assert sealed == {first: False, second: True}
+    folded(dealer, teachers=False)
+    assert read_json(tmp_path / "edges" / "edge-1" / "frame.json")["refused"] == {}
+    assert read_json(tmp_path / "devices" / first / "delivery.json")["attempt"] == 2

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from radiant_core.cameras import Cameras
-from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.errors import BadInput
 from radiant_core.io.upload import load_upload, num_uploaded
 from radiant_core.splats import Splats
 
@@ -33,7 +33,7 @@ def load_arrived(path: Path, cameras: Cameras) -> Splats | str:
         if not 0 < count <= MAX_SPLATS:
             return f"it has {count:,} Gaussians, expected 1 to {MAX_SPLATS:,}."
         splats = load_upload(path)
-    except (BadInput, StoreDamaged) as error:
+    except BadInput as error:
         return str(error)
     return check_splats(splats, cameras) or splats
 

@@ -26,6 +26,7 @@ from torch import Tensor
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import LpipsNetwork
 from radiant_core.evaluate.image_pair import checked_image_pair
+from radiant_core.io.array_layout import require_layout
 from radiant_core.io.run_store import write_atomic
 
 INPUT_SHIFT = (-0.030, -0.088, -0.188)
@@ -213,6 +214,7 @@ def _read_pth(path: Path) -> dict[Any, Any]:
 
 def _read_safetensors(path: Path, network: LpipsNetwork) -> dict[str, Tensor]:
     _require_size(path)
+    require_layout(path)
     try:
         with safe_open(path, framework="pt") as file:
             names = set(file.keys())

@@ -17,7 +17,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save, save_file
 
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.run_store import atomic_path, write_atomic
+from radiant_core.io.array_layout import require_layout
+from radiant_core.io.run_store import atomic_path, parse_json, write_atomic
 
 VERSION = "1"
 METADATA_NAME = "radiant"
@@ -50,7 +51,7 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
     Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
     """
     with _opened(path) as file, naming(path):
-        record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        record = parse_json((file.metadata() or {}).get(METADATA_NAME, "{}"))
         require_schema(record, schema)
         found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
         if dtypes is not None and found != dtypes:
@@ -61,14 +62,14 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
 def schema_of(path: Path) -> str:
     """The schema that a file of `save_arrays` says it has; "" where it says none. Raises StoreDamaged when it is missing or broken."""
     with _opened(path) as file, naming(path):
-        record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        record = parse_json((file.metadata() or {}).get(METADATA_NAME, "{}"))
         return str(record.get("schema", "")) if isinstance(record, dict) else ""
 
 
 def header_of(path: Path) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]]:
     """What a file of `save_arrays` says it is, and the shapes of its arrays, without reading them; raises as `schema_of`."""
     with _opened(path) as file, naming(path):
-        record = json.loads((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        record = parse_json((file.metadata() or {}).get(METADATA_NAME, "{}"))
         shapes = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118 (not a mapping)
         return (record if isinstance(record, dict) else {}), shapes
 
@@ -87,6 +88,8 @@ def naming(path: Path) -> Iterator[None]:
     """Turn whatever a wrong content raises into BadInput that names the file."""
     try:
         yield
+    except StoreDamaged:
+        raise
     except (BadInput, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = error if isinstance(error, BadInput) else f"its content is not as written ({type(error).__name__}: {error})."
         raise BadInput(f"cannot use {path}: {reason}") from error
@@ -96,6 +99,7 @@ def naming(path: Path) -> Iterator[None]:
 def _opened(path: Path) -> Iterator[Any]:
     if not Path(path).is_file():
         raise StoreDamaged(f"cannot read {path}: there is no such file: run the stage that writes it again.")
+    require_layout(path)
     try:
         with safe_open(os.fspath(path), framework="np") as file:
             yield file

@@ -29,6 +29,8 @@ _COLUMNS = {
 }
 _UNIT = re.compile(r"\s*[(\[_ ]\s*(deg|degrees|°|m|metres|meters)\s*[)\]]?$")
 _FEET = re.compile(r"alt(itude)?\s*[(\[_ ]\s*(ft|feet)\s*[)\]]?$")
+MAX_NAME = 64
+"""Characters of a column's name that are looked at."""
 MAX_SHOWN = 12
 """Column names that an error lists."""
 
@@ -82,7 +84,8 @@ def _lines(file: IO[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
 
 def _columns(header: list[str]) -> dict[str, int]:
     """Which column of the header is what."""
-    plain = [name.strip().lower() for name in header]
+    # Of a name of thousands of blanks the patterns below would try every split.
+    plain = [" ".join(name.split())[:MAX_NAME].lower() for name in header]
     feet = next((name for name in plain if _FEET.fullmatch(name)), None)
     if feet is not None:
         raise BadInput(f"its column {feet!r} is in feet: convert it to metres and call it altitude.")

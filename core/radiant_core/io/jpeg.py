@@ -21,6 +21,8 @@ _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}
 
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH = 0x920A
+MAX_VALUE_BYTES = 1024
+"""Of one tag: none that is read here needs more, and a directory may name thousands of 64 KiB, all of the same bytes."""
 LATITUDE_REF, LATITUDE, LONGITUDE_REF, LONGITUDE, ALTITUDE_REF, ALTITUDE = range(1, 7)
 
 
@@ -46,18 +48,18 @@ class JpegFacts:
 
 def read_jpeg_facts(data: bytes) -> JpegFacts:
     """Size, wholeness and EXIF of the JPEG `data`; never raises, whatever the bytes are."""
-    size_wh, exif, scan_offset = None, ExifFacts(), None
+    size_wh, exif, scan_offset = None, None, None
     for marker, start, end in _segments(data):
         if marker in _START_OF_FRAME and end - start >= 5:
             height, width = struct.unpack_from(">HH", data, start + 1)
             size_wh = (width, height) if width and height else None
-        elif marker == _APP1 and data[start : start + 6] == b"Exif\0\0":
+        elif marker == _APP1 and exif is None and data[start : start + 6] == b"Exif\0\0":
             exif = read_exif(data[start + 6 : end])
         elif marker == _START_OF_SCAN:
             scan_offset = end
     # Inside a scan 0xFF is always followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
     whole = scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
-    return JpegFacts(size_wh=size_wh, whole=whole, exif=exif)
+    return JpegFacts(size_wh=size_wh, whole=whole, exif=exif or ExifFacts())
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
@@ -109,7 +111,7 @@ def _directory(tiff: bytes, order: str, offset: int) -> dict[int, Value]:
         tag, kind, length = struct.unpack_from(order + "HHI", tiff, entry)
         num_bytes = _TYPE_BYTES.get(kind, 0) * length
         start = entry + 8 if num_bytes <= 4 else struct.unpack_from(order + "I", tiff, entry + 8)[0]
-        if num_bytes > 0 and start + num_bytes <= len(tiff):
+        if 0 < num_bytes <= MAX_VALUE_BYTES and start + num_bytes <= len(tiff):
             values[tag] = _value(tiff[start : start + num_bytes], order, kind)
     return values
 

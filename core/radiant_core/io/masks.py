@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import write_atomic
+from radiant_core.io.photos import MAX_FILE_BYTES, decoded_image, promised_size_wh
+from radiant_core.io.run_store import read_bounded, write_atomic
 
 USED = 255
 
@@ -42,11 +43,11 @@ def load_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
 
     Raises BadInput where the file cannot be decoded, is not 8-bit grey, has another size, or leaves nothing of the photograph.
     """
-    data = np.frombuffer(path.read_bytes(), np.uint8) if path.is_file() else np.zeros(0, np.uint8)
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
-    except cv2.error:
-        image = None
+    data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
+    found_wh = promised_size_wh(data)
+    if found_wh is not None and found_wh != tuple(size_wh):
+        raise BadInput(_other_size(path, found_wh, size_wh))
+    image = decoded_image(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise BadInput(f"the mask {path} cannot be decoded: write it again as 8-bit grey PNG.")
     # A grey picture that was saved as RGB; a colour photograph is no mask.
@@ -56,14 +57,15 @@ def load_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
         channels = 1 if image.ndim == 2 else image.shape[2]
         raise BadInput(f"the mask {path} has {channels} channel(s) of {image.dtype}, expected 8-bit grey: 0 to ignore, 255 to use.")
     if image.shape[::-1] != tuple(size_wh):
-        width, height = size_wh
-        raise BadInput(
-            f"the mask {path} is {image.shape[1]} × {image.shape[0]} px and its photograph {width} × {height} as it is stored: "
-            "make it as large, without the EXIF rotation."
-        )
+        raise BadInput(_other_size(path, (image.shape[1], image.shape[0]), size_wh))
     if not image.any():
         raise BadInput(f"the mask {path} leaves nothing of its photograph: 0 is ignored, 255 is used; or leave the photograph out.")
     return image > 0
+
+
+def _other_size(path: Path, found_wh: tuple[int, int], size_wh: tuple[int, int]) -> str:
+    found, wanted = f"{found_wh[0]} × {found_wh[1]} px", f"{size_wh[0]} × {size_wh[1]} as it is stored"
+    return f"the mask {path} is {found} and its photograph {wanted}: make it as large, without the EXIF rotation."
 
 
 def save_mask(path: Path, used: NDArray[np.bool_]) -> None:
@@ -88,7 +90,7 @@ def pixel_weights(folder: Path | None, cameras: Cameras) -> tuple[NDArray[np.uin
 def _reduced(path: Path, size_wh: tuple[int, int]) -> NDArray[np.uint8]:
     if not path.is_file():
         return np.full(size_wh[::-1], USED, np.uint8)
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    image = decoded_image(read_bounded(path, MAX_FILE_BYTES), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise BadInput(f"the mask {path} cannot be decoded: remove the folder that it lies in and run again.")
     return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.uint8)

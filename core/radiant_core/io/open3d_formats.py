@@ -33,6 +33,8 @@ SPZ_MAX_LOG_SCALE = 5.9375
 """Larger Gaussians come back smaller."""
 _SPZ_HEADER = struct.Struct("<4sIIBBBBI12x")
 _SPZ_STREAM = struct.Struct("<QQ")
+MAX_ZSTD_RATIO = 2**15
+"""A block of Zstandard is 128 KiB at most and 4 bytes or more: a stream that promises more is none, and nothing is allocated for it."""
 _END_ALPHA = 0.25 / 255
 """What the ends of the 8-bit opacities, 0 and 1, are read as: the middle of what was rounded to them, where the logit is finite."""
 
@@ -117,7 +119,8 @@ def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:
         head = (magic, version, count, degree, num_streams, toc_start)
         sizes = [raw for _, raw in streams], start + sum(packed for packed, _ in streams)
         expected = (b"NGSP", 4, num_splats, sh_degree, len(per_splat), _SPZ_HEADER.size)
-        if head == expected and sizes == ([num_splats * size for size in per_splat], len(data)):
+        fits = all(raw <= packed * MAX_ZSTD_RATIO for packed, raw in streams)
+        if head == expected and fits and sizes == ([num_splats * size for size in per_splat], len(data)):
             return
     raise StoreDamaged(f"these {len(data)} bytes are no SPZ of version 4 with {num_splats} Gaussians of degree {sh_degree}: send it again.")
 

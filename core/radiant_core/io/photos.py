@@ -11,22 +11,25 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.errors import BadInput
+from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap_records import is_image_name
 from radiant_core.io.jpeg import ExifFacts, read_jpeg_facts
-from radiant_core.io.run_store import open_without_waiting
+from radiant_core.io.run_store import open_without_waiting, read_bounded
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 MAX_FILE_BYTES = 1 << 29
 MAX_PIXELS = 1 << 28
+JPEG_PIXELS_PER_BYTE, DEFLATE_RATIO = 512, 1032
+"""A file that promises more is none: a JPEG spends a bit or more on every 64 pixels, and no zlib stream packs better than that."""
 EXIF_HEAD_BYTES = 1 << 18
 """Where EXIF is found: its segment holds at most 64 KiB and comes among the first."""
-_PNG_SIGNATURE, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xae\x42\x60\x82"
+_PNG_SIGNATURE, _PNG_HEAD = b"\x89PNG\r\n\x1a\n", b"\0\0\0\rIHDR"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,14 +122,37 @@ def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | No
 
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:
     """The photograph (H,W,3) float32 RGB in 0..1, area-averaged to `size_wh` px; BadInput when it is not whole or cannot be decoded."""
-    data = path.read_bytes() if path.is_file() else b""
-    _, whole, _ = _facts(data)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if whole else None
+    data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
+    image = decoded_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise BadInput(f"the photograph {path} is not whole or cannot be decoded: remove it or fetch it again.")
     if (image.shape[1], image.shape[0]) != tuple(size_wh):
         image = cv2.resize(image, tuple(size_wh), interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(image[:, :, ::-1], dtype=np.float32) / np.float32(255)
+
+
+def decoded_image(data: bytes, flags: int) -> NDArray[Any] | None:
+    """A JPEG or PNG as `cv2.imdecode` gives it, or None; nothing is allocated for a file that cannot hold what it promises."""
+    size_wh, whole, _ = _facts(data)
+    if size_wh is None or not whole or _promises_too_much(size_wh, data):
+        return None
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        return None
+
+
+def promised_size_wh(data: bytes) -> tuple[int, int] | None:
+    """Size in px that the head of a JPEG or PNG says; None for anything else."""
+    return _facts(data)[0]
+
+
+def _promises_too_much(size_wh: tuple[int, int], data: bytes) -> bool:
+    per_byte = JPEG_PIXELS_PER_BYTE
+    if data.startswith(_PNG_SIGNATURE):
+        bits, channels = data[24], {2: 3, 4: 2, 6: 4}.get(data[25], 1)
+        per_byte = DEFLATE_RATIO * 8 // max(1, bits * channels)
+    return size_wh[0] * size_wh[1] > min(MAX_PIXELS, per_byte * len(data))
 
 
 def _subfolders(folder: Path) -> list[Skipped]:
@@ -148,13 +174,16 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
         return Skipped(name=repr(name), reason="has characters in its name that COLMAP cannot keep (rename it)")
     if path.stat().st_size > MAX_FILE_BYTES:
         return Skipped(name=name, reason=f"is larger than {MAX_FILE_BYTES >> 20} MiB")
-    data = path.read_bytes()
+    try:
+        data = read_bounded(path, MAX_FILE_BYTES)
+    except StoreDamaged:
+        return Skipped(name=name, reason="cannot be read")
     size_wh, whole, exif = _facts(data)
     if size_wh is None:
         return Skipped(name=name, reason="is not a JPEG or PNG image")
     if size_wh[0] * size_wh[1] > MAX_PIXELS:
         return Skipped(name=name, reason=f"has {size_wh[0]} × {size_wh[1]} pixels, more than {MAX_PIXELS}")
-    if not whole:
+    if not whole or _promises_too_much(size_wh, data):
         return Skipped(name=name, reason="is truncated (its end is missing)")
     if not _decodes(data, size_wh):
         return Skipped(name=name, reason="cannot be decoded")
@@ -174,13 +203,22 @@ def _jpeg_facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
 
 def _png_facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
     width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    return (width, height) if width and height else None, _PNG_END in data, ExifFacts()
+    is_png = data[8:16] == _PNG_HEAD and width and height
+    return (width, height) if is_png else None, _png_is_whole(data), ExifFacts()
+
+
+def _png_is_whole(data: bytes) -> bool:
+    """Whether every chunk of a PNG lies inside the file, up to the last: OpenCV makes room for whatever length a chunk says."""
+    offset = len(_PNG_SIGNATURE)
+    while offset + 12 <= len(data):
+        end = offset + 12 + int.from_bytes(data[offset : offset + 4], "big")
+        if data[offset + 4 : offset + 8] == b"IEND":
+            return end <= len(data)
+        offset = end
+    return False
 
 
 def _decodes(data: bytes, size_wh: tuple[int, int]) -> bool:
     """Whether the whole bit stream decodes to an image of the promised shape (within the rounding of the 1/8 size)."""
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
-        return False
+    image = decoded_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
     return image is not None and all(abs(got * 8 - want) <= 8 for got, want in zip(image.shape[::-1], size_wh, strict=True))

@@ -101,12 +101,17 @@ def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BY
     """
     data = read_bounded(path, max_bytes)
     try:
-        value = json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
+        value = parse_json(data)
     except (ValueError, RecursionError) as error:
         raise StoreDamaged(f"{path} is not valid JSON ({error}): restore it or run the stage that writes it again.") from error
     if keys and not (isinstance(value, dict) and value.keys() >= set(keys)):
         raise StoreDamaged(f"{path} is no JSON object with {', '.join(keys)}: restore it or run the stage that writes it again.")
     return value
+
+
+def parse_json(data: bytes | str) -> Any:
+    """The value of a JSON text; ValueError (or RecursionError) where it is malformed, a number not finite, or a key there twice."""
+    return json.loads(data, parse_constant=_finite_float, parse_float=_finite_float, object_pairs_hook=_unique_keys)
 
 
 def file_sha256(path: Path) -> str:
@@ -144,8 +149,11 @@ def seal(folder: Path, key: str, names: Sequence[str]) -> None:
         if not _stays_inside(name):
             raise BadInput(f"cannot seal {name!r} in {folder}: give a name inside the folder, relative to it.")
     files = {name: file_sha256(folder / name) for name in names}
-    for name in names:
-        _fsync(folder / name)
+    try:
+        for name in names:
+            _fsync(folder / name)
+    except OSError as error:
+        raise BadInput(f"cannot seal {folder}: {error.strerror or error}: free space or choose another output folder.") from error
     write_json(folder / SEAL_NAME, {"version": SEAL_VERSION, "key": key, "files": files})
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.array_file import load_arrays, naming, save_arrays
+from radiant_core.io.photos import decoded_image
 
 SCHEMA = "radiant.view"
 
@@ -41,7 +42,7 @@ def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], N
         size_wh = _png_size_wh(png)
         if not about["size_wh"] == size_wh == [width, height]:
             raise BadInput(f"it is a view of {size_wh[0]} × {size_wh[1]} px, expected {width} × {height}: render it anew.")
-        pixels = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
+        pixels = decoded_image(png.tobytes(), cv2.IMREAD_UNCHANGED)
         if pixels is None or pixels.shape != (height, width, 4) or pixels.dtype != np.uint8:
             raise StoreDamaged(f"{path} holds no whole picture: render it anew.")
     return np.array(pixels[..., 2::-1], np.uint8, order="C"), np.array(pixels[..., 3], np.uint8, order="C")

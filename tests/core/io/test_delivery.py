@@ -1,0 +1,208 @@
+"""Signed deliveries: what was sent arrives, everything else is refused; keys are only their owner's to read."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.io.acceptance import Acceptance, Offer
+from radiant_core.io.delivery import (
+    MAX_RECORD_BYTES,
+    RECORD_NAME,
+    SIGNATURE_NAME,
+    Delivery,
+    check_files,
+    load_delivery,
+    save_delivery,
+    sent_files,
+)
+from radiant_core.io.signing import KEY_NAME, PUBLIC_NAME, load_public_key, load_signing_key, make_signing_key
+from tests.memory_folder import memory_folder
+
+RUN = "0123456789abcdef" * 2
+FILES = ("model.safetensors", "cameras.safetensors")
+
+
+def sent(folder: Path, name: str = "north-1", run: str = RUN, attempt: int = 1, content: bytes = b"model") -> Path:
+    """A sender's folder with two files, a key, and a signed record."""
+    place = folder / f"{name}-{run[:4]}-{attempt}"
+    place.mkdir(parents=True)
+    for file in FILES:
+        (place / file).write_bytes(content + file.encode())
+    make_signing_key(folder / f"{name}-identity")
+    delivery = Delivery(
+        run=run,
+        sender=f"devices/{name}",
+        receiver="edges/north",
+        kind="device_model",
+        attempt=attempt,
+        files=sent_files({file: place / file for file in FILES}),
+    )
+    assert save_delivery(place, delivery, folder / f"{name}-identity") == [RECORD_NAME, SIGNATURE_NAME]
+    return place
+
+
+def taken(folder: Path, public: Path, state: Acceptance) -> tuple[Acceptance, str]:
+    """What a receiver does: signature, files, protocol. The next state, and the status or why it was refused before."""
+    try:
+        delivery = load_delivery(folder, load_public_key(public))
+        check_files(delivery, folder)
+    except BadInput as error:
+        return state, str(error)
+    offer = Offer(
+        run=delivery.run,
+        receiver=delivery.receiver,
+        region=delivery.sender,
+        sender=delivery.sender,
+        attempt=delivery.attempt,
+        digest=delivery.digest,
+    )
+    state, verdict = state.offer(offer)
+    return state, verdict.status
+
+
+def waiting() -> Acceptance:
+    return Acceptance(run=RUN, receiver="edges/north").planned("devices/north-1", "devices/north-1", ["c"])
+
+
+def test_what_was_sent_arrives_once(tmp_path: Path) -> None:
+    place = sent(tmp_path)
+    state, status = taken(place, tmp_path / "north-1-identity" / PUBLIC_NAME, waiting())
+    assert status == "accepted"
+    assert taken(place, tmp_path / "north-1-identity" / PUBLIC_NAME, state) == (state, "duplicate")
+
+
+def test_equal_files_have_one_digest_whoever_sends_them(tmp_path: Path) -> None:
+    places = [sent(tmp_path, "a"), sent(tmp_path, "b", attempt=3), sent(tmp_path, "c", content=b"other")]
+    keys = [load_public_key(tmp_path / f"{name}-identity" / PUBLIC_NAME) for name in "abc"]
+    digests = [load_delivery(place, key).digest for place, key in zip(places, keys, strict=True)]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_a_key_is_made_once_and_only_its_owner_reads_it(tmp_path: Path) -> None:
+    assert make_signing_key(tmp_path / "identity")
+    key, public = tmp_path / "identity" / KEY_NAME, tmp_path / "identity" / PUBLIC_NAME
+    before = key.read_bytes()
+    assert key.stat().st_mode & 0o777 == 0o600 and (tmp_path / "identity").stat().st_mode & 0o777 == 0o700
+    public.unlink()
+    assert not make_signing_key(tmp_path / "identity") and key.read_bytes() == before and public.is_file()
+    key.chmod(0o640)
+    with pytest.raises(BadInput, match=r"can be read by others \(mode 640\): chmod 600"):
+        load_signing_key(tmp_path / "identity")
+
+
+def test_what_is_no_key_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
+
+    other = X25519PrivateKey.generate()
+    private = other.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    public = other.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    for data in (b"", b"no key", private[:60], private, b"x" * 5000):
+        (tmp_path / KEY_NAME).write_bytes(data)
+        (tmp_path / KEY_NAME).chmod(0o600)
+        with pytest.raises(BadInput):
+            load_signing_key(tmp_path)
+    for data in (b"", b"no key", public, private, b"x" * 5000):
+        (tmp_path / "key.pub").write_bytes(data)
+        with pytest.raises(BadInput):
+            load_public_key(tmp_path / "key.pub")
+    with pytest.raises(BadInput):
+        load_public_key(tmp_path / "missing.pub")
+
+
+def test_a_record_that_says_something_else_is_refused_even_when_signed(tmp_path: Path) -> None:
+    place = sent(tmp_path)
+    right = load_delivery(place, load_public_key(tmp_path / "north-1-identity" / PUBLIC_NAME))
+    wrongs = [{"run": "1"}, {"sender": "../x"}, {"sender": "/x"}, {"receiver": ""}, {"attempt": 0}, {"kind": "pickle"}, {"files": {}}]
+    for wrong in wrongs:
+        with pytest.raises(BadInput):
+            replace(right, **wrong)
+    more = {**right.files, "../scene.ply": right.files[FILES[0]]}
+    with pytest.raises(BadInput, match="has the files"):
+        replace(right, files=more)
+
+
+def test_no_tampered_or_replayed_upload_is_accepted() -> None:
+    # `make stress` tries a hundred thousand.
+    with memory_folder() as folder:
+        assert tampered_uploads(folder, count=1000, seed=1) == []
+
+
+def tampered_uploads(folder: Path, count: int, seed: int) -> list[str]:
+    """Offer `count` uploads that an attacker without the sender's key can make to a receiver; those that were accepted."""
+    place = sent(folder)
+    public = folder / "north-1-identity" / PUBLIC_NAME
+    other_run = sent(folder, run="f" * 32)
+    other_sender = sent(folder, "south-1")
+    older = sent(folder, attempt=2, content=b"older")
+    whole = {name: (place / name).read_bytes() for name in (*FILES, RECORD_NAME, SIGNATURE_NAME)}
+    # All of it right, but signed by another key.
+    (folder / "forged").mkdir()
+    save_delivery(folder / "forged", load_delivery(place, load_public_key(public)), folder / "south-1-identity")
+    rng = random.Random(seed)
+
+    def any_file() -> str:
+        return rng.choice(list(whole))
+
+    def flipped(name: str) -> dict[str, bytes]:
+        edited = bytearray(whole[name])
+        edited[rng.randrange(len(edited))] ^= 1 << rng.randrange(8)
+        return {name: bytes(edited)}
+
+    def cut(name: str) -> dict[str, bytes]:
+        return {name: whole[name][: rng.randrange(len(whole[name]))]}
+
+    def longer(name: str) -> dict[str, bytes]:
+        return {name: whole[name] + rng.randbytes(rng.randrange(1, 9))}
+
+    def edited_record() -> dict[str, bytes]:
+        record = json.loads(whole[RECORD_NAME])
+        name = rng.choice(["attempt", "run", "receiver", "sender", "kind", "files"])
+        edits = {"attempt": rng.randrange(2, 99), "run": f"{rng.getrandbits(128):032x}", "receiver": "cloud", "sender": "devices/x"}
+        record[name] = edits.get(name, rng.choice([None, {}, [], "edge_model"]))
+        return {RECORD_NAME: json.dumps(record).encode()}
+
+    def of(source: Path, *names: str) -> dict[str, bytes]:
+        return {name: (source / name).read_bytes() for name in names}
+
+    signed = (RECORD_NAME, SIGNATURE_NAME)
+    attacks: list[Callable[[], dict[str, bytes]]] = [
+        lambda: flipped(any_file()),
+        lambda: cut(any_file()),
+        lambda: longer(any_file()),
+        lambda: {SIGNATURE_NAME: rng.randbytes(64)},
+        lambda: {RECORD_NAME: b"[" * rng.choice((9, MAX_RECORD_BYTES - 1, MAX_RECORD_BYTES + 1))},
+        edited_record,
+        lambda: of(folder / "forged", *signed),
+        lambda: of(other_run, *signed),
+        lambda: of(other_sender, *signed),
+        lambda: of(older, RECORD_NAME),
+        lambda: of(older, *signed),
+        lambda: of(older, FILES[0]),
+    ]
+    # Of the same files nothing new comes, and what came first is there already.
+    state, status = taken(place, public, waiting())
+    assert status == "accepted"
+    fresh = waiting()
+    accepted = []
+    for number in range(count):
+        attack = rng.randrange(len(attacks))
+        changed = attacks[attack]()
+        for name, data in changed.items():
+            (place / name).write_bytes(data)
+        before = state if rng.random() < 0.2 else fresh
+        after, status = taken(place, public, before)
+        if status == "accepted" or after is not before:
+            accepted.append(f"upload {number}, attack {attack}")
+        for name in changed:
+            (place / name).write_bytes(whole[name])
+    # Nothing of it was refused because the receiver was broken.
+    assert taken(place, public, fresh)[1] == "accepted"
+    return accepted
