@@ -14,6 +14,7 @@ import argparse
 import json
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -71,7 +72,8 @@ def truth_errors(surface: Surface, scene: SfmScene, known: Path) -> FloatArray:
     """Height of the run's surface minus the generator's (K,) m, both in the truth's frame, over the area of the flight."""
     record = json.loads((known / "frame.json").read_text())["config"]
     names = {field.name for field in fields(SceneConfig)}
-    config = SceneConfig(**{key: tuple(value) if isinstance(value, list) else value for key, value in record.items() if key in names})
+    given: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in record.items() if key in names}
+    config = SceneConfig(**given)
     truth = cameras_of(read_model(known))
     shared = sorted(set(truth.names) & set(scene.cameras.names))
     move = fit_sim3(scene.cameras.named(shared).centers, truth.named(shared).centers)
@@ -113,10 +115,10 @@ def compare_depths(scene: SfmScene, splats: Splats) -> None:
 
 def _heights(vertices: np.ndarray, triangles: np.ndarray, places: FloatArray) -> FloatArray:
     caster = o3d.t.geometry.RaycastingScene()
-    caster.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)), o3d.core.Tensor(np.ascontiguousarray(triangles, np.uint32))
-    )
-    rays = np.zeros((len(places), 6), np.float32)
+    corners: Any = np.ascontiguousarray(vertices, np.float32)
+    sides: Any = np.ascontiguousarray(triangles, np.uint32)
+    caster.add_triangles(o3d.core.Tensor(corners), o3d.core.Tensor(sides))
+    rays: Any = np.zeros((len(places), 6), np.float32)
     rays[:, :2], rays[:, 2], rays[:, 5] = places, 500.0, -1.0
     return 500.0 - caster.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
 

@@ -73,7 +73,9 @@ def browser() -> Iterator[Any]:
 def picture(page: Any, view: str) -> np.ndarray:
     """What the browser shows of one view (H,W,3)."""
     pixels = page.locator(f"[data-view='{view}']").screenshot()
-    return cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(pixels, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image
 
 
 def changed_share(before: np.ndarray, after: np.ndarray) -> float:

@@ -86,7 +86,7 @@ def _from_above(splats: Splats, extent: tuple[float, float, float, float], size_
     x_min, x_max, y_min, y_max = extent
     middle = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0])
     half = np.array([x_max - x_min, y_max - y_min]) / 2
-    inside = (np.abs(splats.means[:, :2] - middle[:2]) <= half).all(axis=1)
+    inside = np.asarray((np.abs(splats.means[:, :2] - middle[:2]) <= half).all(axis=1))
     # Sky and haze that training left in the air would hide the ground from above.
     low = splats.select(low_gaussians(splats, inside))
     ground = float(np.median(low.means[:, 2])) if len(low) else 0.0

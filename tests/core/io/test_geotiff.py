@@ -27,7 +27,7 @@ def test_place_scale_system_and_heights_come_back(tmp_path: Path) -> None:
         assert isinstance(page, tifffile.TiffPage)
         values, tags = page.asarray(), page.geotiff_tags
         assert float(page.tags[42113].value) == NO_DATA
-    assert tags["ProjectedCSTypeGeoKey"] == 32632
+    assert tags is not None and tags["ProjectedCSTypeGeoKey"] == 32632
     assert int(tags["GTRasterTypeGeoKey"]) == 1, "a pixel is an area, its corner is the tie point"
     assert list(tags["ModelPixelScale"])[:2] == [0.25, 0.25]
     assert list(tags["ModelTiepoint"]) == [0, 0, 0, 465300.5, 5246400.25, 0]
@@ -39,7 +39,7 @@ def test_place_scale_system_and_heights_come_back(tmp_path: Path) -> None:
     with tifffile.TiffFile(tmp_path / "b.tif") as file:
         page = file.pages[0]
         assert isinstance(page, tifffile.TiffPage)
-        assert "ProjectedCSTypeGeoKey" not in page.geotiff_tags
+        assert page.geotiff_tags is not None and "ProjectedCSTypeGeoKey" not in page.geotiff_tags
 
 
 def test_a_place_finds_its_cell_and_none_outside() -> None:

@@ -36,7 +36,7 @@ def test_the_target_is_in_the_middle_up_is_up_and_the_lens_has_its_angle() -> No
 def test_a_flight_follows_its_border_and_keyframes_are_met() -> None:
     ends = np.array([[10.0, 20.0], [70.0, 100.0]])
     cameras = along_border(ends, 3.0, 12.0, 11, LENS)
-    targets = np.column_stack([np.linspace(*ends, 11), np.full(11, 3.0)])
+    targets = np.column_stack([np.linspace(ends[0], ends[1], 11), np.full(11, 3.0)])
     assert pixels(cameras, targets) == pytest.approx(np.tile([160, 90], (11, 1)), abs=1e-9)
     assert cameras.centers[:, 2] == pytest.approx(np.full(11, 15.0))
     stands, looks = np.array([[0, 0, 10], [10, 0, 12], [10, 20, 30.0]]), np.array([[5, 5, 0], [5, 5, 0], [0, 0, 0.0]])
