@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from radiant_core.errors import BadInput
 from radiant_viewer.images import Image
 from radiant_viewer.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, new_figure
-from radiant_viewer.palette import CATEGORIES
+from radiant_viewer.palette import CurveStyle, curve_style
 
 WIDTH_PX, HEIGHT_PX, TOP_PX, LEFT_PX, FOOT_PX = 1100, 520, 76, 72, 58
 MIN_LABEL_GAP = 0.14
@@ -43,8 +43,7 @@ def curve_picture(curves: Mapping[str, Sequence[CurvePoint]], title: str, detail
         left_px = LEFT_PX + panel * WIDTH_PX // 2
         axes = axes_at(figure, (left_px, FOOT_PX, WIDTH_PX // 2 - LEFT_PX - 20, HEIGHT_PX - TOP_PX - FOOT_PX))
         for index, (variant, points) in enumerate(curves.items()):
-            red, green, blue = CATEGORIES[index % len(CATEGORIES)]
-            _draw(axes, points, name, variant, (red / 255, green / 255, blue / 255))
+            _draw(axes, points, name, variant, curve_style(index))
         axes.set_xlabel(label, color=SOFT_COLOR)
         axes.set_ylabel("PSNR of held-out photographs (dB)", color=SOFT_COLOR)
         axes.set_xscale("log")
@@ -70,8 +69,9 @@ def _apart(values: Sequence[float]) -> list[float]:
     return kept
 
 
-def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, color: tuple[float, float, float]) -> None:
-    axes.scatter([getattr(point, name) for point in points], [point.psnr_db for point in points], s=12, color=[color], zorder=3)
+def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, style: CurveStyle) -> None:
+    xs, ys = [getattr(point, name) for point in points], [point.psnr_db for point in points]
+    axes.scatter(xs, ys, s=22, color=[style.color], marker=style.marker, zorder=3)
     groups: dict[float, list[CurvePoint]] = {}
     for point in points:
         groups.setdefault(float(f"{point.cpu_s:.1g}"), []).append(point)
@@ -79,4 +79,6 @@ def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, color
         (np.mean([getattr(point, name) for point in group]), np.mean([point.psnr_db for point in group]))
         for _, group in sorted(groups.items())
     ]
-    axes.plot([mean[0] for mean in means], [mean[1] for mean in means], color=color, linewidth=1.8, label=label, zorder=2)
+    axes.plot([mean[0] for mean in means], [mean[1] for mean in means], color=style.color, linestyle=style.dash, linewidth=1.8, zorder=2)
+    dash = style.dash if len(means) > 1 else "none"
+    axes.plot([], [], color=style.color, linestyle=dash, marker=style.marker, markersize=5, linewidth=1.8, label=label)
