@@ -123,8 +123,8 @@ def _facts(bench: PaperBench, arms: Arms) -> list[str]:
 
 def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
     """Quality and cost of every arm of a part, and what balanced regions save."""
-    figures: Any = made.figures or {}
-    rows: list[dict[str, Any]] = figures if isinstance(figures, list) else figures.get("rows", [])
+    named: dict[str, Any] = made.figures if isinstance(made.figures, dict) else {}
+    rows: list[dict[str, Any]] = made.figures if isinstance(made.figures, list) else named.get("rows", [])
     metrics: list[Metric] = []
     for row in rows:
         key = f"paper.{scene}.{part}.{row['cell']}.{row['arm'].replace(' ', '_')}"
@@ -138,6 +138,6 @@ def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
         if row["band_db"] is not None:
             metrics.append(Metric(key=f"{key}.band_db", value=row["band_db"], unit="dB", direction="higher"))
     if part == "balance":
-        for kind, value in figures["saved_percent"].items():
+        for kind, value in named["saved_percent"].items():
             metrics.append(Metric(key=f"paper.{scene}.balance.saves_{kind}_percent", value=value, unit="%", direction="info"))
     return metrics
