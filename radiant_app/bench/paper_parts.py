@@ -211,7 +211,7 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The place beside a border where the cut is most wrong, as each way of joining shows it."""
+    """The place beside a border where the cut is most behind the centralised model, as each way of joining shows it."""
     from radiant_viewer.healing_chart import Healed, healing_picture
 
     del quick
@@ -219,10 +219,10 @@ def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     bands = [mask.band for mask in arms.masks(cell)]
     if not any(band.any() for band in bands):
         return Part(title=title, text="No held-out photograph sees a border.")
-    views = {name: arms.views(cell, method_arm(name)) for name in tracked(REGION_METHODS, "bench paper, border")}
-    pairs = zip(views["crop"], arms.photographs, bands, strict=True)
-    errors = [((view.image - photograph) ** 2).sum(axis=2) * band for view, photograph, band in pairs]
-    index, place = _worst_window(errors)
+    views = {name: arms.views(cell, method_arm(name)) for name in tracked(("centralised", *REGION_METHODS), "bench paper, border")}
+    images = zip(views["crop"], views["centralised"], arms.photographs, strict=True)
+    excess = [((cut.image - photograph) ** 2 - (whole.image - photograph) ** 2).sum(axis=2) for cut, whole, photograph in images]
+    index, place = _worst_window([error * band for error, band in zip(excess, bands, strict=True)])
     photograph = arms.photographs[index][place]
     shown = [
         Healed(
@@ -231,23 +231,30 @@ def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
         for name, view in views.items()
     ]
     name = arms.scene.held_out_views.cameras.names[index]
-    detail = f"{_data(arms)}; held-out photograph {name}, the window with the largest error of the cut beside a border"
+    detail = f"{_data(arms)}; held-out photograph {name}, where the cut is most behind the centralised model beside a border"
     picture = healing_picture((photograph * 255).round().astype(np.uint8), bands[index][place], shown, title, detail)
-    text = f"Photograph {name}, held out of everything, where the cut is most wrong beside a border."
+    text = f"Photograph {name}, held out of everything, where beside a border the cut is most behind the centralised model."
     figures = {"photograph": name, "captions": [one.caption for one in shown]}
     return Part(title=title, text=text, pictures={"border.png": picture}, figures=figures)
 
 
 def _worst_window(errors: Sequence[NDArray[np.floating]]) -> tuple[int, tuple[slice, slice]]:
-    """Of images (H,W) of errors the one, and in it the rows and columns of the window, with the largest sum."""
-    best, found = -1.0, (0, (slice(None), slice(None)))
+    """Of images (H,W) of errors the one, and in it the rows and columns of the window, in whose middle half their sum is largest."""
+    best, found = -np.inf, (0, (slice(None), slice(None)))
     for index, error in enumerate(errors):
-        height, width = (max(1, round(WINDOW_SHARE * side)) for side in error.shape)
+        size = [max(1, round(WINDOW_SHARE * side)) for side in error.shape]
+        inner = [max(1, side // 2) for side in size]
         total = np.pad(error.astype(np.float64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+        height, width = inner
         sums = total[height:, width:] - total[:-height, width:] - total[height:, :-width] + total[:-height, :-width]
-        row, column = np.unravel_index(int(sums.argmax()), sums.shape)
-        if sums[row, column] > best:
-            best, found = float(sums[row, column]), (index, (slice(int(row), int(row) + height), slice(int(column), int(column) + width)))
+        corner = np.unravel_index(int(sums.argmax()), sums.shape)
+        if sums[corner] > best:
+            starts = [
+                int(np.clip(place - (full - half) // 2, 0, side - full))
+                for place, half, full, side in zip(corner, inner, size, error.shape, strict=True)
+            ]
+            rows, columns = (slice(start, start + full) for start, full in zip(starts, size, strict=True))
+            best, found = float(sums[corner]), (index, (rows, columns))
     return found
 
 

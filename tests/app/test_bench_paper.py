@@ -92,10 +92,11 @@ def test_kept_figures_are_those_of_the_kept_model(scene: Path, tmp_path: Path) -
 
 def test_the_worst_window_is_where_the_errors_are() -> None:
     errors = [np.zeros((20, 40)), np.zeros((20, 40)), np.zeros((20, 40))]
-    errors[0][3, 3], errors[1][15:18, 30:34] = 5.0, 1.0
-    index, (rows, columns) = _worst_window(errors)
-    assert index == 1 and (rows.stop - rows.start, columns.stop - columns.start) == (9, 18)
-    assert errors[1][rows, columns].sum() == 12
+    errors[0][3, 3], errors[1][9:11, 20:24], errors[2] = 5.0, 1.0, errors[2] - 1
+    assert _worst_window(errors) == (1, (slice(5, 14), slice(11, 29)))
+    errors[1][19, 39] = 20.0
+    assert _worst_window(errors) == (1, (slice(11, 20), slice(22, 40)))
+    assert errors[1][11:20, 22:40].sum() == 20 and _worst_window(errors[2:])[0] == 0
     assert _worst_window([np.zeros((1, 1))]) == (0, (slice(0, 1), slice(0, 1)))
 
 

@@ -73,8 +73,9 @@ def _draw_plan(axes: Axes, plan: PlanLatency, rows: int, longest_s: float, color
         axes.barh(row - 0.17, device.measured_s, height=0.34, color=color)
         axes.barh(row + 0.17, device.predicted_s, height=0.28, facecolor=(*color, 0.18), edgecolor=color, linewidth=1)
         for value, place in ((device.measured_s, row - 0.17), (device.predicted_s, row + 0.17)):
-            axes.annotate(f"{value:.1f}", (value, place), xytext=(4, 0), textcoords="offset points", size=8, va="center", color=INK_COLOR)
-    axes.axvline(plan.makespan_s, color=INK_COLOR, linewidth=1, linestyle=(0, (4, 3)))
+            axes.annotate(f"{value:.1f}", (value, place), xytext=(4, 0), textcoords="offset points", size=8, va="center", color=INK_COLOR,
+                          bbox={"facecolor": "white", "pad": 1.0, "linewidth": 0})  # fmt: skip
+    axes.axvline(plan.makespan_s, color=INK_COLOR, linewidth=1, linestyle=(0, (4, 3)), zorder=0.5)
     axes.barh([-9], [0], color=color, label="measured")
     axes.barh([-9], [0], facecolor=(*color, 0.18), edgecolor=color, linewidth=1, label="predicted")
     axes.set(xlim=(0, 1.16 * longest_s), ylim=(rows - 0.45, -0.55))
