@@ -1,6 +1,6 @@
 """The parts of `radiant bench paper` that compare models: what each measures, its table and its picture. Once per part.
 
-main      every method there is here, on one layout
+main      every method there is here, on one layout; `fed3dgs` adds that one to its table
 border    one border as the cut, `paper` and ours show it
 regions   merge against retrain on 2, 4 and 8 regions of devices, beside the length of all borders
 epochs    quality beside borders and elsewhere against the epochs of retraining at both tiers
@@ -60,10 +60,19 @@ class Part:
 
 
 def main_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """All methods; Fed3DGS is left out of a quick run, since its server takes its time at any size."""
+    """All methods but Fed3DGS."""
+    del quick
+    return _main_table(arms, seeds, [name for name in METHODS if name not in ("ours edges", "fed3dgs")])
+
+
+def fed3dgs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
+    """The same with Fed3DGS, whose server takes as long as all else together; a quick run leaves it out."""
+    return main_part(arms, seeds, quick) if quick else _main_table(arms, seeds, [name for name in METHODS if name != "ours edges"])
+
+
+def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Part:
     from radiant_viewer.curve_chart import CurvePoint, curve_picture
 
-    methods = [name for name in METHODS if name != "ours edges" and not (quick and name == "fed3dgs")]
     rows = _rows(arms, [(arms.cell(arms.layout, seed), method_arm(name)) for name in methods for seed in seeds], "main")
     lines = ["| method | PSNR dB | SSIM | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|"]
     for name in methods:
