@@ -1,11 +1,13 @@
 """The parts of `radiant bench paper` that compare models: what each measures, its table and its picture. Once per part.
 
-main      every method there is here, on one layout; `fed3dgs` adds that one to its table
-border    one border as the cut, `paper` and ours show it
-regions   merge against retrain on 2, 4 and 8 regions of devices, beside the length of all borders
-epochs    quality beside borders and elsewhere against the epochs of retraining at both tiers
-fusion    cut at both tiers, retrain at the edges alone, retrain at both; on two systems
-balance   even against balanced regions with the time of each device (`paper_balance.py`)
+    main      every method there is here, on one layout; `fed3dgs` adds that one to its table
+    border    one border as the cut, `paper` and ours show it
+    regions   merge against retrain on 2, 4 and 8 regions of devices, beside the length of all borders
+    epochs    quality beside borders and elsewhere against the epochs of retraining at both tiers
+    fusion    cut at both tiers, retrain at the edges alone, retrain at both; on two systems
+    balance   even against balanced regions with the time of each device (`paper_balance.py`)
+
+What several of them show is made once (`paper_arms.py`).
 """
 
 from __future__ import annotations
