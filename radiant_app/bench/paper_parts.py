@@ -209,14 +209,14 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     cells = {system: [arms.cell(system[0], seed, system[1]) for seed in seeds] for system in systems}
     jobs = [(cell, method_arm(name)) for own in cells.values() for cell in own for name in settings]
     rows = _rows(arms, jobs, "fusion")
-    lines = ["| system | joining | PSNR dB | SSIM | band dB | Gaussians | CPU s |", "|---|---|---|---|---|---|---|"]
+    lines = ["| system | joining | PSNR dB | SSIM | Gaussians | CPU s |", "|---|---|---|---|---|---|"]
     for number, ((layout, speeds), own_cells) in enumerate(cells.items(), 1):
         names = {cell.name for cell in own_cells}
         for name, setting in settings.items():
             own = [row for row in rows if row.arm == name and row.cell in names]
             lines.append(
                 f"| {number}: {_system(layout, speeds)} | {setting} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'mean_ssim'):.3f} |"
-                f" {_text(_mean_known(own, 'band_db'))} | {_mean(own, 'num_gaussians'):,.0f} | {_mean(own, 'cpu_s'):.0f} |"
+                f" {_mean(own, 'num_gaussians'):,.0f} | {_mean(own, 'cpu_s'):.0f} |"
             )
     return Part(title="Fusion: which tier retrains", text="\n".join(lines), figures=_records(rows))
 
