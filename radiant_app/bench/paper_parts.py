@@ -98,7 +98,7 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
         ]
         for name in methods
     }
-    picture = curve_picture(curves, "Every method on the same devices' models", f"{_data(arms)}; CPU time after the devices' trainings")
+    picture = curve_picture(curves, "Every method on the same devices' models", _data(arms), "CPU time after the devices' trainings (s)")
     return Part(title="Main table", text="\n".join(lines), pictures={"main.png": picture}, figures=_records(rows))
 
 
@@ -142,8 +142,11 @@ def _region_panels(table: Mapping[str, list[tuple[float, float, float, float]]],
     retrained = {name: values for name, values in columns.items() if values[0, 3] > 0}
     psnr = np.concatenate([values[:, 1] for values in columns.values()])
     x = {"x_label": "Regions of devices", "x_ticks": tuple(counts.tolist())}
-    length = Line(name="length of all borders", x=counts, y=np.array(lengths_m) / lengths_m[0], marked=True)
-    growth = [Line(name=_called(name), x=counts, y=values[:, 3] / values[0, 3], marked=True) for name, values in retrained.items()]
+    length = Line(name="length of all borders", x=counts, y=np.array(lengths_m) / lengths_m[0], marked=True, style=len(REGION_METHODS))
+    growth = [
+        Line(name=_called(name), x=counts, y=values[:, 3] / values[0, 3], marked=True, style=REGION_METHODS.index(name))
+        for name, values in retrained.items()
+    ]
     quality = [Line(name=_called(name), x=counts, y=values[:, 1], marked=True) for name, values in columns.items()]
     seconds = [Line(name=_called(name), x=counts, y=values[:, 2], marked=True) for name, values in columns.items()]
     return [
@@ -187,7 +190,9 @@ def _epoch_panels(of: Mapping[tuple[str, int], list[ArmRow]], epochs: Sequence[i
     xs = np.array(epochs, float)
     return [
         Panel(
-            lines=tuple(Line(name=name, x=xs, y=line, marked=True) for name, line in values[kind].items()),
+            lines=tuple(
+                Line(name=name, x=xs, y=line, marked=True, style=REGION_METHODS.index(name)) for name, line in values[kind].items()
+            ),
             x_label="Epochs at the edges and at the cloud",
             y_label=label,
             y_range=span,

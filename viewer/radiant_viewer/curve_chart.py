@@ -32,14 +32,16 @@ class CurvePoint:
             raise BadInput(f"a point of a curve is {self}, expected three positive numbers.")
 
 
-def curve_picture(curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str) -> Image:
+def curve_picture(
+    curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str, time_label: str = "CPU time of training (s)"
+) -> Image:
     """Lines through the mean of the points with about equal seconds; every point is drawn. BadInput without points."""
     if not any(curves.values()):
         raise BadInput("there is no curve to draw: give at least one point.")
     figure = new_figure((WIDTH_PX, HEIGHT_PX))
     figure.text(16 / WIDTH_PX, 1 - 14 / HEIGHT_PX, title, size=14, weight="bold", color=INK_COLOR, va="top")
     figure.text(16 / WIDTH_PX, 1 - 40 / HEIGHT_PX, detail, size=10, color=SOFT_COLOR, va="top")
-    for panel, (name, label) in enumerate((("cpu_s", "CPU time of training (s)"), ("num_gaussians", "Gaussians"))):
+    for panel, (name, label) in enumerate((("cpu_s", time_label), ("num_gaussians", "Gaussians"))):
         left_px = LEFT_PX + panel * WIDTH_PX // 2
         axes = axes_at(figure, (left_px, FOOT_PX, WIDTH_PX // 2 - LEFT_PX - 20, HEIGHT_PX - TOP_PX - FOOT_PX))
         for index, (variant, points) in enumerate(curves.items()):
@@ -47,7 +49,7 @@ def curve_picture(curves: Mapping[str, Sequence[CurvePoint]], title: str, detail
         axes.set_xlabel(label, color=SOFT_COLOR)
         axes.set_ylabel("PSNR of held-out photographs (dB)", color=SOFT_COLOR)
         axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_locator(MaxNLocator(6))
         axes.set_xticks(_apart([getattr(point, name) for points in curves.values() for point in points]))
@@ -71,7 +73,7 @@ def _apart(values: Sequence[float]) -> list[float]:
 
 def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, style: CurveStyle) -> None:
     xs, ys = [getattr(point, name) for point in points], [point.psnr_db for point in points]
-    axes.scatter(xs, ys, s=22, color=[style.color], marker=style.marker, zorder=3)
+    axes.scatter(xs, ys, s=40, color=[style.color], marker=style.marker, zorder=3)
     groups: dict[float, list[CurvePoint]] = {}
     for point in points:
         groups.setdefault(float(f"{point.cpu_s:.1g}"), []).append(point)

@@ -19,13 +19,15 @@ PANEL_WH, LEFT_PX, FOOT_PX, TOP_PX, GAP_PX = (520, 400), 76, 58, 76, 30
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """x, y (K,) finite; dots without a line where `dotted`, dots on the line where `marked`."""
+    """x, y (K,) finite; dots without a line where `dotted`, dots on the line where `marked`; `style` where a name keeps its own."""
 
     name: str
     x: FloatArray
     y: FloatArray
     dotted: bool = False
     marked: bool = False
+    style: int | None = None
+    """Number of the curve's style; by the order of names where nothing is given."""
 
     def __post_init__(self) -> None:
         x = checked_array(f"x of {self.name}", self.x, (None,))
@@ -63,7 +65,7 @@ def line_picture(panels: Sequence[Panel], title: str, detail: str = "", panel_wh
 
 def _draw_panel(axes: Axes, panel: Panel, styles: dict[str, CurveStyle]) -> None:
     for number, line in enumerate(panel.lines):
-        style = styles[line.name]
+        style = styles[line.name] if line.style is None else curve_style(line.style)
         dots = line.dotted or len(line.x) == 1
         # Wider below, so that lines which run together all show.
         width = 1.8 + 1.6 * (len(panel.lines) - 1 - number) if not line.marked else 1.8
