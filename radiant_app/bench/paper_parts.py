@@ -68,7 +68,7 @@ def main_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def fed3dgs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The same with Fed3DGS, whose server takes as long as all else together; a quick run leaves it out."""
+    """The same with Fed3DGS, whose server takes twice the time of any other; a quick run leaves it out."""
     return main_part(arms, seeds, quick) if quick else _main_table(arms, seeds, [name for name in METHODS if name != "ours edges"])
 
 
