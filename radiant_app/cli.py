@@ -345,7 +345,7 @@ app.command()(export)
 @app.command()
 def bench(
     name: Annotated[
-        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "upload", "teachers", "viewer"],
+        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "paper", "upload", "teachers", "viewer"],
         typer.Argument(help="What to measure."),
     ],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
@@ -354,14 +354,14 @@ def bench(
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of the rasterizer; all cores without it.")] = None,
     preset: Annotated[list[str] | None, typer.Option(help="train: presets to compare, else default and standard.")] = None,
     budget: Annotated[list[float] | None, typer.Option(min=0.1, help="train: CPU seconds, else 60, 180 and 600.")] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train, methods: models of each kind.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train, methods, paper: models of each kind.")] = None,
     long_side_px: LongSide = None,
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
     plot: BenchPlot = None,
-    method: Annotated[list[str] | None, typer.Option(help="methods: those to compare, else all.")] = None,
+    method: Annotated[list[str] | None, typer.Option(help="methods: those to compare; paper: parts of its page; else all.")] = None,
     layout: Annotated[str, typer.Option(help="methods: edges x devices per edge.")] = "2x2",
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
-    out: Annotated[Path | None, typer.Option("--out", help="methods: folder of models and rows; a later call goes on there.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="methods, paper: folder of what is made; a later call goes on.")] = None,
 ) -> None:
     """Run time beside error."""
     from radiant_app.bench.runner import BenchOptions, run_bench

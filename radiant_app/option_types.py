@@ -21,7 +21,7 @@ RasterCellOption = Annotated[
 BenchScene = Annotated[
     Path | None,
     typer.Option(
-        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods: 'radiant sfm' or a run; "
+        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm' or a run; "
         "upload, teachers: a finished run; "
         "borders: that or a folder of runs."
     ),

@@ -189,16 +189,19 @@ class Cell:
     train: TrainConfig
     """Of a device."""
     cache: ModelCache
+    speeds: tuple[float, ...] = DEVICE_SPEEDS
+    """Of an edge's devices, in turn."""
 
     @property
     def name(self) -> str:
         """Names the cell's files."""
-        return f"{self.scene.name}-{self.layout}-p{self.placement}-s{self.seed}"
+        speeds = "" if self.speeds == DEVICE_SPEEDS else "-v" + "_".join(f"{speed:g}" for speed in self.speeds)
+        return f"{self.scene.name}-{self.layout}{speeds}-p{self.placement}-s{self.seed}"
 
     @cached_property
     def plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
         """Regions of the edges and the devices' cameras, exactly planned."""
-        return self._planned("exact", self.layout.system())
+        return self._planned("exact", self.layout.system(self.speeds))
 
     @cached_property
     def even_plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:

@@ -209,7 +209,8 @@ def _crop(cell: Cell) -> Made:
     return _timed(work)
 
 
-def _joined(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tuple[EdgePlan, ...]], devices: list[list[Trained]]) -> Made:
+def join_cell(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tuple[EdgePlan, ...]], devices: list[list[Trained]]) -> Made:
+    """Models of the devices (per edge, of those with cameras) joined at the edges and at the cloud as `aggregate` says."""
     cloud_plan, edge_plans = plans
 
     def joined(teachers: list[Teacher], claims: Any) -> Joined:
@@ -243,7 +244,7 @@ def _pixels(teachers: Sequence[Teacher], joined: Joined) -> float:
 
 
 def _even(cell: Cell) -> Made:
-    return _joined(cell, aggregate_preset("default"), cell.even_plan, cell.device_models(cell.even_plan[1]))
+    return join_cell(cell, aggregate_preset("default"), cell.even_plan, cell.device_models(cell.even_plan[1]))
 
 
 def _on_photographs(cell: Cell) -> Made:
@@ -278,7 +279,7 @@ def _fed3dgs(cell: Cell) -> Made:
 
 
 def _by(aggregate: AggregateConfig) -> Callable[[Cell], Made]:
-    return lambda cell: _joined(cell, aggregate, cell.plan, cell.devices)
+    return lambda cell: join_cell(cell, aggregate, cell.plan, cell.devices)
 
 
 METHODS: Mapping[str, Callable[[Cell], Made]] = {

@@ -40,29 +40,31 @@ class BenchOptions:
     plot: Path | None = None
     """PNG for the curves (train, methods, fed3dgs), or the folder of the figures (plan)."""
     methods: tuple[str, ...] = ()
-    """Methods to compare (methods); empty for all."""
+    """Methods to compare (methods) or parts of the page (paper); empty for all."""
     layout: str = "2x2"
     """Edges x devices per edge (methods)."""
     num_placements: int = 1
     """Placements of the edges (methods)."""
     out: Path | None = None
-    """Folder of models and rows, which a later call goes on with (methods)."""
+    """Folder of models and rows, which a later call goes on with (methods, paper), and of the page (paper)."""
 
 
 def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
     """Run the benchmark `name` and report; BadInput for an unknown name or an unwritable file."""
     if json_file is not None and not json_file.parent.is_dir():
         raise BadInput(f"there is no folder {json_file.parent} to write {json_file.name} into: make it first.")
-    if options.scene is not None and name not in ("sfm", "train", "methods", *_OF_A_RUN):
-        raise BadInput(f"--scene is for the benchmarks sfm, train, methods, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
+    if options.scene is not None and name not in ("sfm", "train", "methods", "paper", *_OF_A_RUN):
+        raise BadInput(f"--scene is for sfm, train, methods, paper, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
     if name != "train" and (options.presets or options.budgets_s or options.ablations):
         raise BadInput(f"--preset, --budget and --ablations are for the benchmark train, not for {name}: leave them out.")
-    if name not in ("train", "methods") and options.num_seeds:
-        raise BadInput(f"--seeds is for the benchmarks train and methods, not for {name}: leave it out.")
-    if name != "methods" and (options.methods or options.out or options.num_placements > 1):
-        raise BadInput(f"--method, --placements and --out are for the benchmark methods, not for {name}: leave them out.")
-    if name == "methods" and (options.scene is None or options.out is None):
-        raise BadInput("the benchmark methods needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
+    if name not in ("train", "methods", "paper") and options.num_seeds:
+        raise BadInput(f"--seeds is for the benchmarks train, methods and paper, not for {name}: leave it out.")
+    if name not in ("methods", "paper") and (options.methods or options.out):
+        raise BadInput(f"--method and --out are for the benchmarks methods and paper, not for {name}: leave them out.")
+    if name != "methods" and options.num_placements > 1:
+        raise BadInput(f"--placements is for the benchmark methods, not for {name}: leave it out.")
+    if name in ("methods", "paper") and (options.scene is None or options.out is None):
+        raise BadInput(f"the benchmark {name} needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
     if options.plot is not None and name not in ("train", "plan", "methods", "fed3dgs"):
         raise BadInput(f"--plot is for the benchmarks train, plan, methods and fed3dgs, not for {name}: leave it out.")
     if options.plot is not None and not options.plot.parent.is_dir():
@@ -113,6 +115,8 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         return _measure_training(options)
     if name == "methods" and options.scene is not None and options.out is not None:
         return _measure_methods(options, options.scene, options.out)
+    if name == "paper" and options.scene is not None and options.out is not None:
+        return _measure_paper(options, options.scene, options.out)
     if name == "upload" and options.scene is not None:
         from radiant_app.bench.upload import bench_upload
 
@@ -121,7 +125,9 @@ def measure(name: str, options: BenchOptions) -> Sequence[Metric]:
         from radiant_app.bench.teachers import bench_teachers
 
         return bench_teachers(options.scene, options.quick)
-    raise BadInput(f"benchmark {name!r} is unknown: use sfm, plan, borders, fed3dgs, raster, train, methods, upload, teachers or viewer.")
+    raise BadInput(
+        f"benchmark {name!r} is unknown: use sfm, plan, borders, fed3dgs, raster, train, methods, paper, upload, teachers or viewer."
+    )
 
 
 def _measure_training(options: BenchOptions) -> Sequence[Metric]:
@@ -156,6 +162,16 @@ def _measure_methods(options: BenchOptions, scene: Path, out: Path) -> Sequence[
         detail = f"{rows[0].scene}, {bench.layout}, {bench.long_side_px} px; CPU time after the devices' trainings"
         save_png(options.plot, curve_picture(curves_of(rows), "Joining: quality against time and size", detail))
         typer.echo(f"written: {options.plot}")
+    return metrics
+
+
+def _measure_paper(options: BenchOptions, scene: Path, out: Path) -> Sequence[Metric]:
+    from radiant_app.bench.paper import PaperBench, bench_paper
+
+    sizes = {"long_side_px": options.long_side_px or (96 if options.quick else 384), "num_steps": 30 if options.quick else 500}
+    repeats = {"parts": options.methods, "num_seeds": options.num_seeds or 1, "quick": options.quick}
+    metrics = bench_paper(PaperBench(scene=scene, out=out, **sizes, **repeats))
+    typer.echo(f"written: {out / 'paper.md'}")
     return metrics
 
 

@@ -82,5 +82,5 @@ def test_the_command_prints_a_table_and_draws_a_picture(bench: MethodBench, tmp_
     ):
         with pytest.raises(BadInput, match=told):
             run_bench("methods", None, BenchOptions(**options))
-    with pytest.raises(BadInput, match="--out are for the benchmark methods"):
+    with pytest.raises(BadInput, match="--out are for the benchmarks methods"):
         run_bench("plan", None, BenchOptions(out=tmp_path))

@@ -188,7 +188,9 @@ def assert_models_and_little_else_were_sent(run_folder: Path) -> None:
     ledger = {row["node"]: row["other_bytes"] for row in json.loads((run_folder / "manifest.json").read_text())["ledger"]}
     for node, tier in (("edges/north", "devices"), ("edges/south", "devices"), ("cloud", "edges")):
         inbox = run_folder / node / "inbox"
-        assert ledger[node] == sum(path.stat().st_size for path in inbox.rglob("*") if path.is_file())
+        records = sum(path.stat().st_size for path in (run_folder / node / "deliveries").rglob("*") if path.is_file())
+        assert ledger[node] == records + sum(path.stat().st_size for path in inbox.rglob("*") if path.is_file())
+        assert 0 < records <= 1000 * len(list(inbox.iterdir()))
         for sender in inbox.iterdir():
             sent = {path.name: path.stat().st_size for path in sender.iterdir()}
             assert sent.pop("model.safetensors") == (run_folder / tier / sender.name / "upload.safetensors").stat().st_size
@@ -264,7 +266,8 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
     assert [event.stage for event in events if isinstance(event, StageDone)] == ["positions/south-2"]
     assert again.metrics["psnr_db"] == result.metrics["psnr_db"] and "whose place is known" in again.metrics["missing"]["south-2"]
     warnings = json.loads((tmp_path / "run" / "manifest.json").read_text())["warnings"]
-    assert any("found.png" in warning for warning in warnings) and not any("takes no part" in warning for warning in warnings)
+    assert any("1 of 1 photographs of device south-2 have no usable position" in warning for warning in warnings)
+    assert not any("takes no part" in warning or "found.png" in warning for warning in warnings), "names stay with the device"
 
 
 def test_the_middle_of_a_site_on_the_180th_meridian_lies_there() -> None:

@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from radiant_core.errors import BadInput
 from radiant_viewer.images import Image
 from radiant_viewer.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, new_figure
-from radiant_viewer.palette import CATEGORIES
+from radiant_viewer.palette import CurveStyle, curve_style
 
 WIDTH_PX, HEIGHT_PX, TOP_PX, LEFT_PX, FOOT_PX = 1100, 520, 76, 72, 58
 MIN_LABEL_GAP = 0.14
@@ -32,23 +32,24 @@ class CurvePoint:
             raise BadInput(f"a point of a curve is {self}, expected three positive numbers.")
 
 
-def curve_picture(curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str) -> Image:
+def curve_picture(
+    curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str, time_label: str = "CPU time of training (s)"
+) -> Image:
     """Lines through the mean of the points with about equal seconds; every point is drawn. BadInput without points."""
     if not any(curves.values()):
         raise BadInput("there is no curve to draw: give at least one point.")
     figure = new_figure((WIDTH_PX, HEIGHT_PX))
     figure.text(16 / WIDTH_PX, 1 - 14 / HEIGHT_PX, title, size=14, weight="bold", color=INK_COLOR, va="top")
     figure.text(16 / WIDTH_PX, 1 - 40 / HEIGHT_PX, detail, size=10, color=SOFT_COLOR, va="top")
-    for panel, (name, label) in enumerate((("cpu_s", "CPU time of training (s)"), ("num_gaussians", "Gaussians"))):
+    for panel, (name, label) in enumerate((("cpu_s", time_label), ("num_gaussians", "Gaussians"))):
         left_px = LEFT_PX + panel * WIDTH_PX // 2
         axes = axes_at(figure, (left_px, FOOT_PX, WIDTH_PX // 2 - LEFT_PX - 20, HEIGHT_PX - TOP_PX - FOOT_PX))
         for index, (variant, points) in enumerate(curves.items()):
-            red, green, blue = CATEGORIES[index % len(CATEGORIES)]
-            _draw(axes, points, name, variant, (red / 255, green / 255, blue / 255))
+            _draw(axes, points, name, variant, curve_style(index))
         axes.set_xlabel(label, color=SOFT_COLOR)
         axes.set_ylabel("PSNR of held-out photographs (dB)", color=SOFT_COLOR)
         axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_locator(MaxNLocator(6))
         axes.set_xticks(_apart([getattr(point, name) for points in curves.values() for point in points]))
@@ -70,8 +71,9 @@ def _apart(values: Sequence[float]) -> list[float]:
     return kept
 
 
-def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, color: tuple[float, float, float]) -> None:
-    axes.scatter([getattr(point, name) for point in points], [point.psnr_db for point in points], s=12, color=[color], zorder=3)
+def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, style: CurveStyle) -> None:
+    xs, ys = [getattr(point, name) for point in points], [point.psnr_db for point in points]
+    axes.scatter(xs, ys, s=40, color=[style.color], marker=style.marker, zorder=3)
     groups: dict[float, list[CurvePoint]] = {}
     for point in points:
         groups.setdefault(float(f"{point.cpu_s:.1g}"), []).append(point)
@@ -79,4 +81,6 @@ def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, color
         (np.mean([getattr(point, name) for point in group]), np.mean([point.psnr_db for point in group]))
         for _, group in sorted(groups.items())
     ]
-    axes.plot([mean[0] for mean in means], [mean[1] for mean in means], color=color, linewidth=1.8, label=label, zorder=2)
+    axes.plot([mean[0] for mean in means], [mean[1] for mean in means], color=style.color, linestyle=style.dash, linewidth=1.8, zorder=2)
+    dash = style.dash if len(means) > 1 else "none"
+    axes.plot([], [], color=style.color, linestyle=dash, marker=style.marker, markersize=5, linewidth=1.8, label=label)

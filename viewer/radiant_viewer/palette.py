@@ -5,6 +5,8 @@ Runs once per layer. Colours are (3,) uint8, sRGB. Source: Okabe & Ito, Color Un
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,6 +18,27 @@ BLACK, GREY, WHITE, INK = (0, 0, 0), (150, 150, 150), (255, 255, 255), (40, 44, 
 
 CATEGORIES = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, YELLOW)
 """Order in which edges take their colours."""
+
+CURVE_COLORS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, BLACK)
+"""Order in which curves take theirs: yellow is too faint for a thin line on white."""
+DASHES = ("-", "--", ":", "-.")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h", "<", ">")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurveStyle:
+    """How one curve is drawn: colour with channels in 0..1, matplotlib's names of the dash and of the marker."""
+
+    color: tuple[float, float, float]
+    dash: str
+    marker: str
+
+
+def curve_style(index: int) -> CurveStyle:
+    """Style of the curve `index` ≥ 0: colour, dash and marker together come back after 308 curves, and no two of eleven share a marker."""
+    red, green, blue = CURVE_COLORS[index % len(CURVE_COLORS)]
+    dash = DASHES[index // len(CURVE_COLORS) % len(DASHES)]
+    return CurveStyle(color=(red / 255, green / 255, blue / 255), dash=dash, marker=MARKERS[index % len(MARKERS)])
 
 
 def tinted(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:

@@ -224,7 +224,7 @@ def test_missing_and_ambiguous_files_and_unknown_networks_are_refused(alex: Path
         (tmp_path / "empty", "alex", "holds 0 files alexnet*.pth and 0 alex.pth"),
         (twice, "alex", "holds 2 files alexnet*.pth"),
         (alex, "vgg", "holds 0 files vgg16*.pth and 0 vgg.pth"),
-        (tmp_path / "none.safetensors", "alex", "as safetensors"),
+        (tmp_path / "none.safetensors", "alex", "not a whole safetensors"),
         (tmp_path / "half.safetensors", "alex", "has no tensor lin0.model.1.weight"),
         (alex, "squeeze", "use one of vgg, alex"),
     ]

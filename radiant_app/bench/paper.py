@@ -1,0 +1,144 @@
+"""`radiant bench paper`: the paper's figures and tables, made anew from our own data. Once per scene.
+
+    plan      `radiant bench plan`: costs, balance, convergence and partitions (`plan_figures.py`)
+    others    main, fed3dgs, border, balance, regions, fusion, epochs: models joined in every way (`paper_parts.py`, `paper_balance.py`)
+
+Everything lands in one folder: `paper.md` with its pictures, `paper.json` with all figures, and below `models/` and `joined/` what a later
+call does not make again. The page is written anew after every part. No figure of the paper itself is on it: scenes, sizes and machines
+differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.bench.method_cells import Layout
+from radiant_app.bench.paper_arms import Arms, load_arms
+from radiant_app.bench.paper_balance import balance_part
+from radiant_app.bench.paper_parts import Part, border_part, epochs_part, fed3dgs_part, fusion_part, main_part, regions_part
+from radiant_app.bench.plan_figures import bench_plan_figures
+from radiant_core import __version__
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.metric import Metric
+from radiant_core.io.run_store import write_atomic, write_json
+
+PARTS: Mapping[str, Callable[[Arms, Sequence[int], bool], Part]] = {
+    "border": border_part,
+    "balance": balance_part,
+    "regions": regions_part,
+    "fusion": fusion_part,
+    "epochs": epochs_part,
+    "main": main_part,
+    "fed3dgs": fed3dgs_part,
+}
+"""In the order they are made: what needs few models first, since the page can be read while the others are made. `fed3dgs` is the main
+table once more."""
+PAGE_ORDER = ("main", "regions", "epochs", "fusion", "balance", "border", "plan")
+LAYOUT, QUICK_LAYOUT = Layout(num_edges=2, num_devices=2), Layout(num_edges=2, num_devices=1)
+PLAN_PICTURES = {
+    "costs": "Time and model size against images per device",
+    "balance": "Even against balanced regions, predicted with these curves",
+    "convergence": "Convergence of ARP",
+    "partitions": "Partitions with the latency of each region",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperBench:
+    """What to make. `num_steps` of a device's training; `parts` by name, empty for all."""
+
+    scene: Path
+    out: Path
+    parts: tuple[str, ...] = ()
+    num_seeds: int = 1
+    long_side_px: int = 384
+    num_steps: int = 500
+    quick: bool = False
+    """Fewer layouts and epochs, no Fed3DGS, the planner's quick figures."""
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.parts) - {*PARTS, "plan"})
+        if unknown:
+            raise BadInput(f"part {unknown[0]!r} of the paper's figures is unknown: use {', '.join([*PARTS, 'plan'])}.")
+
+
+def bench_paper(bench: PaperBench) -> list[Metric]:
+    """Page, pictures and JSON in `bench.out`; the figures of its tables as metrics `paper.<scene>.<part>.<cell>.<arm>.…`."""
+    arms = load_arms(bench.scene, bench.out, QUICK_LAYOUT if bench.quick else LAYOUT, bench.long_side_px, bench.num_steps)
+    bench.out.mkdir(parents=True, exist_ok=True)
+    seeds = range(bench.num_seeds)
+    made: dict[str, Part] = {}
+    for name, make in PARTS.items():
+        if bench.parts and name not in bench.parts:
+            continue
+        made["main" if name == "fed3dgs" else name] = make(arms, seeds, bench.quick)
+        _write(bench, arms, made)
+    metrics = [metric for name, part in made.items() for metric in _metrics(arms.scene.name, name, part)]
+    if not bench.parts or "plan" in bench.parts:
+        metrics += bench_plan_figures(bench.out / "plan", bench.quick)
+        made["plan"] = _plan_part()
+        _write(bench, arms, made)
+    return metrics
+
+
+def _plan_part() -> Part:
+    text = "\n\n".join(f"{caption}\n\n![{caption}](plan/{name}.png)" for name, caption in PLAN_PICTURES.items())
+    return Part(title="Planning", text=text)
+
+
+def _write(bench: PaperBench, arms: Arms, made: Mapping[str, Part]) -> None:
+    """The page and the JSON of what is made so far."""
+    from radiant_viewer.images import save_png
+
+    lines = [f"# The paper's figures on our own data: {arms.scene.name}", "", *_facts(bench, arms), ""]
+    for name in PAGE_ORDER:
+        if name not in made:
+            continue
+        part = made[name]
+        lines += [f"## {part.title}", "", part.text, ""]
+        for file, image in part.pictures.items():
+            save_png(bench.out / file, image)
+            lines += [f"![{part.title}]({file})", ""]
+    write_atomic(bench.out / "paper.md", "\n".join(lines).encode())
+    figures = {name: {"title": part.title, "figures": part.figures} for name, part in made.items()}
+    about = {"version": __version__, "scene": arms.scene.name, "long_side_px": bench.long_side_px, "num_steps": bench.num_steps}
+    write_json(bench.out / "paper.json", {**about, "num_seeds": bench.num_seeds, "quick": bench.quick, "parts": figures})
+
+
+def _facts(bench: PaperBench, arms: Arms) -> list[str]:
+    trained, held = len(arms.scene.training.cameras), len(arms.scene.held_out.cameras)
+    seeds = "1 seed" if bench.num_seeds == 1 else f"{bench.num_seeds} seeds"
+    devices = "1 device each" if arms.layout.num_devices == 1 else f"{arms.layout.num_devices} devices each, of speeds 1 and 0.6"
+    return [
+        f"Scene {arms.scene.name}: {trained} photographs to train on, {held} held out of everything (every eighth by name).",
+        f"{bench.long_side_px} px, {bench.num_steps} steps per device (preset draft), {seeds}. Unless said otherwise",
+        f"{arms.layout.num_edges} edges with {devices}. PSNR and SSIM are means over held-out photographs, seconds are CPU",
+        "seconds on this machine. All of it was measured here: the paper's own figures, of other scenes and machines, are not here.",
+    ]
+
+
+def _metrics(scene: str, part: str, made: Part) -> list[Metric]:
+    """Quality and cost of every arm of a part, and what balanced regions save."""
+    named: dict[str, Any] = made.figures if isinstance(made.figures, dict) else {}
+    rows: list[dict[str, Any]] = made.figures if isinstance(made.figures, list) else named.get("rows", [])
+    metrics: list[Metric] = []
+    for row in rows:
+        key = f"paper.{scene}.{part}.{row['cell']}.{row['arm'].replace(' ', '_')}"
+        metrics += [
+            Metric(key=f"{key}.psnr_db", value=float(np.mean(row["psnr_db"])), unit="dB", direction="higher"),
+            Metric(key=f"{key}.ssim", value=float(np.mean(row["ssim"])), unit="1", direction="higher"),
+            Metric(key=f"{key}.cpu_s", value=row["cpu_s"], unit="s", direction="info"),
+            Metric(key=f"{key}.training_px", value=row["training_px"], unit="px", direction="info"),
+            Metric(key=f"{key}.num_gaussians", value=row["num_gaussians"], unit="1", direction="info"),
+        ]
+        if row["band_db"] is not None:
+            metrics.append(Metric(key=f"{key}.band_db", value=row["band_db"], unit="dB", direction="higher"))
+    if part == "balance":
+        for kind, value in named["saved_percent"].items():
+            metrics.append(Metric(key=f"paper.{scene}.balance.saves_{kind}_percent", value=value, unit="%", direction="info"))
+    return metrics

@@ -1,0 +1,176 @@
+"""Even against balanced regions: how long each device trains and how good the joined scene is. Once per `radiant bench paper`.
+
+Here every device takes as many steps per photograph, so that its time follows the number of its photographs as the plan assumes; all
+devices together take the steps of the other parts. Measured: CPU seconds of a device's training on this machine ÷ its speed. Predicted:
+the plan's curve, seconds per photograph ÷ speed, with the mean CPU seconds per photograph of all these trainings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from radiant_app.bench.method_cells import Cell, Trained, device_rows
+from radiant_app.bench.methods import Made, join_cell
+from radiant_app.bench.paper_arms import Arm, Arms
+from radiant_app.bench.paper_parts import Part
+from radiant_app.progress import tracked
+from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+
+if TYPE_CHECKING:
+    from radiant_viewer.latency_chart import PlanLatency
+
+Plans = tuple[CloudPlan, tuple[EdgePlan, ...]]
+NAMES = ("even", "balanced")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceTime:
+    """A device's photographs and CPU seconds of training on this machine, mean over seeds; its speed against this machine."""
+
+    device: str
+    speed: float
+    num_photographs: int
+    cpu_s: float
+
+    @property
+    def measured_s(self) -> float:
+        """What the device would take."""
+        return self.cpu_s / self.speed
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Side:
+    """One plan's devices and joined scene; photograph_s: the mean CPU seconds per photograph, the same for both plans."""
+
+    name: str
+    devices: list[DeviceTime]
+    psnr_db: float
+    photograph_s: float
+
+    @property
+    def measured_s(self) -> float:
+        return max(device.measured_s for device in self.devices)
+
+    @property
+    def predicted_s(self) -> float:
+        return max(self.predicted(device) for device in self.devices)
+
+    def predicted(self, device: DeviceTime) -> float:
+        return device.num_photographs / device.speed * self.photograph_s
+
+
+def balance_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
+    """Latency per device and PSNR of both."""
+    from radiant_viewer.latency_chart import latency_picture
+
+    del quick
+    cells = [arms.cell(arms.layout, seed) for seed in seeds]
+    jobs = tracked([(name, cell) for name in NAMES for cell in cells], "bench paper, balance")
+    done = [(name, arms.row(cell, _arm(name)), _times(cell, _plans(name, cell))) for name, cell in jobs]
+    every = [device for _, _, own in done for device in own]
+    photograph_s = sum(device.cpu_s for device in every) / sum(device.num_photographs for device in every)
+    even, balanced = (
+        _Side(
+            name=name,
+            devices=_mean_times([own for other, _, own in done if other == name]),
+            psnr_db=float(np.mean([row.mean_psnr_db for other, row, _ in done if other == name])),
+            photograph_s=photograph_s,
+        )
+        for name in NAMES
+    )
+    saved = {
+        "measured": 100 * (1 - balanced.measured_s / even.measured_s),
+        "predicted": 100 * (1 - balanced.predicted_s / even.predicted_s),
+    }
+    title = "Even against balanced regions: time of each device"
+    detail = (
+        f"{arms.scene.name}, {arms.scene.long_side_px} px; CPU seconds of training here ÷ speed of the device; dashed: the slowest device"
+    )
+    return Part(
+        title=title,
+        text=_table([even, balanced], saved),
+        pictures={"balance.png": latency_picture([_drawn(side) for side in (even, balanced)], title, detail)},
+        figures={
+            "rows": [asdict(row) for _, row, _ in done],
+            "devices": {side.name: [asdict(device) for device in side.devices] for side in (even, balanced)},
+            "cpu_s_per_photograph": photograph_s,
+            "saved_percent": saved,
+        },
+    )
+
+
+def _table(sides: Sequence[_Side], saved: dict[str, float]) -> str:
+    lines = ["| regions | device | speed | photographs | CPU s here | measured s | predicted s |", "|---|---|---|---|---|---|---|"]
+    lines += [
+        f"| {side.name} | {device.device} | {device.speed:g} | {device.num_photographs} | {device.cpu_s:.1f} | {device.measured_s:.1f} |"
+        f" {side.predicted(device):.1f} |"
+        for side in sides
+        for device in side.devices
+    ]
+    lines += ["", "| regions | slowest device, measured s | predicted s | PSNR dB of the joined scene |", "|---|---|---|---|"]
+    lines += [f"| {side.name} | {side.measured_s:.1f} | {side.predicted_s:.1f} | {side.psnr_db:.2f} |" for side in sides]
+    later = {kind: f"{abs(percent):.0f} % {'sooner' if percent >= 0 else 'later'}" for kind, percent in saved.items()}
+    lines += ["", f"Balanced regions are done {later['measured']} as measured, {later['predicted']} as predicted."]
+    return "\n".join([*lines, "", (__doc__ or "").split("\n\n")[1].strip()])
+
+
+def _drawn(side: _Side) -> PlanLatency:
+    from radiant_viewer.latency_chart import DeviceLatency, PlanLatency
+
+    devices = [
+        DeviceLatency(
+            name=f"{device.device}, speed {device.speed:g}\n{device.num_photographs} photographs",
+            measured_s=device.measured_s,
+            predicted_s=side.predicted(device),
+        )
+        for device in side.devices
+    ]
+    note = f"slowest device {side.measured_s:.1f} s; joined scene {side.psnr_db:.2f} dB"
+    return PlanLatency(name=side.name, note=note, devices=tuple(devices))
+
+
+def _plans(name: str, cell: Cell) -> Plans:
+    return cell.even_plan if name == "even" else cell.plan
+
+
+def _arm(name: str) -> Arm:
+    aggregate = aggregate_preset("default")
+
+    def make(cell: Cell) -> Made:
+        plans = _plans(name, cell)
+        return join_cell(cell, aggregate, plans, _models(cell, plans))
+
+    return Arm(name=f"{name} steps by photographs", make=make, settings=aggregate)
+
+
+def _models(cell: Cell, plans: Plans) -> list[list[Trained]]:
+    """Per edge the models of its devices with photographs, each with its share of all steps."""
+    num_devices = sum(len(plan.device_ids) for plan in plans[1])
+    per_photograph = cell.train.num_steps * num_devices / len(cell.scene.training.cameras)
+
+    def model(rows: list[int]) -> Trained:
+        steps = max(1, round(per_photograph * len(rows)))
+        return cell.cache.trained(cell.scene, rows, replace(cell.train, seed=cell.seed, num_steps=steps))
+
+    return [[model(rows.tolist()) for rows in device_rows(plan)] for plan in plans[1]]
+
+
+def _times(cell: Cell, plans: Plans) -> list[DeviceTime]:
+    found: list[DeviceTime] = []
+    for plan, models in zip(plans[1], _models(cell, plans), strict=True):
+        waiting = iter(models)
+        for index, device in enumerate(plan.device_ids):
+            count = len(plan.cameras_of(device))
+            cpu_s = next(waiting).cpu_s if count else 0.0
+            speed = cell.speeds[index % len(cell.speeds)]
+            found.append(DeviceTime(device=device, speed=speed, num_photographs=count, cpu_s=cpu_s))
+    return found
+
+
+def _mean_times(of_seeds: Sequence[Sequence[DeviceTime]]) -> list[DeviceTime]:
+    return [replace(own[0], cpu_s=float(np.mean([one.cpu_s for one in own]))) for own in zip(*of_seeds, strict=True)]

@@ -1,0 +1,115 @@
+"""`radiant bench paper`: one page of all parts from models that are made once; its figures are those of the models they name."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from shapely import LineString, Polygon
+
+from radiant_app.bench import paper
+from radiant_app.bench.method_cells import Layout, load_bench_scene
+from radiant_app.bench.methods import METHODS
+from radiant_app.bench.paper import PAGE_ORDER, PARTS, PaperBench, bench_paper
+from radiant_app.bench.paper_arms import Arms, epochs_arm, method_arm
+from radiant_app.bench.paper_parts import _worst_window, border_length_m
+from radiant_app.bench.runner import BenchOptions, run_bench
+from radiant_app.commands import sfm
+from radiant_app.demo import sample_scenes_folder
+from radiant_app.progress import ProgressDisplay
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.metric import Metric
+from radiant_core.io.run_store import read_json
+from radiant_core.render.rendered_view import render_views
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The hamlet from its known cameras."""
+    folder = tmp_path_factory.mktemp("paper")
+    shutil.copytree(sample_scenes_folder() / "hamlet" / "images", folder / "hamlet" / "images")
+    shutil.copytree(sample_scenes_folder() / "hamlet" / "known", folder / "hamlet" / "sparse" / "0")
+    sfm(folder / "hamlet", folder / "scene", "auto", ProgressDisplay(Console(quiet=True)))
+    return folder / "scene"
+
+
+def test_a_page_of_every_part_is_made_once_and_kept(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_plan(folder: Path, quick: bool) -> list[Metric]:
+        assert folder == tmp_path / "out" / "plan" and quick
+        return [Metric(key="plan.figures.x", value=1.0, unit="1", direction="info")]
+
+    monkeypatch.setattr(paper, "bench_plan_figures", no_plan)
+    bench = PaperBench(scene=scene, out=tmp_path / "out", long_side_px=48, num_steps=8, quick=True)
+    metrics = bench_paper(bench)
+    page = (bench.out / "paper.md").read_text()
+    record = read_json(bench.out / "paper.json")
+    assert page.count("\n## ") == len(PAGE_ORDER) == len(record["parts"]) and "Scene scene: 10 photographs to train on, 2 held out" in page
+    for name in ("main", "regions", "epochs", "balance", "border"):
+        assert f"({name}.png)" in page and (bench.out / f"{name}.png").stat().st_size > 5_000
+    assert "Band and interior are insufficient: borders lie in" in page and metrics[-1].key == "plan.figures.x"
+    rows = {row["arm"]: row for row in record["parts"]["main"]["figures"]}
+    assert set(rows) == {*METHODS} - {"ours edges", "fed3dgs"}
+    assert rows["crop"]["training_px"] == 0 < rows["ours"]["training_px"] < rows["paper"]["training_px"]
+    balance = record["parts"]["balance"]["figures"]
+    for devices in balance["devices"].values():
+        assert sum(device["num_photographs"] for device in devices) == 10
+    slowest = {name: max(device["cpu_s"] / device["speed"] for device in own) for name, own in balance["devices"].items()}
+    assert balance["saved_percent"]["measured"] == pytest.approx(100 * (1 - slowest["balanced"] / slowest["even"]))
+    found = {metric.key: metric.value for metric in metrics}
+    assert found["paper.scene.main.scene-2x1-p0-s0.ours.psnr_db"] == pytest.approx(np.mean(rows["ours"]["psnr_db"]))
+    stamps = {path: path.stat().st_mtime_ns for folder in ("models", "joined") for path in (bench.out / folder).iterdir()}
+    again = {metric.key: metric.value for metric in bench_paper(replace(bench, parts=("balance",)))}
+    assert again == {key: value for key, value in found.items() if ".balance." in key}
+    assert (bench.out / "paper.md").read_text().count("\n## ") == 1
+    assert stamps == {path: path.stat().st_mtime_ns for folder in ("models", "joined") for path in (bench.out / folder).iterdir()}
+
+
+def test_kept_figures_are_those_of_the_kept_model(scene: Path, tmp_path: Path) -> None:
+    layout = Layout(num_edges=2, num_devices=1)
+    arms = Arms(scene=load_bench_scene(scene, 48), out=tmp_path, num_steps=8, layout=layout)
+    cell = arms.cell(layout)
+    row = arms.row(cell, method_arm("crop"))
+    assert epochs_arm("ours", 0).name == epochs_arm("paper", 0).name == "crop"
+    assert (epochs_arm("ours", 2).name, epochs_arm("paper", 10).name, epochs_arm("ours", 5).name) == ("ours", "paper", "ours 5 epochs")
+    views = arms.views(cell, method_arm("crop"))
+    errors = [((view.image - photograph) ** 2).mean() for view, photograph in zip(views, arms.photographs, strict=True)]
+    np.testing.assert_allclose(row.psnr_db, -10 * np.log10(errors), rtol=1e-5)
+    reference = render_views(cell.centralised.splats, arms.scene.held_out_views.cameras)
+    assert [mask.labels.shape for mask in arms.masks(cell)] == [view.depth.shape for view in reference]
+    for layout in (Layout(num_edges=2, num_devices=1), Layout(num_edges=2, num_devices=2)):
+        plan, edge_plans = arms.cell(layout).plan
+        outlines = [strip for own in edge_plans for strip in own.strips if len(strip)]
+        # Lines inside the scene's outline, found by shapely from the strips alone.
+        whole = Polygon(np.concatenate(outlines)).convex_hull
+        rings = [LineString([*strip, strip[0]]) for strip in outlines]
+        inner = sum(ring.difference(whole.boundary.buffer(1e-6)).length for ring in rings) / 2
+        assert border_length_m(plan, edge_plans) == pytest.approx(inner, rel=1e-4) and inner > 0
+
+
+def test_the_worst_window_is_where_the_errors_are() -> None:
+    errors = [np.zeros((20, 40)), np.zeros((20, 40)), np.zeros((20, 40))]
+    errors[0][3, 3], errors[1][9:11, 20:24], errors[2] = 5.0, 1.0, errors[2] - 1
+    assert _worst_window(errors) == (1, (slice(5, 14), slice(11, 29)))
+    errors[1][19, 39] = 20.0
+    assert _worst_window(errors) == (1, (slice(11, 20), slice(22, 40)))
+    assert errors[1][11:20, 22:40].sum() == 20 and _worst_window(errors[2:])[0] == 0
+    assert _worst_window([np.zeros((1, 1))]) == (0, (slice(0, 1), slice(0, 1)))
+
+
+def test_what_is_wrong_is_told_before_anything_is_made(scene: Path, tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match=f"'magic' of the paper's figures is unknown: use {', '.join([*PARTS, 'plan'])}"):
+        PaperBench(scene=scene, out=tmp_path, parts=("main", "magic"))
+    assert {*PAGE_ORDER} == {*PARTS, "plan"} - {"fed3dgs"}
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="is a file: name a folder"):
+        bench_paper(PaperBench(scene=scene, out=tmp_path / "file"))
+    for options, told in (
+        ({"scene": scene}, "paper needs --scene"),
+        ({"scene": scene, "out": tmp_path, "num_placements": 2}, "--placements"),
+    ):
+        with pytest.raises(BadInput, match=told):
+            run_bench("paper", None, BenchOptions(**options))
