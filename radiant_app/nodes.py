@@ -21,11 +21,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.cloud_task import BY_PRESET, join_decisions, retrained_at_cloud, virtual_cameras_of
+from radiant_app.cloud_task import join_decisions, retrained_at_cloud, virtual_cameras_of
 from radiant_app.delivering import deliver, refusals
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
 from radiant_app.memory import resident_bytes
+from radiant_app.node_decisions import (
+    blind_spots_decision,
+    density_decision,
+    fill_decision,
+    shapes_decision,
+    sky_decision,
+    teachers_decision,
+)
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -43,7 +51,6 @@ if TYPE_CHECKING:
     from radiant_core.aggregate.synthetic_views import Rendered
     from radiant_core.train.checkpoint import CheckpointFolder
     from radiant_core.train.config import TrainConfig
-    from radiant_core.train.shapes import ShapeCounts
     from radiant_core.train.trainer import FitOptions, TrainResult
     from radiant_core.train.views import TrainingViews
 
@@ -216,9 +223,9 @@ def first_model(scene: SfmScene, views: TrainingViews, config: TrainConfig, runn
     from radiant_core.train.initialize import first_splats, sky_share
 
     stage, emit = running
-    emit(Decided(decision=_sky_decision(stage, sky_share(views.cameras), wanted=config.sky)))
+    emit(Decided(decision=sky_decision(stage, sky_share(views.cameras), wanted=config.sky)))
     initial, num_filled = first_splats(scene, views, config)
-    emit(Decided(decision=_fill_decision(stage, num_filled, len(scene.points), wanted=config.fill_in)))
+    emit(Decided(decision=fill_decision(stage, num_filled, len(scene.points), wanted=config.fill_in)))
     return initial
 
 
@@ -229,9 +236,9 @@ def fit(initial: Splats, views: TrainingViews, config: TrainConfig, options: Fit
     stage, emit = running
     result = fit_splats(initial, views, config, options)
     if config.densify != "none":
-        emit(Decided(decision=_density_decision(stage, result.density, len(initial), len(result.splats))))
+        emit(Decided(decision=density_decision(stage, result.density, len(initial), len(result.splats))))
     if any(asdict(result.shapes).values()):
-        emit(Decided(decision=_shapes_decision(stage, config, result.shapes)))
+        emit(Decided(decision=shapes_decision(stage, config, result.shapes)))
     if result.num_rolled_back:
         message = f"{result.num_rolled_back} of {result.num_steps:,} steps ended in something not finite and were not taken"
         emit(Warned(stage=stage, message=message))
@@ -280,7 +287,7 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         for name, own in zip(inbox.senders, inbox.cameras, strict=True)
     ]
     if len(inbox.models) > 1:
-        emit(Decided(decision=_teachers_decision(stage, rendered, inbox.cameras)))
+        emit(Decided(decision=teachers_decision(stage, rendered, inbox.cameras)))
     checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
     options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
     strips = [np.array(task["strips"][task["devices"].index(name)]).reshape(-1, 2) for name in inbox.senders]
@@ -326,7 +333,7 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     rows = [task["edges"].index(name) for name in inbox.senders]
     sites, weights = np.array(task["sites"])[rows], np.array(task["weights"])[rows]
     merged = crop_merge(inbox.models, sites, weights, fill_blind_spots=aggregate.fill_blind_spots)
-    emit(Decided(decision=_blind_spots_decision(stage, merged, wanted=aggregate.fill_blind_spots)))
+    emit(Decided(decision=blind_spots_decision(stage, merged, wanted=aggregate.fill_blind_spots)))
     save_ply(folder / "scene.ply", merged.splats)
     counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
     write_json(folder / "summary.json", counts)
@@ -423,80 +430,3 @@ def training_summary(result: Any) -> dict[str, float | int]:
 def sfm_progress(stage: str, progress: Any) -> StageProgress:
     """An event of how far structure from motion is."""
     return StageProgress(stage=stage, done=progress.done, total=progress.total, note=progress.phase)
-
-
-def _sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
-    from radiant_core.train.initialize import MIN_SKY_SHARE
-
-    looks_up = wanted and share >= MIN_SKY_SHARE
-    return Decision(
-        stage=stage,
-        topic="sky",
-        choice="Gaussians on a far half sphere were added" if looks_up else "no sky was added",
-        figure=100 * share,
-        unit="% above the horizon in the image that has most",
-        reason=f"a sky is modelled from {100 * MIN_SKY_SHARE:.0f} % of one image on" if wanted else BY_PRESET,
-        forced=not wanted,
-    )
-
-
-def _fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool) -> Decision:
-    return Decision(
-        stage=stage,
-        topic="fill-in points",
-        choice=f"{num_filled:,} points were added to {num_points:,} sparse ones",
-        figure=float(num_filled),
-        unit="image cells without a sparse point" if wanted else "points",
-        reason="places without sparse points would start empty" if wanted else BY_PRESET,
-        forced=not wanted,
-    )
-
-
-def _teachers_decision(stage: str, rendered: Sequence[Rendered], cameras: Sequence[Cameras]) -> Decision:
-    num_early, num_views = sum(map(len, rendered)), sum(map(len, cameras))
-    return Decision(
-        stage=stage,
-        topic="teachers",
-        choice=f"{num_early} of {num_views} views were rendered before the last device arrived",
-        figure=float(num_early),
-        unit="views",
-        reason="a device's views need no other device; the edge renders the rest itself",
-    )
-
-
-def _density_decision(stage: str, counts: Any, num_before: int, num_after: int) -> Decision:
-    pruned = f"{counts.num_pruned_transparent:,} transparent and {counts.num_pruned_large:,} large ones pruned"
-    refused = f"; the limit of Gaussians refused {counts.num_refused:,}" if counts.num_refused else ""
-    return Decision(
-        stage=stage,
-        topic="densification",
-        choice=f"{counts.num_cloned:,} Gaussians cloned, {counts.num_split:,} split, {pruned}{refused}",
-        figure=float(num_after),
-        unit=f"Gaussians from {num_before:,}",
-        reason="adaptive density control follows the gradients of projected centres",
-    )
-
-
-def _shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Decision:
-    held = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
-    limits = f"{config.max_elongation} times the second axis, {config.max_scale_per_distance} of the distance to the nearest camera"
-    return Decision(
-        stage=stage,
-        topic="shapes",
-        choice=f"{held}; {counts.num_dead:,} that no pixel shows are left out",
-        figure=float(counts.num_needles + counts.num_screen_filling + counts.num_dead),
-        unit="Gaussians",
-        reason=f"beyond {limits}, a shape shows in views it was not fitted to; an opacity below 1/255 is never drawn",
-    )
-
-
-def _blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
-    return Decision(
-        stage=stage,
-        topic="blind spots",
-        choice=f"kept {merged.num_filled:,} Gaussians outside their own region and dropped {merged.num_dropped:,}",
-        figure=100 * merged.num_filled / max(1, len(merged.splats)),
-        unit="% of the scene",
-        reason="the owner of that place has no Gaussian near it" if wanted else BY_PRESET,
-        forced=not wanted,
-    )

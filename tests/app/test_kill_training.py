@@ -14,7 +14,7 @@ from radiant_core.io.run_store import read_json
 from tests.stress.kill_harness import differing_files, run_killed, run_whole
 
 RESULTS = ("scene.ply",)
-OPTIONS = ("--steps", "120", "--long-side-px", "160", "--checkpoint-every", "0.05s")
+OPTIONS = ("--steps", "600", "--long-side-px", "160", "--checkpoint-every", "0.05s")
 SLOW_WRITES = """
 import sys, time
 import radiant_core.io.array_file as array_file
