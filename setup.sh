@@ -110,7 +110,8 @@ case "${1:-}" in
     install_project test
     install_chromium
     run_checks
-    .venv/bin/python -m pytest
+    # Two at a time even on larger machines: a worker holds up to 2 GB.
+    .venv/bin/python -m pytest -n 2
     ;;
   help | --help | -h) echo "$usage" ;;
   *) fail "unknown argument '$1'. Try ./setup.sh help." ;;

@@ -181,7 +181,16 @@ class _Fleet:
             taken = _interpolated(edge_time, totals, np.full(len(self.starts), middle)).sum()
             low, high = (low, middle) if taken >= self.num_cameras else (middle, high)
         edge_deadline = _interpolated(edge_time, deadlines, np.full(len(self.starts), high))
-        return _interpolated(times, counts, edge_deadline[self.edge_of_device])
+        return self._of_all_cameras(_interpolated(times, counts, edge_deadline[self.edge_of_device]))
+
+    def _of_all_cameras(self, quotas: FloatArray) -> FloatArray:
+        """Quotas (D,) scaled until they sum to the cameras: where curves are flat the deadline says little about how many fit."""
+        for _ in range(8):
+            total = float(quotas.sum())
+            if not total or abs(total - self.num_cameras) <= 1e-6 * self.num_cameras:
+                break
+            quotas = np.minimum(quotas * (self.num_cameras / total), self.limits)
+        return quotas
 
     def solved(self, low: Indices, high: Indices) -> FastestCounts | None:
         """The exact optimum if quotas between low and high (D,) hold it and prove it, else None."""
