@@ -14,7 +14,7 @@ import argparse
 import json
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import open3d as o3d
@@ -114,13 +114,14 @@ def compare_depths(scene: SfmScene, splats: Splats) -> None:
 
 
 def _heights(vertices: np.ndarray, triangles: np.ndarray, places: FloatArray) -> FloatArray:
+    tensor = cast(Any, o3d.core.Tensor)
     caster = o3d.t.geometry.RaycastingScene()
-    corners: Any = np.ascontiguousarray(vertices, np.float32)
-    sides: Any = np.ascontiguousarray(triangles, np.uint32)
-    caster.add_triangles(o3d.core.Tensor(corners), o3d.core.Tensor(sides))
-    rays: Any = np.zeros((len(places), 6), np.float32)
+    corners = np.ascontiguousarray(vertices, np.float32)
+    sides = np.ascontiguousarray(triangles, np.uint32)
+    caster.add_triangles(tensor(corners), tensor(sides))
+    rays = np.zeros((len(places), 6), np.float32)
     rays[:, :2], rays[:, 2], rays[:, 5] = places, 500.0, -1.0
-    return 500.0 - caster.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+    return 500.0 - caster.cast_rays(tensor(rays))["t_hit"].numpy().astype(np.float64)
 
 
 def _print(what: str, errors: FloatArray) -> None:

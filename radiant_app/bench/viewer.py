@@ -78,15 +78,17 @@ def _case(num_cameras: int, num_points: int) -> list[Metric]:
 def _frames(view: WebView, waiting: list[Callable[[], None]]) -> tuple[tuple[float, float], tuple[float, float]]:
     """(wall, CPU) seconds of a moving frame and of the one at rest."""
     camera, times, step = view.plotter.camera, [], np.array([SIDE_M / 200, 0, 0])
+    window = view.plotter.render_window
+    assert window is not None
     for _ in range(NUM_FRAMES):
         camera.focal_point, camera.position = (tuple(np.array(place) + step) for place in (camera.focal_point, camera.position))
         clocks = _clocks()
         view.plotter.render()
-        view.plotter.render_window.WaitForCompletion()
+        window.WaitForCompletion()
         times.append(_since(clocks))
     clocks = _clocks()
     waiting[-1]()
-    view.plotter.render_window.WaitForCompletion()
+    window.WaitForCompletion()
     moving = np.median(np.array(times), axis=0)
     return (float(moving[0]), float(moving[1])), _since(clocks)
 
@@ -106,7 +108,7 @@ def made_up_scene(num_cameras: int, num_points: int) -> tuple[SfmScene, Splats]:
         frame=Frame(kind="metric", origin_lat_lon_alt=np.zeros(3)),
     )
     splats = Splats(
-        means=points,
+        means=points.astype(np.float32),
         quats=np.tile([1.0, 0, 0, 0], (num_points, 1)),
         log_scales=np.full((num_points, 3), -1.0),
         logit_opacities=np.full(num_points, 2.0),

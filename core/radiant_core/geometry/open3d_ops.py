@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,11 +107,11 @@ def fused_mesh(views: Iterable[DepthView], voxel: float, max_depth: float) -> Me
     a square of `MIN_PIECE_VOXELS` are left out. May be empty. Source: Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid."""
     import open3d as o3d
 
-    core, cpu = o3d.core, o3d.core.Device("CPU:0")
+    # Its stubs know neither numpy arrays nor channels of several sizes.
+    core: Any = o3d.core
+    cpu, new_grid = core.Device("CPU:0"), cast(Any, o3d.t.geometry.VoxelBlockGrid)
     # The older ScalableTSDFVolume of open3d 0.20 gives an empty mesh.
-    grid = o3d.t.geometry.VoxelBlockGrid(
-        ("tsdf", "weight", "color"), (core.float32,) * 3, ((1,), (1,), (3,)), voxel, BLOCK_VOXELS, FIRST_BLOCKS, cpu
-    )
+    grid = new_grid(("tsdf", "weight", "color"), (core.float32,) * 3, ((1,), (1,), (3,)), voxel, BLOCK_VOXELS, FIRST_BLOCKS, cpu)
     for view in views:
         depth = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(view.depth[..., None], np.float32)))
         image = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(view.image, np.float32) / 255))
@@ -123,7 +124,7 @@ def fused_mesh(views: Iterable[DepthView], voxel: float, max_depth: float) -> Me
     if len(mesh.triangles):
         labels, _, areas = mesh.cluster_connected_triangles()
         small = np.asarray(areas)[np.asarray(labels)] < (MIN_PIECE_VOXELS * voxel) ** 2
-        mesh.remove_triangles_by_mask(small)
+        mesh.remove_triangles_by_mask(small.tolist())
         mesh.remove_unreferenced_vertices()
     return Mesh(
         vertices=np.array(mesh.vertices, np.float64).reshape(-1, 3),
@@ -139,16 +140,15 @@ def heights_from_above(mesh: Mesh, places: ArrayLike) -> FloatArray:
     places = checked_array("places", places, (None, 2))
     if not len(mesh.triangles):
         return np.full(len(places), np.nan)
+    tensor = cast(Any, o3d.core.Tensor)
     scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)), o3d.core.Tensor(np.ascontiguousarray(mesh.triangles, np.uint32))
-    )
+    scene.add_triangles(tensor(np.ascontiguousarray(mesh.vertices, np.float32)), tensor(np.ascontiguousarray(mesh.triangles, np.uint32)))
     top = float(mesh.vertices[:, 2].max()) + 1.0
     heights = np.full(len(places), np.nan)
     for start in range(0, len(places), RAYS_AT_ONCE):
         rows = slice(start, start + RAYS_AT_ONCE)
         rays = np.zeros((len(places[rows]), 6), np.float32)
         rays[:, :2], rays[:, 2], rays[:, 5] = places[rows], top, -1.0
-        distance = scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().astype(np.float64)
+        distance = scene.cast_rays(tensor(rays))["t_hit"].numpy().astype(np.float64)
         heights[rows] = np.where(np.isfinite(distance), top - distance, np.nan)
     return heights

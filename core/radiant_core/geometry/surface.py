@@ -175,7 +175,7 @@ def _moved(splats: Splats, cameras: Cameras, middle: FloatArray) -> tuple[Splats
 
 def _cropped(mesh: Mesh, low: FloatArray, high: FloatArray) -> Mesh:
     """Triangles whose corners all lie within a box on the map."""
-    inside = ((mesh.vertices[:, :2] >= low) & (mesh.vertices[:, :2] <= high)).all(axis=1)
+    inside = np.asarray(((mesh.vertices[:, :2] >= low) & (mesh.vertices[:, :2] <= high)).all(axis=1))
     kept = mesh.triangles[inside[mesh.triangles].all(axis=1)] if len(mesh.triangles) else mesh.triangles
     used, numbered = np.unique(kept, return_inverse=True)
     return Mesh(vertices=mesh.vertices[used], triangles=numbered.reshape(-1, 3), colors=mesh.colors[used])

@@ -39,8 +39,8 @@ def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
 
 def _rings(geometry: Any) -> list[Any]:
     """The outer ring of each polygon."""
-    kind, coordinates = (geometry.get(key) for key in ("type", "coordinates")) if isinstance(geometry, dict) else (None, None)
-    polygons = [coordinates] if kind == "Polygon" else coordinates if kind == "MultiPolygon" else []
+    kind, coordinates = (geometry.get("type"), geometry.get("coordinates")) if isinstance(geometry, dict) else (None, None)
+    polygons: Any = [coordinates] if kind == "Polygon" else coordinates if kind == "MultiPolygon" else []
     if not isinstance(polygons, list) or not all(isinstance(rings, list) and rings for rings in polygons):
         raise BadInput(f"a {kind} has no list of rings.")
     return [rings[0] for rings in polygons]
@@ -50,7 +50,7 @@ def _polygon(ring: Any, origin: FloatArray) -> Polygon:
     if not isinstance(ring, list) or len(ring) < 4 or not all(isinstance(at, list) and len(at) in (2, 3) for at in ring):
         raise BadInput("a ring is no list of at least four positions of longitude and latitude.")
     lon_lat = checked_array("ring", [at[:2] for at in ring], (None, 2))
-    places = enu_from_geodetic(np.column_stack([lon_lat[:, ::-1], np.full(len(lon_lat), origin[2])]), origin)
+    places = enu_from_geodetic(np.column_stack([np.flip(lon_lat, axis=1), np.full(len(lon_lat), origin[2])]), origin)
     polygon = Polygon(places[:, :2])
     if not polygon.is_valid:
         raise BadInput("a ring crosses itself.")
