@@ -12,19 +12,26 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.event_file import read_progress
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
+from radiant_app.extend_command import ExtendRequest, extend
 from radiant_app.inbox import read_inbox
 from radiant_app.nodes import run_device, run_edge
 from radiant_app.pipeline import RunResult, run
+from radiant_app.progress import ProgressDisplay
+from radiant_core.aggregate.extend import NewRegion
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.frames import geodetic_from_enu
+from radiant_core.io.geojson_region import load_region
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_json
@@ -203,6 +210,35 @@ def test_commands_on_a_finished_run(finished: tuple[RunConfig, RunResult, list[E
     assert trained.returncode == 0 and len(load_ply(tmp_path / "all.ply")) > 100, trained.stderr
     shot = radiant("inspect", config.out, "--screenshot", tmp_path / "shot.png", "--view", "cameras")
     assert shot.returncode == 0 and (tmp_path / "shot.png").stat().st_size > 1000, shot.stderr
+
+
+def test_a_run_is_extended_by_another_and_by_a_region_of_the_plan(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    display = ProgressDisplay(Console(quiet=True))
+    origin = load_scene(config.out / "sfm" / "scene.safetensors").frame.origin_lat_lon_alt
+    ring = geodetic_from_enu([[0.0, -200, 0], [200, -200, 0], [200, 200, 0], [0, 200, 0], [0, -200, 0]], origin)[:, 1::-1].tolist()
+    region = tmp_path / "east.geojson"
+    region.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+    made = extend(ExtendRequest(old=config.out, new=config.out, out=tmp_path / "x.ply", region=region, margin_m=2.0), display)
+    scene, extended = load_ply(config.out / "scene.ply"), load_ply(tmp_path / "x.ply")
+    away = NewRegion(polygon=load_region(region, origin), margin_m=2.0).inside_m(scene.means)
+    beyond = scene.select(away < -2.0)
+    assert made["unchanged"] == len(beyond) > 0 and made["new"] > 0 and made["views"] > 0 and made["gaussians"] == len(extended)
+    assert np.array_equal(extended.select(np.arange(len(beyond))).means, beyond.means)
+    for change, said in (
+        ({"old": tmp_path}, "scene.ply"),
+        ({"new": tmp_path}, "scene.ply"),
+        ({"out": tmp_path / "x.ply"}, "exists"),
+        ({"region": config.out / "plan.json"}, "GeoJSON"),
+        ({"region": tmp_path / "none.geojson"}, "no file"),
+        ({"margin_m": -1.0}, "margin"),
+    ):
+        asked: dict[str, Any] = {"old": config.out, "new": config.out, "out": tmp_path / "y.ply", "region": region, **change}
+        with pytest.raises(BadInput, match=said):
+            extend(ExtendRequest(**asked), display)
+        assert not (tmp_path / "y.ply").exists()
 
 
 def test_commands_refuse_what_is_damaged_or_taken(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
