@@ -170,7 +170,9 @@ def _camera_table() -> None:
         v_show="tab === 'cameras'",
         items=("order.map(index => cameras[index])",),
         headers=("headers",),
-        v_model_sort_by=("sort_by",),
+        # Said in full: trame turns v_model_sort_by into v-model:sort.by, which binds nothing.
+        sort_by=("sort_by",),
+        update_sortBy="sort_by = $event",
         # The server sorts, since an empty cell is not a small number.
         custom_key_sort=("Object.fromEntries(headers.map(header => [header.key, () => 0]))",),
         must_sort=True,
