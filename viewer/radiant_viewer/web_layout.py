@@ -50,6 +50,7 @@ html, body { overflow: hidden !important; }
 .rad-table td { font-variant-numeric: tabular-nums; cursor: pointer; }
 .rad-table tr.chosen td { background: rgba(var(--v-theme-primary), .22); }
 .rad-table tbody tr:hover td { background: rgba(var(--v-theme-primary), .10); }
+.rad-panel { flex: none; width: var(--rad-panel); border-left: 1px solid rgba(128,128,128,.35); }
 .rad-photo { position: relative; flex: 1 1 0; min-height: 0; display: flex; align-items: center; justify-content: center; }
 .rad-photo img { position: absolute; left: 0; top: 0; width: 100%; height: 100%; object-fit: contain; }
 .rad-slider { position: absolute; left: 6px; right: 6px; bottom: 4px; margin: 0 !important; border-radius: 12px;
@@ -234,7 +235,9 @@ def _seam_tour() -> None:
 
 
 def _pictures() -> None:
-    with html.Div(classes="d-flex flex-column pa-2", style="flex: none; width: var(--rad-panel); border-left: 1px solid rgba(128,128,128,.35)"):
+    with html.Div(
+        classes="d-flex flex-column pa-2", style="flex: none; width: var(--rad-panel); border-left: 1px solid rgba(128,128,128,.35)"
+    ):
         html.Div("Choose a camera to see its photograph, render and difference.", v_if="selected === null", classes="rad-soft pa-2")
         with html.Template(v_if="selected !== null"):
             with html.Div(classes="d-flex align-center"):
