@@ -4,7 +4,7 @@
     at rest: of all N points the nearest to the viewer in each cell of the picture; whatever lies behind it is covered anyway
 
 The first is chosen once per cloud, O(N log N), 0.27 to 0.36 s of CPU for a million points and 0.3 to 0.5 s for five; the second once per
-view, O(N), 0.10 to 0.16 s per million (`radiant bench viewer`, `choose_moving_cpu_s` and `choose_rest_cpu_s`, five runs). Both are
+view, O(N), 0.10 to 0.16 s per million (`radiant bench viewer`, `choose_moving_cpu_s` and `choose_rest_cpu_s`, four runs). Both are
 the same every time. A software rasterizer takes 1 µs for a point that nobody sees, too.
 """
 
