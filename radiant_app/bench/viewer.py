@@ -22,11 +22,13 @@ from radiant_core.cameras import Cameras
 from radiant_core.evaluate.metric import Metric
 from radiant_core.frames import Frame
 from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.camera_layer import camera_layer
 from radiant_viewer.camera_roles import camera_roles
+from radiant_viewer.detail import MOVING_POINTS, even_subset, visible_subset
 from radiant_viewer.layers import Layer
 from radiant_viewer.region_layer import border_layer, edge_site_layer, region_layer
 from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
@@ -41,7 +43,7 @@ _QUICK_CASES = ((200, 200_000),)
 
 
 def bench_viewer(quick: bool) -> list[Metric]:
-    """`viewer.<cameras>x<points>.<map|3d>.<moving|rest>_<wall|cpu>_ms` and `….first_<wall|cpu>_s`."""
+    """`viewer.<cameras>x<points>.<map|3d>.<moving|rest>_<wall|cpu>_ms`, `….first_<wall|cpu>_s` and `….choose_<moving|rest>_cpu_s`."""
     typer.echo(f"{os.cpu_count()} cores, load before {os.getloadavg()[0]:.1f}, {SIZE_WH[0]} × {SIZE_WH[1]} px a view, software rasterizer")
     metrics: list[Metric] = []
     for num_cameras, num_points in tracked(_QUICK_CASES if quick else _CASES, "bench viewer"):
@@ -72,7 +74,20 @@ def _case(num_cameras: int, num_points: int) -> list[Metric]:
             metrics.append(_metric(f"{key}.{name}.{kind}_wall_ms", 1000 * wall_s, "ms"))
             metrics.append(_metric(f"{key}.{name}.{kind}_cpu_ms", 1000 * cpu_s, "ms"))
     shown.close()
-    return metrics
+    return [*metrics, *_choosing(key, scene.points)]
+
+
+def _choosing(key: str, points: FloatArray) -> list[Metric]:
+    """CPU seconds of choosing what one cloud draws while it moves, and at rest seen whole from above."""
+    clocks = _clocks()
+    even_subset(points, MOVING_POINTS)
+    moving_s = _since(clocks)[1]
+    clip_from_world = np.diag([2 / SIDE_M, 2 / SIDE_M, 1e-3, 1.0])
+    clip_from_world[:2, 3] = -1.0
+    placed = points.astype(np.float32)
+    clocks = _clocks()
+    visible_subset(placed, clip_from_world, SIZE_WH, 1.0)
+    return [_metric(f"{key}.choose_moving_cpu_s", moving_s, "s"), _metric(f"{key}.choose_rest_cpu_s", _since(clocks)[1], "s")]
 
 
 def _frames(view: WebView, waiting: list[Callable[[], None]]) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_viewer.palette import VERMILLION
 from radiant_viewer.run_view import load_run_view
 from radiant_viewer.web import address_text, open_page, require_web
 from radiant_viewer.web_rows import camera_headers, camera_rows, layer_row, pictures_of, run_camera_figures, run_layers
@@ -82,17 +83,32 @@ def changed_share(before: np.ndarray, after: np.ndarray) -> float:
     return float((np.abs(before.astype(int) - after).max(axis=2) > 24).mean())
 
 
-def settled(page: Any, view: str, unlike: np.ndarray | None = None) -> np.ndarray:
-    """A view once it shows something, other than `unlike`, and has stopped changing."""
-    deadline, last = time.monotonic() + DEADLINE_S, picture(page, view)
+def until(page: Any, view: str, is_there: Callable[[np.ndarray], bool], what: str) -> np.ndarray:
+    """A view as soon as it shows what is waited for."""
+    deadline = time.monotonic() + DEADLINE_S
     while time.monotonic() < deadline:
-        page.wait_for_timeout(250)
         now = picture(page, view)
-        is_still = changed_share(last, now) == 0
-        if is_still and now.std() > 12 and (unlike is None or changed_share(unlike, now) > 0.004):
+        if is_there(now):
             return now
-        last = now
-    pytest.fail(f"the view {view!r} did not change within {DEADLINE_S} s")
+        page.wait_for_timeout(100)
+    pytest.fail(f"within {DEADLINE_S} s the view {view!r} did not show that {what}")
+
+
+def settled(page: Any, view: str) -> np.ndarray:
+    """A view that shows something and has not changed for three looks, more than the half second after which a frame is sent again."""
+    looks = [picture(page, view)]
+
+    def is_still(now: np.ndarray) -> bool:
+        looks.append(now)
+        page.wait_for_timeout(250)
+        return len(looks) > 3 and now.std() > 12 and all(changed_share(look, now) == 0 for look in looks[-4:-1])
+
+    return until(page, view, is_still, "it came to rest")
+
+
+def marked(image: np.ndarray) -> int:
+    """Pixels in the colour of the chosen camera."""
+    return int((np.abs(image.astype(int) - VERMILLION[::-1]).max(axis=2) < 30).sum())
 
 
 def first_cells(page: Any) -> list[str]:
@@ -113,10 +129,9 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     box = page.locator("[data-layer='Regions'] input")
     assert box.is_checked()
     box.click()
-    without = settled(page, "Map", unlike=first)
-    assert changed_share(first, without) > 0.2, "hiding the regions left their ground as it was"
+    until(page, "Map", lambda now: changed_share(first, now) > 0.2, "the regions' ground is gone")
     box.click()
-    assert changed_share(first, settled(page, "Map", unlike=without)) < 0.01, "showing them again gave another map"
+    until(page, "Map", lambda now: changed_share(first, now) < 0.03, "the regions are back")
     solo = page.locator("[data-layer='Edges'] button", has_text="solo")
     solo.click()
     page.wait_for_function("document.querySelectorAll('[data-layer] input:checked').length === 1")
@@ -127,14 +142,19 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     page.locator("th", has_text="PSNR").click()
     page.wait_for_function("document.querySelector('tr[data-camera] td').innerText === 'DJI_0016.JPG'")
     assert first_cells(page) == ["DJI_0016.JPG", "DJI_0008.JPG", "DJI_0000.JPG"]
-    before = settled(page, "3D")
+    assert marked(picture(page, "Map")) == marked(picture(page, "3D")) == 0
     page.locator("tr[data-camera='DJI_0016.JPG']").click()
     page.locator("[data-chosen]", has_text="DJI_0016.JPG").wait_for()
+    for view in ("Map", "3D"):
+        before = until(page, view, lambda now: marked(now) > 50, "a camera is chosen")
     page.locator("[data-kind='difference']").click()
     shown = page.locator(".rad-photo img")
+    width, height = page.locator(".rad-photo").evaluate("box => [box.clientWidth, box.clientHeight]")
+    assert width > 300
+    assert width / height < 1.05 * 80 / 60, "a photograph of 4:3 does not fill the width of its panel"
     assert shown.evaluate("image => image.decode().then(() => [image.naturalWidth, image.naturalHeight])") == [80, 60]
     page.locator("[data-action='fly']").click()
-    flown = settled(page, "3D", unlike=before)
+    flown = until(page, "3D", lambda now: changed_share(before, now) > 0.3, "it stands where the camera stood")
 
     page.locator("[data-tab='seams']").click()
     page.get_by_text("Next", exact=True).click()
@@ -143,10 +163,14 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     assert steps == sorted(steps, reverse=True)
     assert steps[0] > 30, "the planted seam of 40 levels was not found"
     assert "harbour" in page.locator("tr[data-seam]").first.get_attribute("data-seam")
-    assert changed_share(flown, settled(page, "3D", unlike=flown)) > 0.05
+    until(page, "3D", lambda now: changed_share(flown, now) > 0.05, "the tour is at the worst seam")
+    swatch = page.locator("[data-layer='Borders'] .rad-swatch")
+    levels = "swatch => getComputedStyle(swatch).backgroundColor.match(/\\d+/g).map(Number)"
+    assert max(swatch.evaluate(levels)) < 80
     page.locator("[data-action='theme']").click()
     page.wait_for_function("document.querySelector('.v-theme--dark') !== null")
-    assert settled(page, "Map", unlike=settled(page, "3D")).mean() < 160, "the dark map is bright"
+    until(page, "Map", lambda now: now.mean() < 160, "the map is dark")
+    assert min(swatch.evaluate(levels)) > 180, "the border's legend cannot be seen on dark ground"
     assert (outside, errors) == ([], [])
 
     stranger = browser.new_page()

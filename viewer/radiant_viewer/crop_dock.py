@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import vtk
 from PySide6.QtWidgets import QCheckBox, QDockWidget, QDoubleSpinBox, QFileDialog, QGridLayout, QLabel, QPushButton, QWidget
+from vtkmodules.vtkCommonDataModel import vtkPlane
 
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import save_ply
@@ -172,13 +172,13 @@ class CropDock(QDockWidget):
             self._widget_box = self.box
             self._apply()
 
-    def _planes(self, canvas: Canvas) -> list[vtk.vtkPlane]:
+    def _planes(self, canvas: Canvas) -> list[vtkPlane]:
         low, high = self.box - self._window.origin
         planes = []
         # On the map everything lies at the height of its layer.
         for axis in range(2 if canvas.is_map else 3):
             for corner, sign in ((low, 1.0), (high, -1.0)):
-                plane = vtk.vtkPlane()
+                plane = vtkPlane()
                 plane.SetOrigin(*corner)
                 plane.SetNormal(*(sign * np.eye(3)[axis]))
                 planes.append(plane)

@@ -16,7 +16,6 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.border_strip import low_gaussians
 from radiant_core.numerics import FloatArray
-from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_viewer.images import Drawing, Image
 from radiant_viewer.layers import Layer
@@ -105,6 +104,9 @@ def _over_white(splats: Splats, camera: Cameras) -> Image:
     pose = camera.cam_from_world.copy()
     pose[:, :3, 3] += pose[:, :3, :3] @ center
     moved = replace(splats, means=(splats.means.astype(np.float64) - center).astype(np.float32))
+    # It brings torch, two seconds that no window has to wait for.
+    from radiant_core.render.rendered_view import render_views
+
     (view,) = render_views(moved, replace(camera, cam_from_world=pose))
     return np.rint(255 * np.clip(view.image + 1 - view.alpha[..., None], 0, 1)).astype(np.uint8)
 

@@ -59,10 +59,17 @@ THEMES: dict[ThemeName, Theme] = {"light": LIGHT, "dark": DARK}
 
 
 def themed(layer: Layer, theme: Theme) -> Layer:
-    """The layer as it is drawn under a theme: ink becomes the theme's, pale fills become dark ones; data colours stay."""
+    """The layer as it is drawn under a theme, its legend too: ink becomes the theme's, pale fills become dark ones; data colours stay."""
     if theme.name == "light":
         return layer
-    return replace(layer, segment_colors=_reinked(layer.segment_colors, theme), polygon_colors=_darkened(layer.polygon_colors, theme))
+    strokes = np.array([entry.color for entry in layer.legend if entry.marker == "line"], np.uint8).reshape(-1, 3)
+    inked = iter(_reinked(strokes, theme).tolist())
+    return replace(
+        layer,
+        segment_colors=_reinked(layer.segment_colors, theme),
+        polygon_colors=_darkened(layer.polygon_colors, theme),
+        legend=tuple(replace(entry, color=tuple(next(inked))) if entry.marker == "line" else entry for entry in layer.legend),
+    )
 
 
 def hex_color(color: tuple[int, int, int]) -> str:

@@ -26,6 +26,8 @@ HEADERS = {
 }
 STYLE = """
 html, body { overflow: hidden !important; }
+/* The panel is as wide as makes a photograph of 4:3 fill it, below 90 px for its name, figures and buttons. */
+:root { --rad-lower: clamp(300px, 43.5vh, 640px); --rad-panel: calc((var(--rad-lower) - 90px) * 4 / 3 + 16px); }
 .rad-bar .v-toolbar__content { gap: 4px; }
 .rad-legend { font-size: 12px; line-height: 18px; padding: 0 8px 0 46px; opacity: .85; display: flex; align-items: center; gap: 7px; }
 .rad-legend span.text { overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
@@ -48,11 +50,13 @@ html, body { overflow: hidden !important; }
 .rad-table td { font-variant-numeric: tabular-nums; cursor: pointer; }
 .rad-table tr.chosen td { background: rgba(var(--v-theme-primary), .22); }
 .rad-table tbody tr:hover td { background: rgba(var(--v-theme-primary), .10); }
+.rad-panel { flex: none; width: var(--rad-panel); border-left: 1px solid rgba(128,128,128,.35); }
 .rad-photo { position: relative; flex: 1 1 0; min-height: 0; display: flex; align-items: center; justify-content: center; }
 .rad-photo img { position: absolute; left: 0; top: 0; width: 100%; height: 100%; object-fit: contain; }
-.rad-slider { flex: none !important; }
+.rad-slider { position: absolute; left: 6px; right: 6px; bottom: 4px; margin: 0 !important; border-radius: 12px;
+  background: rgba(var(--v-theme-surface), .72); }
 .rad-soft { font-size: 12px; opacity: .75; }
-.rad-figure { font-size: 12px; white-space: nowrap; }
+.rad-figure { font-size: 11px; line-height: 16px; white-space: nowrap; }
 .rad-figure b { font-variant-numeric: tabular-nums; }
 """
 
@@ -152,7 +156,7 @@ def _views(page: PageActions) -> tuple[Any, Any]:
 
 
 def _lower_half() -> None:
-    with html.Div(classes="d-flex", style="height: 300px; border-top: 1px solid rgba(128,128,128,.35)"):
+    with html.Div(classes="d-flex", style="height: var(--rad-lower); border-top: 1px solid rgba(128,128,128,.35)"):
         with html.Div(classes="d-flex flex-column", style="flex: 1 1 0; min-width: 0"):
             with v3.VTabs(v_model=("tab",), density="compact", height=34, color="primary"):
                 for value, text in (("cameras", "Cameras"), ("seams", "Seams, worst first"), ("plan", "Plan and times")):
@@ -170,7 +174,9 @@ def _camera_table() -> None:
         v_show="tab === 'cameras'",
         items=("order.map(index => cameras[index])",),
         headers=("headers",),
-        v_model_sort_by=("sort_by",),
+        # Said in full: trame turns v_model_sort_by into v-model:sort.by, which binds nothing.
+        sort_by=("sort_by",),
+        update_sortBy="sort_by = $event",
         # The server sorts, since an empty cell is not a small number.
         custom_key_sort=("Object.fromEntries(headers.map(header => [header.key, () => 0]))",),
         must_sort=True,
@@ -210,7 +216,7 @@ def _seam_tour() -> None:
                 "{{ seams_note || (seam < 0 ? 'Next begins at the worst of ' + seams.length : (seam + 1) + ' of ' + seams.length) }}",
                 classes="rad-soft",
             )
-        with v3.VTable(density="compact", fixed_header=True, height="228px", classes="rad-table"):
+        with v3.VTable(density="compact", fixed_header=True, height="calc(var(--rad-lower) - 76px)", classes="rad-table"):
             with html.Thead(), html.Tr():
                 for text in ("Border", "Colour step (8-bit levels)", "Worst piece (8-bit levels)", "Length"):
                     html.Th(text)
@@ -229,7 +235,9 @@ def _seam_tour() -> None:
 
 
 def _pictures() -> None:
-    with html.Div(classes="d-flex flex-column pa-2", style="width: 400px; border-left: 1px solid rgba(128,128,128,.35)"):
+    with html.Div(
+        classes="d-flex flex-column pa-2", style="flex: none; width: var(--rad-panel); border-left: 1px solid rgba(128,128,128,.35)"
+    ):
         html.Div("Choose a camera to see its photograph, render and difference.", v_if="selected === null", classes="rad-soft pa-2")
         with html.Template(v_if="selected !== null"):
             with html.Div(classes="d-flex align-center"):
@@ -238,7 +246,7 @@ def _pictures() -> None:
                 _button(
                     "mdi-video-outline", "Look from where this camera stood", "trigger('fly_to_camera')", raw_attrs=['data-action="fly"']
                 )
-            with html.Div(classes="d-flex flex-wrap pb-1", style="gap: 2px 12px", v_if="figures.length"):
+            with html.Div(classes="d-flex flex-wrap pb-1", style="gap: 0 9px", v_if="figures.length"):
                 html.Span(
                     "{{ figure.heading }} <b>{{ figure.value }}</b>",
                     v_for="figure in figures",
@@ -265,15 +273,15 @@ def _pictures() -> None:
                     alt="Render over the photograph",
                     style=("{ clipPath: 'inset(0 0 0 ' + share + '%)' }",),
                 )
-            v3.VSlider(
-                v_if="kind === 'slide' && pictures.render",
-                v_model=("share",),
-                min=0,
-                max=100,
-                hide_details=True,
-                density="compact",
-                color="primary",
-                classes="rad-slider",
-                title="Photograph to the left, render to the right",
-            )
+                v3.VSlider(
+                    v_if="kind === 'slide' && pictures.render",
+                    v_model=("share",),
+                    min=0,
+                    max=100,
+                    hide_details=True,
+                    density="compact",
+                    color="primary",
+                    classes="rad-slider",
+                    title="Photograph to the left, render to the right",
+                )
             html.Div("{{ pictures.reason }}", v_if="pictures.reason", classes="rad-soft pt-1")

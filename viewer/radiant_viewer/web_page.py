@@ -25,6 +25,7 @@ from radiant_viewer.views import ground_height, seam_of
 from radiant_viewer.web_layout import HEADERS, build_layout
 from radiant_viewer.web_rows import (
     HIDDEN_AT_FIRST,
+    Row,
     camera_headers,
     camera_rows,
     heat_gradient,
@@ -139,6 +140,9 @@ class WebPage:
         self.scene.fit()
         self.push()
 
+    def _layer_rows(self) -> list[Row]:
+        return [layer_row(layer, self.scene.theme) for layer in reversed(self.scene.layers)]
+
     def _side(self) -> float:
         return float(np.ptp(self.run.scene.cameras.centers, axis=0).max())
 
@@ -148,7 +152,7 @@ class WebPage:
         state.trame__favicon = ""
         state.title = run.folder.resolve().name
         state.subtitle = _subtitle(run)
-        state.layers = [layer_row(layer) for layer in reversed(self.scene.layers)]
+        state.layers = self._layer_rows()
         state.visible = [layer.name for layer in self.scene.layers if layer.name in self.scene.visible]
         state.cameras, state.headers = camera_rows(self.figures), camera_headers(self.figures)
         scored = "psnr_db" in self.figures.columns
@@ -170,6 +174,7 @@ class WebPage:
         theme = DARK if dark else LIGHT
         if theme is not self.scene.theme:
             self.scene.set_theme(theme)
+            self.server.state.layers = self._layer_rows()
             self.push()
 
     def _on_sort(self, sort_by: list[dict[str, str]], **_: object) -> None:
@@ -195,7 +200,7 @@ class WebPage:
         layer, _ = await asyncio.to_thread(seam_of, run.scene, run.cloud_plan, run.splats)
         with state:
             self.scene.add_layer(layer)
-            state.layers = [layer_row(layer), *state.layers]
+            state.layers = self._layer_rows()
             state.visible = [*state.visible, layer.name]
             state.seams, state.seams_note = seam_rows(self.stops, run.unit), ""
             self.push()

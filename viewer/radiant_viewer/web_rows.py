@@ -25,7 +25,7 @@ from radiant_viewer.run_figures import FIGURES, image_figures
 from radiant_viewer.run_view import RunView, comparison_paths
 from radiant_viewer.seam_tour import SeamStop
 from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
-from radiant_viewer.themes import hex_color
+from radiant_viewer.themes import LIGHT, Theme, hex_color, themed
 from radiant_viewer.views import plan_layers
 
 HIDDEN_AT_FIRST = frozenset({"Device strips", "Gaussians", "Cameras by device", "Cameras by split", "Cameras by PSNR"})
@@ -45,9 +45,10 @@ def run_layers(run: RunView) -> list[Layer]:
     return [regions, strips, sparse_point_layer(run.scene), *model, borders, cameras, *others, edges]
 
 
-def layer_row(layer: Layer) -> Row:
-    """Name, legend entries and colour bar of one layer."""
-    entries = [{"text": entry.text, "color": hex_color(entry.color), "marker": entry.marker} for entry in layer.legend]
+def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:
+    """Name, legend entries and colour bar of one layer under a theme."""
+    legend = themed(layer, theme).legend
+    entries = [{"text": entry.text, "color": hex_color(entry.color), "marker": entry.marker} for entry in legend]
     note = moving_note(layer)
     heat = layer.heat and {"label": layer.heat.label, "low": f"{layer.heat.low:.4g}", "high": f"{layer.heat.high:.4g}"}
     return {"name": layer.name, "legend": entries, "note": note or "", "heat": heat}

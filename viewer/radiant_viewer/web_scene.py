@@ -58,6 +58,8 @@ class WebView:
             actors.append(self._labels(layer, height, theme))
         self.actors[layer.name] = actors
         self.show(layer.name, visible)
+        # A frame does not ask what has come since: beyond the near plane of before a mark would be cut off.
+        self.plotter.renderer.reset_camera_clipping_range()
 
     def remove(self, name: str) -> None:
         """Take a layer away, if it is drawn."""

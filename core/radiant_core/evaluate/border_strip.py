@@ -8,6 +8,7 @@ float64 first, so that neither a far origin nor the altitude costs digits.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,9 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.render.contract import Backend
-from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
+
+if TYPE_CHECKING:
+    from radiant_core.render.contract import Backend
 
 ALTITUDE = 100.0
 MAX_STRIP_PX = 20_000_000
@@ -72,6 +74,9 @@ def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float,
     near, inside = near & low, inside & low
     moved = _moved(splats.select(np.flatnonzero(near)), local[near], ground_m)
     camera = _camera_above(along, columns, 2 * half_rows, px_m)
+    # Here, since it brings torch: who measures no seam has not to wait for it.
+    from radiant_core.render.rendered_view import render_views
+
     (view,) = render_views(moved, camera, backend)
     altitude_m = camera.cam_from_world[0, 2, 3]
     height_m = np.where(view.alpha > 0, ground_m + altitude_m - view.depth.astype(np.float64), np.nan)

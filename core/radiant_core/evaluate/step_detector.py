@@ -15,7 +15,7 @@ score exceeds its threshold. They hold for metric models of towns from the air; 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,8 +23,10 @@ from scipy.spatial import KDTree
 
 from radiant_core.evaluate.border_strip import BorderStrip, low_gaussians, render_border_strip
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.render.contract import Backend
 from radiant_core.splats import Splats
+
+if TYPE_CHECKING:
+    from radiant_core.render.contract import Backend
 
 Quantity = Literal["colour", "height", "density", "gap"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
