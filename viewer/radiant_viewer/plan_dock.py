@@ -71,14 +71,17 @@ class PlanDock(QDockWidget):
         self.buttons: dict[str, QPushButton] = {}
         body = QWidget()
         layout = QVBoxLayout(body)
-        layout.setContentsMargins(8, 4, 8, 8)
+        layout.setContentsMargins(4, 4, 4, 8)
         layout.setSpacing(5)
-        for widget in (self.working, self.headline, self.certificate, self.changes):
+        for widget in (self.working, self.headline):
             layout.addWidget(widget)
         layout.addLayout(self._history_row())
         self._add_cameras(layout)
         self._add_regions(layout)
         self._add_files(layout)
+        # Below the buttons, which would move with every longer text, and be missed.
+        for label in (self.certificate, self.changes):
+            layout.addWidget(label)
         layout.addStretch(1)
         area = QScrollArea()
         area.setWidgetResizable(True)
@@ -116,16 +119,18 @@ class PlanDock(QDockWidget):
         self.certificate.setText(certificate_text(cloud))
         self.changes.setText(changes)
 
-    def show_selected(self, count: int) -> None:
-        """How many cameras are selected."""
+    def show_selected(self, count: int, target: str | None = None) -> None:
+        """How many cameras are selected, and the edge they would most likely be pinned to."""
         self.selected.setText(f"{count} selected" if count else "Shift and drag on the map selects")
+        if target is not None:
+            self.target.setCurrentText(target)
         self._update_buttons()
 
     def show_reason(self, reason: str) -> None:
         """Why the plan cannot be changed; takes all that changes it out of use."""
         self.changes.setText(reason)
         for name, button in self.buttons.items():
-            button.setEnabled(name == "Compare…")
+            button.setEnabled(name in ("Compare…", "Regions to GIS…"))
         for widget in (self.filter, self.region, self.target, self.slack):
             widget.setEnabled(False)
 
@@ -214,6 +219,8 @@ class PlanDock(QDockWidget):
             row.addWidget(self._button(name, action))
             self.buttons[name].setToolTip(tip)
         layout.addLayout(row)
+        layout.addWidget(self._button("Regions to GIS…", self._planning.ask_regions))
+        self.buttons["Regions to GIS…"].setToolTip("The regions, strips and cameras of this plan as GeoJSON, as QGIS opens it (Ctrl+G)")
 
     def _button(self, name: str, action: Callable[[], object]) -> QPushButton:
         button = self.buttons[name] = QPushButton(name)
