@@ -70,6 +70,7 @@ def selection_layer(positions: FloatArray) -> Layer:
         point_colors=np.tile(np.array(VERMILLION, np.uint8), (len(positions), 1)),
         point_size_px=_ring_px(len(positions)) - RING_PX + SELECTED_PX,
         point_rim=True,
+        in_front=True,
         legend=(LegendEntry(text=f"Selected ({len(positions)})", color=VERMILLION, marker="ring"),) if len(positions) else (),
     )
 

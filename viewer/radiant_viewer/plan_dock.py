@@ -38,6 +38,10 @@ Figures: {figures}
 = and != take names, ~ a part of one; a lone word is looked for in names"""
 
 
+HEADLINE_PX = 14
+"""More than the buttons need, so that the headline keeps to one line."""
+
+
 class PlanDock(QDockWidget):
     """`region` and `device` are what is chosen in the table or here; all buttons call `planning`."""
 
@@ -87,7 +91,7 @@ class PlanDock(QDockWidget):
         area.setWidgetResizable(True)
         area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         area.setWidget(body)
-        area.setMinimumWidth(body.minimumSizeHint().width() + area.verticalScrollBar().sizeHint().width())
+        area.setMinimumWidth(body.minimumSizeHint().width() + area.verticalScrollBar().sizeHint().width() + HEADLINE_PX)
         self.setWidget(area)
 
     def choose(self, edge: str, device: str | None) -> None:
@@ -185,15 +189,15 @@ class PlanDock(QDockWidget):
         layout.addWidget(_heading("Regions and machines"))
         grid = QGridLayout()
         grid.setSpacing(4)
-        grid.addWidget(self.region, 0, 0, 1, 2)
+        grid.addWidget(self.region, 0, 0, 1, 3)
         planning = self._planning
         places: list[tuple[str, Callable[[], object], int, int]] = [
             ("Lock", lambda: planning.lock(self.region.currentText()), 1, 0),
-            ("Free", lambda: planning.free(self.region.currentText()), 1, 1),
-            ("+ Edge", lambda: planning.add_edge(self.region.currentText()), 2, 0),
+            ("Free", lambda: planning.free(self.region.currentText()), 2, 0),
+            ("+ Edge", lambda: planning.add_edge(self.region.currentText()), 1, 1),
             ("− Edge", lambda: planning.remove_edge(self.region.currentText()), 2, 1),
-            ("+ Device", lambda: planning.add_device(self.region.currentText(), self.device), 3, 0),
-            ("− Device", lambda: planning.remove_device(self.device), 3, 1),
+            ("+ Device", lambda: planning.add_device(self.region.currentText(), self.device), 1, 2),
+            ("− Device", lambda: planning.remove_device(self.device), 2, 2),
         ]
         for name, action, row, column in places:
             grid.addWidget(self._button(name, action), row, column)

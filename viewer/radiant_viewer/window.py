@@ -329,6 +329,8 @@ class InspectorWindow(QMainWindow):
     def _begin_tour(self) -> None:
         if self.docks.seams is not None:
             self.raise_dock(self.docks.seams)
+            # What the model looks like there is what the tour is for.
+            self.raise_dock(self.docks.splats)
             self.docks.seams.go(0)
 
     def _set_cropping(self, active: bool) -> None:
