@@ -64,6 +64,11 @@ class Picture:
 
 def save_picture(source: Path, view: str, path: Path, picture: Picture = Picture()) -> str:
     """Write one view of a run, or of a plan as PNG; BadInput where there is no such view of it."""
+    if source.suffix.lower() == ".ply" and source.is_file():
+        raise BadInput(
+            f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "
+            "pictures by 'radiant render MODEL.ply --keyframes FILE'."
+        )
     plan, scene = plan_file_of(source), picture.scene
     if plan is None:
         return commands.screenshot(source, view, path, picture.size_wh, picture.camera)

@@ -23,6 +23,8 @@ from radiant_core.render.trajectories import Lens, along_border, looking_at, orb
 from radiant_core.splats import Splats
 from radiant_viewer.movie import ENDINGS, MovieWriter
 
+OTHER_FILMS = (".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".wmv", ".apng", ".webp")
+"""Endings that no one means for a folder of frames."""
 MAX_KEYFRAME_BYTES = 1 << 24
 ORBIT_ELEVATION_DEG, ORBIT_RADII = 35.0, 0.9
 """Distance of an orbit, in diagonals of the regions."""
@@ -51,6 +53,8 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.render.rendered_view import render_views
 
     is_film = request.out.suffix.lower() in ENDINGS
+    if request.out.suffix.lower() in OTHER_FILMS:
+        raise BadInput(f"{request.out.name} is a film of a kind that is not written here: let its name end in {', '.join(ENDINGS)}.")
     if is_film:
         require_file_to_be(request.out)
         if request.cameras is None and request.trajectory is None and request.keyframes is None:

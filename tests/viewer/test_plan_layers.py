@@ -132,7 +132,7 @@ def test_changes_and_constraints_are_marked() -> None:
     assert sum(row.num_cameras for row in rows if not row.is_edge) == 120 == sum(row.num_cameras for row in rows if row.is_edge)
     assert max(row.share for row in rows) == 1.0
     assert all(row.time_s is None for row in load_rows(cloud, (), editor.state.wishes.system, locked) if not row.is_edge)
-    assert headline(cloud).endswith(" = 1.000 × bound " + headline(cloud).split("bound ")[1])
+    assert headline(cloud).endswith(", 1.000 × bound " + headline(cloud).split("bound ")[1])
     assert certificate_text(cloud).startswith("Certified optimal")
     assert "Best around what is fixed" in certificate_text(replace(cloud, status="constrained", num_outside=1))
     assert "1 camera lies outside" in certificate_text(replace(cloud, status="constrained", num_outside=1))

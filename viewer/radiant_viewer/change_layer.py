@@ -16,6 +16,8 @@ from radiant_viewer.palette import INK, VERMILLION, YELLOW
 
 RING_PX = 9.0
 """By how much a ring is wider than the dot of a camera."""
+SELECTED_PX = 3.0
+"""By how much a selected camera's dot is wider than it was: twenty rings side by side would hide the map."""
 
 
 def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
@@ -61,13 +63,14 @@ def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: 
 
 
 def selection_layer(positions: FloatArray) -> Layer:
-    """Vermillion rings under selected cameras (K,3)."""
+    """Vermillion dots over selected cameras (K,3)."""
     return Layer(
         name="Selection",
         points=positions,
         point_colors=np.tile(np.array(VERMILLION, np.uint8), (len(positions), 1)),
-        point_size_px=_ring_px(len(positions)),
+        point_size_px=_ring_px(len(positions)) - RING_PX + SELECTED_PX,
         point_rim=True,
+        in_front=True,
         legend=(LegendEntry(text=f"Selected ({len(positions)})", color=VERMILLION, marker="ring"),) if len(positions) else (),
     )
 

@@ -6,8 +6,13 @@ Building it takes a second or two; showing or hiding a layer redraws both views,
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from radiant_core.errors import RadiantError
@@ -16,10 +21,15 @@ from radiant_viewer.run_feeds import RunFeeds
 from radiant_viewer.subject import Subject, load_subject
 
 if TYPE_CHECKING:
+    from PySide6.QtWidgets import QApplication
+
     from radiant_core.scene import SfmScene
     from radiant_viewer.plan_files import PlanSetting
     from radiant_viewer.themes import ThemeName
     from radiant_viewer.window import InspectorWindow
+
+PULSE_MS = 200
+"""How soon a window hears Ctrl-C."""
 
 
 def open_window(
@@ -43,7 +53,40 @@ def open_window(
     application.setStyle("Fusion")
     desk = _Desk(feeds or RunFeeds(), setting, scene)
     desk.show(subject, theme)
-    return application.exec()
+    with _closed_by_signals(application) as caught:
+        code = application.exec()
+    return 128 + caught[-1] if caught else code
+
+
+@contextmanager
+def _closed_by_signals(application: QApplication) -> Iterator[list[int]]:
+    """Ctrl-C and SIGTERM close the windows as their own button does; yields the numbers of the signals that came.
+
+    An exception, as Python raises for them otherwise, would end one slot of Qt's and leave the window open.
+    """
+    from PySide6.QtCore import QTimer
+
+    caught: list[int] = []
+
+    def close(number: int, _: FrameType | None) -> None:
+        caught.append(number)
+        QTimer.singleShot(0, application.closeAllWindows)
+
+    if threading.current_thread() is not threading.main_thread():
+        # Python takes signals in its main thread alone.
+        yield caught
+        return
+    before = {number: signal.signal(number, close) for number in (signal.SIGINT, signal.SIGTERM)}
+    # Python looks for signals only when it runs: Qt waits in C++.
+    pulse = QTimer()
+    pulse.timeout.connect(lambda: None)
+    pulse.start(PULSE_MS)
+    try:
+        yield caught
+    finally:
+        pulse.stop()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class _Desk:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from textwrap import fill
 
 import numpy as np
 from PySide6.QtCore import Qt
@@ -16,6 +17,8 @@ from radiant_viewer.palette import GREY, ColorArray, heat_table
 
 NAME, SOLO = 0, 1
 MAX_OPEN_ROWS = 8
+LEGEND_COLUMNS = 36
+"""Longer texts of a legend take a second line: the dock is some 40 letters wide in a window of 1280 px."""
 
 
 class LayerDock(QDockWidget):
@@ -106,7 +109,10 @@ class LayerDock(QDockWidget):
 def _add_legend(item: QTreeWidgetItem, layer: Layer) -> None:
     rows = [(entry.text, color_icon(np.array([[entry.color]], np.uint8))) for entry in layer.legend]
     if layer.heat is not None:
-        rows += [(f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", color_icon(heat_table()[None])), (layer.heat.label, QIcon())]
+        rows += [
+            (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", color_icon(heat_table()[None])),
+            (fill(layer.heat.label, LEGEND_COLUMNS), QIcon()),
+        ]
     rows += [(note, QIcon()) for note in [moving_note(layer)] if note]
     for text, icon in rows:
         row = QTreeWidgetItem(item, [text])

@@ -7,7 +7,10 @@ MP4 holds MPEG-4 Part 2, which desktop players show and browsers do not: OpenCV'
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -94,7 +97,8 @@ class MovieWriter:
         self._part.unlink(missing_ok=True)
 
     def _opened(self, codec: str) -> cv2.VideoWriter:
-        video = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*codec), self.frames_per_s, self.size_wh)
+        with _quiet_stderr():
+            video = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*codec), self.frames_per_s, self.size_wh)
         if not video.isOpened():
             self._part.unlink(missing_ok=True)
             raise BadInput(f"OpenCV cannot encode {codec} here: write {self.path.with_suffix('.gif').name} instead.")
@@ -107,3 +111,17 @@ class MovieWriter:
         # GIF counts hundredths of a second.
         first.save(self._part, format="GIF", save_all=True, append_images=rest, duration=round(1000 / self.frames_per_s), loop=0)
         self._gif.clear()
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """OpenCV's encoder prints by C that VP80 is no tag of WebM, which it then writes all the same."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with Path(os.devnull).open("wb") as nothing:
+            os.dup2(nothing.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)

@@ -16,6 +16,7 @@ from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSlid
 from radiant_core.errors import BadInput
 from radiant_viewer.images import Image, load_image
 from radiant_viewer.photo_access import find_photograph
+from radiant_viewer.photo_reasons import reason_text
 from radiant_viewer.picture_label import PictureLabel
 from radiant_viewer.run_figures import FIGURES, ImageFigures
 from radiant_viewer.run_view import RunView, comparison_paths
@@ -65,6 +66,10 @@ class PhotoDock(QDockWidget):
         self.picture.wiped.connect(lambda share: self.slider.setValue(round(share * STEPS)))
         self.figures_text = QLabel("")
         self.figures_text.setWordWrap(True)
+        self.reasons_text = QLabel("")
+        self.reasons_text.setWordWrap(True)
+        self.reasons_text.setProperty("soft", "true")
+        self.reasons_text.setToolTip("What this camera saw, beside the middle one of all: few points or a rare tilt make a render worse")
         self._lay_out()
         self._set_enabled(False)
 
@@ -87,6 +92,7 @@ class PhotoDock(QDockWidget):
         self._set_enabled(len(self._pictures) > 1)
         self._show()
         self.figures_text.setText(self._text(name))
+        self.reasons_text.setText(reason_text(self._run.scene, index))
 
     def show_worst(self) -> None:
         """Select the held-out photograph with the lowest PSNR and show why it is the worst."""
@@ -160,6 +166,7 @@ class PhotoDock(QDockWidget):
         layout.addWidget(self.picture, stretch=1)
         layout.addLayout(bottom)
         layout.addWidget(self.figures_text)
+        layout.addWidget(self.reasons_text)
         self.setWidget(body)
         self.figures_text.setToolTip("\n".join(f"{figure.heading}: {figure.meaning}" for figure in FIGURES))
 

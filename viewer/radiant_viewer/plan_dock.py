@@ -38,6 +38,10 @@ Figures: {figures}
 = and != take names, ~ a part of one; a lone word is looked for in names"""
 
 
+HEADLINE_PX = 14
+"""More than the buttons need, so that the headline keeps to one line."""
+
+
 class PlanDock(QDockWidget):
     """`region` and `device` are what is chosen in the table or here; all buttons call `planning`."""
 
@@ -71,20 +75,23 @@ class PlanDock(QDockWidget):
         self.buttons: dict[str, QPushButton] = {}
         body = QWidget()
         layout = QVBoxLayout(body)
-        layout.setContentsMargins(8, 4, 8, 8)
+        layout.setContentsMargins(4, 4, 4, 8)
         layout.setSpacing(5)
-        for widget in (self.working, self.headline, self.certificate, self.changes):
+        for widget in (self.working, self.headline):
             layout.addWidget(widget)
         layout.addLayout(self._history_row())
         self._add_cameras(layout)
         self._add_regions(layout)
         self._add_files(layout)
+        # Below the buttons, which would move with every longer text, and be missed.
+        for label in (self.certificate, self.changes):
+            layout.addWidget(label)
         layout.addStretch(1)
         area = QScrollArea()
         area.setWidgetResizable(True)
         area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         area.setWidget(body)
-        area.setMinimumWidth(body.minimumSizeHint().width() + area.verticalScrollBar().sizeHint().width())
+        area.setMinimumWidth(body.minimumSizeHint().width() + area.verticalScrollBar().sizeHint().width() + HEADLINE_PX)
         self.setWidget(area)
 
     def choose(self, edge: str, device: str | None) -> None:
@@ -116,16 +123,18 @@ class PlanDock(QDockWidget):
         self.certificate.setText(certificate_text(cloud))
         self.changes.setText(changes)
 
-    def show_selected(self, count: int) -> None:
-        """How many cameras are selected."""
+    def show_selected(self, count: int, target: str | None = None) -> None:
+        """How many cameras are selected, and the edge they would most likely be pinned to."""
         self.selected.setText(f"{count} selected" if count else "Shift and drag on the map selects")
+        if target is not None:
+            self.target.setCurrentText(target)
         self._update_buttons()
 
     def show_reason(self, reason: str) -> None:
         """Why the plan cannot be changed; takes all that changes it out of use."""
         self.changes.setText(reason)
         for name, button in self.buttons.items():
-            button.setEnabled(name == "Compare…")
+            button.setEnabled(name in ("Compare…", "Regions to GIS…"))
         for widget in (self.filter, self.region, self.target, self.slack):
             widget.setEnabled(False)
 
@@ -180,15 +189,15 @@ class PlanDock(QDockWidget):
         layout.addWidget(_heading("Regions and machines"))
         grid = QGridLayout()
         grid.setSpacing(4)
-        grid.addWidget(self.region, 0, 0, 1, 2)
+        grid.addWidget(self.region, 0, 0, 1, 3)
         planning = self._planning
         places: list[tuple[str, Callable[[], object], int, int]] = [
             ("Lock", lambda: planning.lock(self.region.currentText()), 1, 0),
-            ("Free", lambda: planning.free(self.region.currentText()), 1, 1),
-            ("+ Edge", lambda: planning.add_edge(self.region.currentText()), 2, 0),
+            ("Free", lambda: planning.free(self.region.currentText()), 2, 0),
+            ("+ Edge", lambda: planning.add_edge(self.region.currentText()), 1, 1),
             ("− Edge", lambda: planning.remove_edge(self.region.currentText()), 2, 1),
-            ("+ Device", lambda: planning.add_device(self.region.currentText(), self.device), 3, 0),
-            ("− Device", lambda: planning.remove_device(self.device), 3, 1),
+            ("+ Device", lambda: planning.add_device(self.region.currentText(), self.device), 1, 2),
+            ("− Device", lambda: planning.remove_device(self.device), 2, 2),
         ]
         for name, action, row, column in places:
             grid.addWidget(self._button(name, action), row, column)
@@ -214,6 +223,8 @@ class PlanDock(QDockWidget):
             row.addWidget(self._button(name, action))
             self.buttons[name].setToolTip(tip)
         layout.addLayout(row)
+        layout.addWidget(self._button("Regions to GIS…", self._planning.ask_regions))
+        self.buttons["Regions to GIS…"].setToolTip("The regions, strips and cameras of this plan as GeoJSON, as QGIS opens it (Ctrl+G)")
 
     def _button(self, name: str, action: Callable[[], object]) -> QPushButton:
         button = self.buttons[name] = QPushButton(name)

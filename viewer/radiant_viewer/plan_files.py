@@ -15,6 +15,7 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
+from radiant_core.io.plan_export import save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray
@@ -61,7 +62,7 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
     """Write a plan and what goes with it; returns the files. BadInput for a name that does not end in .json, and as `write_atomic`."""
     if path.suffix != ".json":
         raise BadInput(f"{path.name} is no name for a plan: choose one that ends in .json.")
-    waypoints, shift = _on_the_globe(subject, setting)
+    waypoints, shift = _on_the_globe(subject, setting.waypoints)
     cloud, edges = moved_plan((plan.cloud, plan.edges), -shift)
     system, constraints = plan.wishes.system, plan.wishes.constraints
     system_path, constraints_path, start_path = (
@@ -76,6 +77,19 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
     # The plan itself last: where it stands, everything else does.
     save_plan(path, cloud, edges, waypoints)
     return (path, *written)
+
+
+def save_plan_geojson(
+    path: Path, subject: PlanSubject, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], setting: PlanSetting | None = None
+) -> None:
+    """Regions, strips and cameras of a plan as GeoJSON for maps; BadInput where they are not on the globe, and as `write_features`."""
+    if path.suffix.lower() not in (".geojson", ".json"):
+        raise BadInput(f"{path.name} is no name for regions: choose one that ends in .geojson.")
+    waypoints, shift = _on_the_globe(subject, None if setting is None else setting.waypoints)
+    if waypoints is None:
+        raise BadInput("this scene is not on the globe, its photographs hold no GPS: a map cannot show its regions.")
+    cloud, edges = moved_plan(plan, -shift)
+    save_regions_geojson(path, cloud, edges, waypoints)
 
 
 def load_other_plan(path: Path, subject: PlanSubject) -> AdoptPlan:
@@ -106,10 +120,10 @@ def moved_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) 
     return moved, tuple(replace(edge, strips=tuple(strip + shift if len(strip) else strip for strip in edge.strips)) for edge in edges)
 
 
-def _on_the_globe(subject: PlanSubject, setting: PlanSetting) -> tuple[Waypoints | None, FloatArray]:
+def _on_the_globe(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
     """Waypoints of the cameras where they are on the globe, and their origin (2,) in the subject's frame: a plan file is about that."""
-    if setting.waypoints is not None:
-        return setting.waypoints, np.zeros(2)
+    if known is not None:
+        return known, np.zeros(2)
     if subject.origin is None:
         return None, np.zeros(2)
     waypoints = Waypoints(names=subject.names, lat_lon_alt=geodetic_from_enu(subject.positions, subject.origin))

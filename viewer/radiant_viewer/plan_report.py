@@ -72,7 +72,7 @@ def load_rows(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, const
 def headline(cloud: CloudPlan) -> str:
     """Makespan, bound and their ratio in one line."""
     bound_s = cloud.lower_bound_s
-    over = f" = {cloud.makespan_s / bound_s:.3f} × bound {duration_text(bound_s)}" if bound_s > 0 else ""
+    over = f", {cloud.makespan_s / bound_s:.3f} × bound {duration_text(bound_s)}" if bound_s > 0 else ""
     return f"Makespan {duration_text(cloud.makespan_s)}{over}"
 
 

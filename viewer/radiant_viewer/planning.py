@@ -37,7 +37,7 @@ from radiant_viewer.plan_edits import (
     RemoveEdge,
     SetSlack,
 )
-from radiant_viewer.plan_files import PlanSetting, load_other_plan, save_edited_plan, subject_of
+from radiant_viewer.plan_files import PlanSetting, load_other_plan, save_edited_plan, save_plan_geojson, subject_of
 from radiant_viewer.plan_layers import edited_layers, roles_of, scene_footprints
 from radiant_viewer.plan_report import load_rows
 from radiant_viewer.plan_session import PlanSession
@@ -173,7 +173,7 @@ class Planning:
             self.window.draw_mark(selection_layer(self.run.scene.cameras.centers[rows]))
         else:
             self.window.remove_mark("Selection")
-        self.dock.show_selected(len(self.selected))
+        self.dock.show_selected(len(self.selected), self._likely_target(rows))
         self.window.render_views()
 
     def select_none(self) -> None:
@@ -228,6 +228,18 @@ class Planning:
         self.dock.changes.setText(f"Against {path.name}: {found.text}")
         self.window.tell(f"Against {path.name}: {found.text}")
         return found
+
+    def save_regions(self, path: Path) -> None:
+        """Write regions, strips and cameras of the plan as it is now as GeoJSON; BadInput where they are not on the globe."""
+        save_plan_geojson(path, subject_of(self.run), (self.run.cloud_plan, self.run.edge_plans), self.setting)
+        self.window.tell(f"Saved {path}")
+
+    def ask_regions(self) -> None:
+        """Save the regions under a name that the user gives."""
+        start = self.run.folder if self.run.folder.is_dir() else self.run.folder.parent
+        path, _ = QFileDialog.getSaveFileName(self.window, "Save regions", str(start / "regions.geojson"), "GeoJSON (*.geojson *.json)")
+        if path:
+            self.window.attempt(lambda: self.save_regions(Path(path)))
 
     def ask_save(self) -> None:
         """Save under a name that the user gives."""
@@ -338,6 +350,14 @@ class Planning:
             self.window.render_views()
         else:
             self.window.map.render()
+
+    def _likely_target(self, rows: Sequence[int]) -> str | None:
+        """Of the edges that have least of the selected cameras, the one that is done first; None without a selection."""
+        if not rows:
+            return None
+        cloud = self.run.cloud_plan
+        own = np.bincount(self.run.roles.edge_of_camera[list(rows)], minlength=len(cloud.edge_ids))
+        return cloud.edge_ids[int(np.lexsort((cloud.edge_time_s, own))[0])]
 
     def _figures_of(self, run: RunView) -> CameraFigures:
         return camera_figures(run.scene, run.roles, run.cloud_plan, run.psnr_db, self._footprints)

@@ -162,6 +162,11 @@ class InspectorWindow(QMainWindow):
         if self.docks.cameras is not None:
             row = self.docks.cameras.cameras.rows[index]
             self.tell("   ·   ".join(str(cell) for cell in row[:4] if cell))
+        if self.isVisible():
+            center = self.run.scene.cameras.centers[[index]]
+            pixel = self.map.pixels_of(center)[0]
+            if not ((pixel >= 0) & (pixel <= self.map.size_wh)).all():
+                self.map.center_on(center[0, :2])
         self.render_views()
 
     def fly_to_selected(self) -> None:
@@ -286,6 +291,7 @@ class InspectorWindow(QMainWindow):
             ("", "Undo the last edit of the plan", "Ctrl+Z", planning.undo if planning else None),
             ("", "Redo it", "Ctrl+Shift+Z", planning.redo if planning else None),
             ("", "Save the edited plan", "Ctrl+Shift+P", planning.ask_save if planning else None),
+            ("", "Save the plan's regions for a GIS, as GeoJSON", "Ctrl+G", planning.ask_regions if planning else None),
             ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
             ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
             ("", "Read the run anew", "F5", self.reload),
@@ -323,6 +329,8 @@ class InspectorWindow(QMainWindow):
     def _begin_tour(self) -> None:
         if self.docks.seams is not None:
             self.raise_dock(self.docks.seams)
+            # What the model looks like there is what the tour is for.
+            self.raise_dock(self.docks.splats)
             self.docks.seams.go(0)
 
     def _set_cropping(self, active: bool) -> None:
