@@ -25,7 +25,7 @@ from radiant_app.cloud_task import BY_PRESET, join_decisions, retrained_at_cloud
 from radiant_app.delivering import deliver, refusals
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
-from radiant_app.memory import resident_bytes
+from radiant_app.memory import base_bytes_in, resident_bytes
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -147,7 +147,7 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     config, options = TrainConfig(**task["train"]), fit_options(stage, task["backend"], emit)
     cameras = scene.cameras.scaled(config.long_side_px)
     if task["memory_bytes"] is not None:
-        plan = memory_plan(config, cameras, int(task["memory_bytes"]), resident_bytes())
+        plan = memory_plan(config, cameras, int(task["memory_bytes"]), base_bytes_in(folder, resident_bytes()))
         config, decision = within_memory(config, plan, int(task["memory_bytes"]), stage, config.max_num_splats)
         emit(Decided(decision=decision))
         options = replace(options, statistics_bytes=plan.statistics_bytes)

@@ -23,6 +23,7 @@ from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.field import run_in_the_field
 from radiant_app.memory import peak_bytes
 from radiant_app.prediction_error import prediction_of
@@ -84,6 +85,8 @@ def run(
         require_emulable(system)
     if config.plan is not None:
         require_plan(config.plan, system)
+    if config.address is not None:
+        require_cluster(config.address)
     lpips = None if config.lpips_weights is None else load_lpips(config.lpips_weights, config.lpips_network)
     with opened_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
         if lpips is not None:

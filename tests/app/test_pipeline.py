@@ -182,9 +182,9 @@ def test_a_model_out_of_its_cameras_sight_is_refused_and_the_rest_is_joined(
     assert warning.startswith(f"the model of {bad} is left out: its own cameras see 0.0% of its Gaussians")
     for name in good:
         (tmp_path / "edge" / "inbox" / name / "model.safetensors").write_bytes(b"no model")
-    assert run_edge(tmp_path / "edge", "edges/one", events.append) == ["summary.json", "corrections.json", "frame.json"]
-    frame = read_json(tmp_path / "edge" / "frame.json")
-    assert frame["status"] == "missing" and set(frame["refused"]) == set(senders)
+    assert run_edge(tmp_path / "edge", "edges/one", events.append) == ["summary.json", "corrections.json", "refused.json", "frame.json"]
+    assert set(read_json(tmp_path / "edge" / "refused.json")) == set(senders)
+    assert read_json(tmp_path / "edge" / "frame.json") == {"status": "missing", "reason": "", "uncertainty": None}
 
 
 def test_commands_on_a_finished_run(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
