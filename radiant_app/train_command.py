@@ -196,7 +196,7 @@ def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _S
     options = fit_options(STAGE, backend, stage.tell)
     if request.memory_bytes is not None:
         kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
-        base_bytes = base_bytes_in(request.out, base_bytes)
+        base_bytes = base_bytes_in(request.out, base_bytes) if request.out.is_dir() else base_bytes
         plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate)
         config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
         options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)

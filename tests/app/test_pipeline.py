@@ -23,6 +23,7 @@ from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
 from radiant_app.inbox import read_inbox
 from radiant_app.nodes import run_device, run_edge
 from radiant_app.pipeline import RunResult, run
+from radiant_app.report import TIERS
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
@@ -84,7 +85,8 @@ def test_every_training_photograph_went_to_exactly_one_device(finished: tuple[Ru
 def test_no_photograph_lies_at_an_edge_or_the_cloud(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
     config, _, _ = finished
     manifest = json.loads((config.out / "manifest.json").read_text())
-    assert {row["num_photographs"] for row in manifest["ledger"] if row["tier"] != "device"} == {0}
+    num_photographs = {tier: sum(row["num_photographs"] for row in manifest["ledger"] if row["tier"] == tier) for tier in TIERS}
+    assert num_photographs == {"device": 10, "edge": 0, "cloud": 0, "owner": 12}, "every 8th stays with the owner, who had all"
     pictures = [path for tier in ("edges", "cloud") for path in (config.out / tier).rglob("*") if path.suffix.lower() in (".jpg", ".png")]
     assert pictures == []
 
