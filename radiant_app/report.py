@@ -35,9 +35,9 @@ GIVEN = {
         "owner": "all photographs: places them, plans, deals them out, scores",
     },
     False: {
-        "device": "its own photographs; the finished scene and its borders",
+        "device": "beside its own photographs, the finished scene and its borders",
         "edge": "its devices' models and poses, under numbers",
-        "cloud": "what it plans from; edges' models, virtual cameras and borders",
+        "cloud": "edges' models, virtual cameras and borders; where it plans, counts in cells",
         "owner": "what devices told for the plan",
     },
 }

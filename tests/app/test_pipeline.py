@@ -21,6 +21,7 @@ from radiant_app.demo import sample_scenes_folder
 from radiant_app.event_file import read_progress
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
 from radiant_app.inbox import read_inbox
+from radiant_app.memory import resident_bytes
 from radiant_app.nodes import run_device, run_edge
 from radiant_app.pipeline import RunResult, run
 from radiant_app.report import TIERS
@@ -164,6 +165,32 @@ def test_a_devices_memory_limits_its_gaussians(finished: tuple[RunConfig, RunRes
     write_json(tmp_path / "device" / "task.json", {**task, "memory_bytes": 1e6})
     with pytest.raises(BadInput, match="1 MB of memory leave room for 0 Gaussians, expected 1,000 or more: give"):
         run_device(tmp_path / "device", "devices/one", events.append)
+
+
+def test_too_little_memory_makes_a_smaller_budget_that_the_next_process_keeps(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    shutil.copytree(next((config.out / "devices").iterdir()), tmp_path / "device")
+    task = read_json(tmp_path / "device" / "task.json")
+    wanted = {**task["train"], "max_num_splats": 1_000_000}
+    # A million Gaussians need over 1 GB beside the process.
+    memory_bytes = resident_bytes() + 200_000_000
+    write_json(tmp_path / "device" / "task.json", {**task, "train": wanted, "memory_bytes": memory_bytes})
+
+    def choice() -> str:
+        events: list[Event] = []
+        run_device(tmp_path / "device", "devices/one", events.append)
+        return next(event.decision.choice for event in events if isinstance(event, Decided) and event.decision.topic == "memory")
+
+    first = choice()
+    (limit,) = re.findall(r"at most ([\d,]+) Gaussians", first)
+    assert 1000 <= int(limit.replace(",", "")) < 500_000
+    # What a later process holds is another matter: with another limit, its checkpoints would be another training's.
+    ballast = np.ones(5_000_000)
+    assert choice() == first and ballast[-1] == 1
+    (tmp_path / "device" / "memory.json").write_text("{")
+    assert choice() != first
 
 
 def test_a_model_out_of_its_cameras_sight_is_refused_and_the_rest_is_joined(
