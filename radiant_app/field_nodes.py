@@ -163,6 +163,8 @@ def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: st
 
     config = SfmConfig(**task["sfm"])
     work = folder / "sfm"
+    # What an ended process left there changes the points, and with them the key of the checkpoints.
+    shutil.rmtree(work, ignore_errors=True)
     if task["model"] is None:
         cameras = load_cameras(folder / "poses.safetensors")
     else:
