@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.delivering import signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, moved_cameras, numbered, sim3_of
-from radiant_app.nodes import load_images, sfm_progress, signed_upload, train_device
+from radiant_app.nodes import load_images, sfm_progress, train_device
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed

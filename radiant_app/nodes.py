@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.cloud_task import BY_PRESET, join_decisions, retrained_at_cloud, virtual_cameras_of
-from radiant_app.delivering import deliver, refusals
+from radiant_app.delivering import refusals, signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
 from radiant_app.memory import base_bytes_in, resident_bytes
@@ -124,14 +124,6 @@ def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     outputs = train_device(folder, scene, folder / "photos", task, (stage, emit))[1]
     save_cameras(folder / "cameras.safetensors", scene.cameras)
     return [*outputs, "cameras.safetensors", *signed_upload(folder, task)]
-
-
-def signed_upload(folder: Path, task: dict[str, Any]) -> list[str]:
-    """Sign the model that a node sends and what its task says besides; the names written. Nothing where its task sends nothing."""
-    if "sends" not in task:
-        return []
-    model = folder / ("model.safetensors" if task["upload"] == "float32" else "upload.safetensors")
-    return deliver(folder, {"model.safetensors": model, **{name: folder / name for name in task["sends"]}})
 
 
 def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, Any], running: tuple[str, Emit]) -> tuple[Splats, list[str]]:
