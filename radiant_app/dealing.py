@@ -15,7 +15,7 @@ from radiant_app.cloud_task import retrain_settings
 from radiant_app.delivering import DELIVERIES, introduce, introduce_teacher
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.inbox import VIRTUAL_CAMERAS
+from radiant_app.inbox import REFUSED_NAME, VIRTUAL_CAMERAS
 from radiant_app.nodes import MASKS
 from radiant_app.sources import masks_of_scene
 from radiant_core import __version__
@@ -134,6 +134,11 @@ class Dealer:
         """Whether the node with this id is done in this run."""
         return node_id in self.keys and is_sealed(self.run / node_id, self.keys[node_id])
 
+    def refused_by(self, node_id: str) -> dict[str, str]:
+        """Whose uploads an edge or the cloud refused, and why."""
+        record = self.run / node_id / REFUSED_NAME
+        return read_json(record) if record.is_file() else {}
+
     def fill_teacher(self, node: Tree, folder: Path) -> Filled | None:
         """What the teacher's device uploaded."""
         (device,) = node.children
@@ -217,10 +222,10 @@ class SharedDealer(Dealer):
 
     def missing(self) -> dict[str, str]:
         """Devices with photographs whose model is not in the scene, and why."""
-        cloud = self._refused("cloud")
+        cloud = self.refused_by("cloud")
         found: dict[str, str] = {}
         for plan in self.edge_plans:
-            edge, refused = plan.edge_id, self._refused(f"edges/{plan.edge_id}")
+            edge, refused = plan.edge_id, self.refused_by(f"edges/{plan.edge_id}")
             for device in (device for device in plan.device_ids if len(plan.cameras_of(device))):
                 if not self.is_done(f"devices/{device}"):
                     found[device] = f"{ENDED} Its {len(plan.cameras_of(device))} photographs are in no model."
@@ -231,10 +236,6 @@ class SharedDealer(Dealer):
                 elif edge in cloud:
                     found[device] = f"cloud refused {edge}: {cloud[edge]}"
         return found
-
-    def _refused(self, node_id: str) -> dict[str, str]:
-        record = self.run / node_id / "frame.json"
-        return read_json(record, ("refused",))["refused"] if record.is_file() else {}
 
     def fill_device(self, node: Tree, folder: Path) -> Filled:
         """The device's photographs and its part of the scene."""

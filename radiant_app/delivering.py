@@ -15,6 +15,7 @@ import secrets
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from radiant_core.errors import BadInput
 from radiant_core.io.acceptance import Acceptance, Offer
@@ -84,6 +85,14 @@ def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
         files=sent_files(paths),
     )
     return save_delivery(folder, delivery, folder / IDENTITY)
+
+
+def signed_upload(folder: Path, task: dict[str, Any]) -> list[str]:
+    """Sign the model that a node sends and what its task says besides; the names written. Nothing where its task sends nothing."""
+    if "sends" not in task:
+        return []
+    model = folder / ("model.safetensors" if task["upload"] == "float32" else "upload.safetensors")
+    return deliver(folder, {"model.safetensors": model, **{name: folder / name for name in task["sends"]}})
 
 
 def refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:

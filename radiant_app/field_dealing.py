@@ -138,7 +138,7 @@ class FieldDealer(Dealer):
         for tier, name in ((f"edges/{edge}", device), ("cloud", edge)):
             if tier not in self.keys or not is_sealed(self.run / tier, self.keys[tier]):
                 return f"{tier} ended before it was done; the warnings say how."
-            refused = read_json(self.run / tier / "frame.json", ("refused",))["refused"]
+            refused = self.refused_by(tier)
             if name in refused:
                 return f"{tier} refused {name}: {refused[name]}"
         return f"edges/{edge} delivered nothing."

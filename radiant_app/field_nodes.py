@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.delivering import signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, moved_cameras, numbered, sim3_of
-from radiant_app.nodes import load_images, sfm_progress, signed_upload, train_device
+from radiant_app.nodes import load_images, sfm_progress, train_device
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
@@ -163,6 +164,8 @@ def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: st
 
     config = SfmConfig(**task["sfm"])
     work = folder / "sfm"
+    # What an ended process left there changes the points, and with them the key of the checkpoints.
+    shutil.rmtree(work, ignore_errors=True)
     if task["model"] is None:
         cameras = load_cameras(folder / "poses.safetensors")
     else:

@@ -27,8 +27,9 @@ Emit = Callable[[Event], None]
 
 NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
 """The summary of a node that delivers no model."""
-MAX_FRAME_BYTES = 1 << 20
-"""Of an edge's frame.json, which names the devices that it refused."""
+MAX_FRAME_BYTES = 1 << 12
+REFUSED_NAME = "refused.json"
+"""Senders that a node refused → why. It stays there."""
 VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
 NO_CAMERAS = concatenate_cameras([])
 _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
@@ -210,13 +211,16 @@ def moved_cameras(cameras: Cameras, move: Sim3) -> Cameras:
 
 
 def save_frames(folder: Path, inbox: Inbox) -> list[str]:
-    """Write how each sender was moved or why it is refused, and how sure the joined frame is; returns the names of the files."""
+    """Write how each sender was moved, who is refused and why, and how sure the joined frame is; returns the names of the files.
+
+    frame.json goes up to the next tier, which is to learn nothing of the senders: it names none of them.
+    """
     moves = {name: None if move is None else sim3_record(move) for name, move in inbox.corrections.items()}
     write_json(folder / "corrections.json", moves)
+    write_json(folder / REFUSED_NAME, inbox.refused)
     status = "placed" if inbox.models else "missing"
-    frame = {"status": status, "reason": "", "uncertainty": inbox.uncertainty, "refused": inbox.refused}
-    write_json(folder / "frame.json", frame)
-    return ["corrections.json", "frame.json"]
+    write_json(folder / "frame.json", {"status": status, "reason": "", "uncertainty": inbox.uncertainty})
+    return ["corrections.json", REFUSED_NAME, "frame.json"]
 
 
 def sim3_record(move: Sim3) -> dict[str, Any]:

@@ -5,6 +5,11 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import read_json, write_json
+
+BASE_NAME = "memory.json"
+
 
 def reset_peak_bytes() -> int:
     """Resident bytes now; the peak is counted from here on, since imports alone may have peaked higher (Linux)."""
@@ -15,6 +20,23 @@ def reset_peak_bytes() -> int:
 def resident_bytes() -> int:
     """Resident bytes now on Linux, elsewhere the highest so far."""
     return _status_bytes("VmRSS") if sys.platform == "linux" else peak_bytes()
+
+
+def base_bytes_in(folder: Path, now_bytes: int) -> int:
+    """What the process that first trained in `folder` held before: `now_bytes` at the first call, from memory.json after that.
+
+    A limit of memory leaves room for so many Gaussians beside it, and that number is in the key of the checkpoints: a process that goes on
+    after a kill never holds just as much, and would begin anew.
+    """
+    path = folder / BASE_NAME
+    try:
+        base_bytes = read_json(path, ("base_bytes",))["base_bytes"] if path.is_file() else None
+    except BadInput:
+        base_bytes = None
+    if type(base_bytes) is not int or base_bytes <= 0:
+        write_json(path, {"base_bytes": now_bytes})
+        return now_bytes
+    return base_bytes
 
 
 def peak_bytes() -> int:

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.cloud_task import join_decisions, retrained_at_cloud, virtual_cameras_of
-from radiant_app.delivering import deliver, refusals
+from radiant_app.delivering import refusals, signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
-from radiant_app.memory import resident_bytes
+from radiant_app.memory import base_bytes_in, resident_bytes
 from radiant_app.node_decisions import (
     blind_spots_decision,
     density_decision,
@@ -133,14 +133,6 @@ def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     return [*outputs, "cameras.safetensors", *signed_upload(folder, task)]
 
 
-def signed_upload(folder: Path, task: dict[str, Any]) -> list[str]:
-    """Sign the model that a node sends and what its task says besides; the names written. Nothing where its task sends nothing."""
-    if "sends" not in task:
-        return []
-    model = folder / ("model.safetensors" if task["upload"] == "float32" else "upload.safetensors")
-    return deliver(folder, {"model.safetensors": model, **{name: folder / name for name in task["sends"]}})
-
-
 def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, Any], running: tuple[str, Emit]) -> tuple[Splats, list[str]]:
     """Train a model from a scene and its photographs by the settings of a task; `running` is stage and listener.
 
@@ -154,7 +146,7 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     config, options = TrainConfig(**task["train"]), fit_options(stage, task["backend"], emit)
     cameras = scene.cameras.scaled(config.long_side_px)
     if task["memory_bytes"] is not None:
-        plan = memory_plan(config, cameras, int(task["memory_bytes"]), resident_bytes())
+        plan = memory_plan(config, cameras, int(task["memory_bytes"]), base_bytes_in(folder, resident_bytes()))
         config, decision = within_memory(config, plan, int(task["memory_bytes"]), stage, config.max_num_splats)
         emit(Decided(decision=decision))
         options = replace(options, statistics_bytes=plan.statistics_bytes)

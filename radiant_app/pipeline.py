@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.config import RunConfig
-from radiant_app.dealing import SharedDealer, deal_files, evaluation_task
+from radiant_app.dealing import SharedDealer, deal_files, evaluation_task, received
 from radiant_app.evaluation import LPIPS_NAME, PICTURE_KINDS
 from radiant_app.event_file import EventFile
 from radiant_app.events import Listener, Warned
@@ -23,6 +23,7 @@ from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.field import run_in_the_field
 from radiant_app.memory import peak_bytes
 from radiant_app.prediction_error import prediction_of
@@ -84,13 +85,15 @@ def run(
         require_emulable(system)
     if config.plan is not None:
         require_plan(config.plan, system)
+    if config.address is not None:
+        require_cluster(config.address)
     lpips = None if config.lpips_weights is None else load_lpips(config.lpips_weights, config.lpips_network)
     with opened_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
         progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
-        more: dict[str, Any] = {"executor": config.executor, "promises": promises_of(config)}
+        more: dict[str, Any] = {"executor": config.executor}
         if config.frames == "shared":
             cloud_plan, tree, refused = _run_shared(config, system, progress)
             more["missing"] = refused
@@ -98,7 +101,7 @@ def run(
             cloud_plan, tree = run_in_the_field(config, system, progress)
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
         emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
-        metrics = _write_metrics(config.out, manifest, cloud_plan, {**emulation, **more})
+        metrics = _write_metrics(config, manifest, cloud_plan, {**emulation, **more})
         manifest.status = "done"
         write_report(config.out, manifest, metrics)
     return RunResult(folder=config.out, metrics=metrics)
@@ -141,7 +144,8 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
         tree, dealer.prepare, listen
     )
     cloud_plan = dealer.cloud_plan
-    progress.manifest.ledger = dealer.ledger
+    pooled = {"node": "sfm", "tier": "owner", **received([images / name for name in scene.cameras.names])}
+    progress.manifest.ledger = [*dealer.ledger, pooled]
     missing = dealer.missing()
     if not any(dealer.delivered(node) for node in tree if node.tier == "edge"):
         raise StageFailed("no device's model could be used. " + " ".join(missing.values()))
@@ -197,12 +201,14 @@ def _evaluation_stage(config: RunConfig, scene: SfmScene, train: TrainConfig, re
     run_task(evaluation_task(config.out, images, held_out, backend, lpips_network), progress.listen, progress.clock)
 
 
-def _write_metrics(run: Path, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:
+def _write_metrics(config: RunConfig, manifest: Manifest, cloud_plan: CloudPlan, more: dict[str, Any]) -> dict[str, Any]:
+    run = config.out
     result = read_json(run / "evaluation" / "result.json", ("images", "psnr_db"))
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
     planned = {"planned_makespan_s": cloud_plan.makespan_s, "plan_lower_bound_s": cloud_plan.lower_bound_s}
     prediction = prediction_of(run, manifest, load_plan(run / "plan.json")[1])
     peaks = {**manifest.peak_bytes, "run": peak_bytes()}
-    metrics = {**result, "seconds": seconds, "peak_bytes": peaks, **planned, "prediction": prediction, **more}
+    promises = promises_of(config, pooled=result.get("pooled", True))
+    metrics = {**result, "seconds": seconds, "peak_bytes": peaks, **planned, "prediction": prediction, "promises": promises, **more}
     write_json(run / "metrics.json", metrics)
     return metrics

@@ -21,10 +21,10 @@ class Promise:
     reason: str
 
 
-def promises_of(config: RunConfig) -> list[dict[str, Any]]:
-    """The promises of a run with these settings, as metrics.json keeps them."""
-    in_field, in_cluster = config.frames != "shared", config.executor == "ray"
-    pooled = "the photographs were pooled with one owner (--frames shared)"
+def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
+    """The promises of a run with these settings, as metrics.json keeps them; `pooled`: the photographs lay with one owner before."""
+    in_cluster = config.executor == "ray"
+    together = f"the photographs were pooled with one owner ({'--frames shared' if config.frames == 'shared' else 'one folder for all'})"
     cluster = "a Ray cluster is one owner's trust: every task there can list its machines and read their files"
     opens = Promise(
         promise="No stage of an edge or of the cloud opens a photograph of a device.",
@@ -34,17 +34,24 @@ def promises_of(config: RunConfig) -> list[dict[str, Any]]:
     )
     own = Promise(
         promise="A device's photographs are readable on that device alone.",
-        holds=in_field and not in_cluster,
-        reason=cluster if in_cluster else "every device reads its own folder, by a process of its own" if in_field else pooled,
+        holds=not pooled and not in_cluster,
+        reason=cluster if in_cluster else together if pooled else "every device reads its own folder, by a process of its own",
     )
-    cloud = Promise(
-        promise="The cloud can learn no device's id, count or pose.",
-        holds=in_field and not in_cluster,
-        reason=cluster if in_cluster else "it is dealt edges' models and virtual cameras alone" if in_field else pooled,
-    )
+    cloud = Promise(promise="The cloud can learn no device's id, count or pose.", **_of_the_cloud(config, cluster if in_cluster else None))
     whole = Promise(
         promise="What is used is what was written: every file of a finished node has the hash in its seal.",
         holds=True,
         reason="seals are checked by the process that folds the tree, whatever ran the node",
     )
     return [asdict(promise) for promise in (opens, own, cloud, whole)]
+
+
+def _of_the_cloud(config: RunConfig, cluster: str | None) -> dict[str, Any]:
+    if cluster is not None:
+        return {"holds": False, "reason": cluster}
+    if config.frames == "shared":
+        return {"holds": False, "reason": "who plans has all poses (--frames shared)"}
+    if config.cell_m is None:
+        return {"holds": False, "reason": "who plans has all positions (--raster-cell-m 0)"}
+    given = "it is dealt edges' models, virtual cameras and borders; where it plans, counts in cells and one curve per edge"
+    return {"holds": True, "reason": given}

@@ -26,13 +26,22 @@ if TYPE_CHECKING:
 MAX_COMPARISONS = 12
 """Photographs shown beside their renders: the worst, the best and some between."""
 
-HOLDS = {
-    "device": "its own photographs, EXIF, poses and model; the finished scene and its borders",
-    "edge": "its devices' models and poses, under numbers; no pixel, EXIF or file name",
-    "cloud": "edges' models, virtual cameras and borders; no device's id, number or pose, no pixel",
-    "owner": "what planning was told, and every device's scores",
+TIERS = ("device", "edge", "cloud", "owner")
+GIVEN = {
+    True: {
+        "device": "its photographs, their poses and the points they see",
+        "edge": "its devices' models and cameras",
+        "cloud": "edges' models and borders; virtual cameras where it retrains",
+        "owner": "all photographs: places them, plans, deals them out, scores",
+    },
+    False: {
+        "device": "beside its own photographs, the finished scene and its borders",
+        "edge": "its devices' models and poses, under numbers",
+        "cloud": "edges' models, virtual cameras and borders; where it plans, counts in cells",
+        "owner": "what devices told for the plan",
+    },
 }
-"""What a tier may hold where devices own their photographs; with frames "shared" the owner has all of it."""
+"""What the nodes of a tier were given, by whether one owner ran structure from motion (frames "shared")."""
 
 GANTT_TEXT = {
     False: "Predicted for machines that all work at once; measured here, where processes wait for a free core. Nothing was sent.",
@@ -54,7 +63,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         frame=_frame_facts(run),
         pooled=metrics.get("pooled", True),
         planned_by_raster=(run / STAGE / "task.json").is_file(),
-        ledger_tiers=ledger_by_tier(manifest.ledger),
+        ledger_tiers=ledger_by_tier(manifest.ledger, shared="leakage" not in metrics),
         pictures={name: _embedded(path) for name, path in pictures.items()},
         comparisons=[_comparison(run, row) for row in shown_images(metrics["images"]) if _has_pictures(run, row)],
         nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
@@ -65,14 +74,16 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
     return run / "report.html"
 
 
-def ledger_by_tier(ledger: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """One row per tier in the order devices, edges, cloud, owner: what its nodes received together, and what the tier may hold."""
+def ledger_by_tier(ledger: Sequence[Mapping[str, Any]], *, shared: bool) -> list[dict[str, Any]]:
+    """One row per tier in the order devices, edges, cloud, owner: what its nodes received together, in bytes and in words."""
     rows = []
-    for tier, holds in HOLDS.items():
+    for tier in TIERS:
         own = [row for row in ledger if row["tier"] == tier]
         if own:
             sums = {key: sum(row[key] for row in own) for key in ("num_photographs", "photograph_bytes", "other_bytes")}
-            rows.append({"tier": tier, "num_nodes": len({row["node"].removesuffix("/score") for row in own}), **sums, "holds": holds})
+            rows.append(
+                {"tier": tier, "num_nodes": len({row["node"].removesuffix("/score") for row in own}), **sums, "given": GIVEN[shared][tier]}
+            )
     return rows
 
 

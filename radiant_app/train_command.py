@@ -22,7 +22,7 @@ from radiant_app.commands import require_file_to_be
 from radiant_app.config import RunConfig
 from radiant_app.evaluation import image_row, save_comparison, scored_part, summary_of
 from radiant_app.events import Decided, Event, Listener, StageDone, StageProgress, StageSkipped, StageStarted, Warned
-from radiant_app.memory import peak_bytes, resident_bytes
+from radiant_app.memory import base_bytes_in, peak_bytes, resident_bytes
 from radiant_app.nodes import CHECKPOINTS, first_model, fit, fit_options, load_training_views, needed, training_summary, without_useless
 from radiant_app.pipeline import require_size, sfm_stage
 from radiant_app.run_folder import Manifest, opened_folder
@@ -196,6 +196,7 @@ def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _S
     options = fit_options(STAGE, backend, stage.tell)
     if request.memory_bytes is not None:
         kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
+        base_bytes = base_bytes_in(request.out, base_bytes) if request.out.is_dir() else base_bytes
         plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate)
         config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
         options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)

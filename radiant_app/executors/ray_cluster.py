@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import queue
+import socket
 import subprocess
 import sys
 import threading
@@ -37,6 +38,7 @@ from radiant_core.io.run_store import SEAL_NAME, file_sha256, read_json
 SEEN_S = 20.0
 """How long a file that another machine wrote may take to be seen here: network file systems keep directories for some seconds."""
 STOP_S = 15.0
+CONNECT_S = 10.0
 LOG_NAME = "ray.log"
 DRIVER = "import sys; from radiant_app.executors.ray_driver import main; sys.exit(main(sys.argv[1:]))"
 """Imported by its name, so that Ray's workers import the task and get no copy of it."""
@@ -55,12 +57,26 @@ class RayExecutor:
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`. BadInput where Ray is not installed or no cluster answers at the address."""
-        if find_spec("ray") is None:
-            raise BadInput("Ray is not installed: pip install 'radiant-splats[cluster]', or leave out --executor ray.")
+        require_cluster(self.address)
         runner = _Cluster(address=self.address, log=self.log, command=self.command, tree=tree)
         fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, faults=self.faults)
         with runner:
             return fold.run(tree)
+
+
+def require_cluster(address: str) -> None:
+    """Raise BadInput where Ray is not installed, `address` is none, or nobody listens there: cheap enough to ask before a run begins."""
+    if find_spec("ray") is None:
+        raise BadInput("Ray is not installed: pip install 'radiant-splats[cluster]', or leave out --executor ray.")
+    if address == "local":
+        return
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal() or "://" in address:
+        raise BadInput(f"--address {address!r} is no host:port: give that of the cluster's head, 6379 if nothing else was said, or local.")
+    try:
+        socket.create_connection((host, int(port)), timeout=CONNECT_S).close()
+    except (OSError, OverflowError) as error:
+        raise BadInput(f"no Ray cluster answers at {address} ({error}): start it by `ray start --head`, or correct --address.") from error
 
 
 def place_of(node: Tree) -> str:

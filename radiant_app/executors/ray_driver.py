@@ -36,7 +36,6 @@ from radiant_app.events import Failed, encode
 from radiant_core.errors import RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
-CONNECT_S = 10.0
 LOOK_S = 2.0
 """How often tasks that wait are checked for machines that could run them: one pinned to a machine that is gone would wait for ever."""
 GONE_S = 20.0
@@ -242,13 +241,6 @@ def _connect(address: str) -> str | None:
     if address == "local":
         ray.init(address="local", include_dashboard=False, object_store_memory=LOCAL_STORE_BYTES, **quiet)
         return None
-    host, _, port = address.rpartition(":")
-    if not host or not port.isdecimal() or "://" in address:
-        return f"--address {address!r} is no host:port: give that of the cluster's head, 6379 if nothing else was said, or local."
-    try:
-        socket.create_connection((host, int(port)), timeout=CONNECT_S).close()
-    except (OSError, OverflowError) as error:
-        return f"no Ray cluster answers at {address} ({error}): start it by `ray start --head`, or correct --address."
     try:
         ray.init(address=address, **quiet)
     except (ConnectionError, RuntimeError, ValueError, RayError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,5 +155,12 @@ def test_a_cluster_keeps_no_secret_of_a_device_and_the_report_says_so(tmp_path: 
     field = RunConfig(source=tmp_path, out=tmp_path, frames="gps")
     cluster = RunConfig(source=tmp_path, out=tmp_path, frames="gps", executor="ray", address="local")
     shared = RunConfig(source=tmp_path, out=tmp_path)
-    holds = {name: [row["holds"] for row in promises_of(config)] for name, config in (("f", field), ("c", cluster), ("s", shared))}
-    assert holds == {"f": [True, True, True, True], "c": [True, False, False, True], "s": [True, False, False, True]}
+    told = replace(field, raster_cell_m=0.0)
+
+    def holds(config: RunConfig, *, pooled: bool) -> list[bool]:
+        return [row["holds"] for row in promises_of(config, pooled=pooled)]
+
+    assert holds(field, pooled=False) == [True, True, True, True]
+    assert holds(field, pooled=True) == [True, False, True, True], "whoever made the one folder had all photographs"
+    assert holds(told, pooled=False) == [True, True, False, True], "whoever plans has all positions"
+    assert holds(cluster, pooled=False) == holds(shared, pooled=True) == [True, False, False, True]

@@ -17,6 +17,7 @@ from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageSkipped, Warned
 from radiant_app.field import _middle
+from radiant_app.field_nodes import _placed
 from radiant_app.inbox import _are_one_group
 from radiant_app.pipeline import RunResult, run
 from radiant_app.report import ledger_by_tier
@@ -87,6 +88,15 @@ def test_the_inspector_reads_such_a_run(finished: tuple[RunConfig, RunResult]) -
     view = load_run_view(config.out)
     assert len(view.scene.cameras) == 10 and view.held_out == frozenset() and view.splats is not None
     assert sorted(np.bincount(view.roles.device_of_camera)) == sorted(view.cloud_plan.counts)
+
+
+def test_a_device_that_begins_again_makes_the_same_scene(finished: tuple[RunConfig, RunResult], tmp_path: Path) -> None:
+    config, _ = finished
+    shutil.copytree(config.out / "devices" / "north-1", tmp_path / "north-1")
+    task = json.loads((tmp_path / "north-1" / "task.json").read_text())
+    first, second = (_placed(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene for _ in range(2))
+    assert len(first.points) > 100 and first.points.tobytes() == second.points.tobytes()
+    assert first.observations.tobytes() == second.observations.tobytes()
 
 
 def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> None:
@@ -328,7 +338,7 @@ def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, Ru
     assert {node for node, count in fetched.items() if count} == {"devices/north-1", "devices/south-1"}, "each fetched its own"
     assert sum(fetched.values()) == 12
     assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score", "planning"}
-    tiers = {row["tier"]: row for row in ledger_by_tier(ledger)}
+    tiers = {row["tier"]: row for row in ledger_by_tier(ledger, shared=False)}
     assert [row["num_nodes"] for row in tiers.values()] == [2, 2, 2] and list(tiers) == ["device", "edge", "cloud"]
     assert tiers["device"]["num_photographs"] == 12 and tiers["edge"]["photograph_bytes"] == tiers["cloud"]["photograph_bytes"] == 0
     assert sum(row["other_bytes"] for row in tiers.values()) == sum(row["other_bytes"] for row in ledger)

@@ -24,9 +24,11 @@ from radiant_app.event_file import read_progress
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
 from radiant_app.extend_command import ExtendRequest, extend
 from radiant_app.inbox import read_inbox
+from radiant_app.memory import resident_bytes
 from radiant_app.nodes import run_device, run_edge
 from radiant_app.pipeline import RunResult, run
 from radiant_app.progress import ProgressDisplay
+from radiant_app.report import TIERS
 from radiant_core.aggregate.extend import NewRegion
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
@@ -91,7 +93,8 @@ def test_every_training_photograph_went_to_exactly_one_device(finished: tuple[Ru
 def test_no_photograph_lies_at_an_edge_or_the_cloud(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
     config, _, _ = finished
     manifest = json.loads((config.out / "manifest.json").read_text())
-    assert {row["num_photographs"] for row in manifest["ledger"] if row["tier"] != "device"} == {0}
+    num_photographs = {tier: sum(row["num_photographs"] for row in manifest["ledger"] if row["tier"] == tier) for tier in TIERS}
+    assert num_photographs == {"device": 10, "edge": 0, "cloud": 0, "owner": 12}, "every 8th stays with the owner, who had all"
     pictures = [path for tier in ("edges", "cloud") for path in (config.out / tier).rglob("*") if path.suffix.lower() in (".jpg", ".png")]
     assert pictures == []
 
@@ -171,6 +174,32 @@ def test_a_devices_memory_limits_its_gaussians(finished: tuple[RunConfig, RunRes
         run_device(tmp_path / "device", "devices/one", events.append)
 
 
+def test_too_little_memory_makes_a_smaller_budget_that_the_next_process_keeps(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    shutil.copytree(next((config.out / "devices").iterdir()), tmp_path / "device")
+    task = read_json(tmp_path / "device" / "task.json")
+    wanted = {**task["train"], "max_num_splats": 1_000_000}
+    # A million Gaussians need over 1 GB beside the process.
+    memory_bytes = resident_bytes() + 200_000_000
+    write_json(tmp_path / "device" / "task.json", {**task, "train": wanted, "memory_bytes": memory_bytes})
+
+    def choice() -> str:
+        events: list[Event] = []
+        run_device(tmp_path / "device", "devices/one", events.append)
+        return next(event.decision.choice for event in events if isinstance(event, Decided) and event.decision.topic == "memory")
+
+    first = choice()
+    (limit,) = re.findall(r"at most ([\d,]+) Gaussians", first)
+    assert 1000 <= int(limit.replace(",", "")) < 500_000
+    # What a later process holds is another matter: with another limit, its checkpoints would be another training's.
+    ballast = np.ones(5_000_000)
+    assert choice() == first and ballast[-1] == 1
+    (tmp_path / "device" / "memory.json").write_text("{")
+    assert choice() != first
+
+
 def test_a_model_out_of_its_cameras_sight_is_refused_and_the_rest_is_joined(
     finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
 ) -> None:
@@ -189,9 +218,9 @@ def test_a_model_out_of_its_cameras_sight_is_refused_and_the_rest_is_joined(
     assert warning.startswith(f"the model of {bad} is left out: its own cameras see 0.0% of its Gaussians")
     for name in good:
         (tmp_path / "edge" / "inbox" / name / "model.safetensors").write_bytes(b"no model")
-    assert run_edge(tmp_path / "edge", "edges/one", events.append) == ["summary.json", "corrections.json", "frame.json"]
-    frame = read_json(tmp_path / "edge" / "frame.json")
-    assert frame["status"] == "missing" and set(frame["refused"]) == set(senders)
+    assert run_edge(tmp_path / "edge", "edges/one", events.append) == ["summary.json", "corrections.json", "refused.json", "frame.json"]
+    assert set(read_json(tmp_path / "edge" / "refused.json")) == set(senders)
+    assert read_json(tmp_path / "edge" / "frame.json") == {"status": "missing", "reason": "", "uncertainty": None}
 
 
 def test_commands_on_a_finished_run(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:

@@ -11,11 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from radiant_app.config import RunConfig
+from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, Warned, encode
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor, place_of
+from radiant_app.pipeline import run
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
 
@@ -133,3 +136,8 @@ def test_an_address_where_no_cluster_is_gets_one_sentence(address: str, said: st
         pytest.skip("Ray is not installed: the extra `cluster` brings it")
     with pytest.raises(BadInput, match=said):
         RayExecutor(address=address, log=tmp_path / "ray.log").fold(TAUGHT, preparer(tmp_path, []), lambda event: None)
+    # A run asks before it begins, not after structure from motion.
+    config = RunConfig(source=sample_scenes_folder() / "hamlet" / "images", out=tmp_path / "run", executor="ray", address=address)
+    with pytest.raises(BadInput, match=said):
+        run(config)
+    assert not (tmp_path / "run").exists()
