@@ -72,3 +72,26 @@ def test_a_linear_program_finds_no_nearer_dealing() -> None:
         dealt = deal_with_counts(positions, sites, counts)
         own = squared_m2[np.arange(num_cameras), dealt.edge_of_position].sum()
         assert own == pytest.approx(program.fun, rel=1e-9)  # HiGHS' tolerance
+
+
+@pytest.mark.stress
+def test_or_tools_min_cost_flow_finds_no_nearer_dealing() -> None:
+    """Costs are whole square millimetres there. OR-tools is no dependency: `pip install ortools` lets this run."""
+    flow = pytest.importorskip("ortools.graph.python.min_cost_flow", reason="OR-tools is not installed: pip install ortools")
+    for seed in range(20):
+        rng = np.random.default_rng(100 + seed)
+        num_cameras, num_edges = 2000, 16
+        positions = camera_layout(("uniform", "clustered", "lawnmower", "street")[seed % 4], num_cameras, rng)
+        sites = rng.random((num_edges, 2)) * 400
+        counts = rng.multinomial(num_cameras, rng.dirichlet(np.ones(num_edges)))
+        squared_m2 = np.sum((positions[:, None] - sites) ** 2, axis=-1)
+        costs = np.rint(squared_m2 * 1e6).astype(np.int64)
+        solver = flow.SimpleMinCostFlow()
+        camera, edge = np.repeat(np.arange(num_cameras), num_edges), np.tile(num_cameras + np.arange(num_edges), num_cameras)
+        solver.add_arcs_with_capacity_and_unit_cost(camera, edge, np.ones(len(camera), np.int64), costs.ravel())
+        solver.set_nodes_supplies(np.arange(num_cameras + num_edges), np.concatenate([np.ones(num_cameras, np.int64), -counts]))
+        assert solver.solve() == solver.OPTIMAL
+        dealt = deal_with_counts(positions, sites, counts)
+        own = int(costs[np.arange(num_cameras), dealt.edge_of_position].sum())
+        # Rounding moves each camera's cost by half a square millimetre at most.
+        assert own <= solver.optimal_cost() + num_cameras
