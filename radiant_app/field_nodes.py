@@ -22,18 +22,21 @@ import numpy as np
 from radiant_app.delivering import signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, moved_cameras, numbered, sim3_of
-from radiant_app.nodes import load_images, sfm_progress, train_device
+from radiant_app.nodes import load_images, place_of, sfm_progress, train_device
+from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import WGS84_SEMI_MAJOR_M
 from radiant_core.io.photos import photograph_positions
-from radiant_core.io.records import load_cameras, load_plan, load_splats, save_cameras, save_scene, save_splats
-from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras, save_scene, save_splats
+from radiant_core.io.run_store import content_key, is_sealed, read_json, seal, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 
 Emit = Callable[[Event], None]
+PLACING = ("frames", "source", "names", "held_out", "copy", "changed", "origin", "sfm", "model")
+"""What of a device's task decides its scene."""
 
 
 def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -77,7 +80,7 @@ def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Structure from motion, frame and model of one device's own photographs."""
     task = read_json(folder / "task.json")
     try:
-        placed = _placed(folder, task, stage, emit)
+        placed = _placed_once(folder, task, stage, emit)
         held = np.isin(placed.scene.cameras.names, task["held_out"])
         training = placed.scene.restricted_to(np.flatnonzero(~held))
         if len(training.cameras) < 2:
@@ -109,6 +112,22 @@ class _Placed:
     scene: SfmScene
     images: Path
     uncertainty: dict[str, float] | None
+
+
+def _placed_once(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
+    """As `_placed`, or what an earlier process of this task placed, from placed/: the points come out in another order every time, and a
+    training goes on from its checkpoints only with the same scene."""
+    place, poses = folder / "placed", [path for path in (folder / "poses", folder / "poses.safetensors") if path.exists()]
+    key = content_key(__version__, {name: value for name, value in task.items() if name in PLACING}, *poses)
+    if not is_sealed(place, key) or not (folder / read_json(place / "record.json", ("images",))["images"]).is_dir():
+        placed = _placed(folder, task, stage, emit)
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        save_scene(place / "scene.safetensors", placed.scene)
+        write_json(place / "record.json", {"images": place_of(placed.images, folder), "uncertainty": placed.uncertainty})
+        seal(place, key, ["scene.safetensors", "record.json"])
+    record = read_json(place / "record.json", ("images", "uncertainty"))
+    return _Placed(scene=load_scene(place / "scene.safetensors"), images=folder / record["images"], uncertainty=record["uncertainty"])
 
 
 def _placed(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
@@ -164,8 +183,6 @@ def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: st
 
     config = SfmConfig(**task["sfm"])
     work = folder / "sfm"
-    # What an ended process left there changes the points, and with them the key of the checkpoints.
-    shutil.rmtree(work, ignore_errors=True)
     if task["model"] is None:
         cameras = load_cameras(folder / "poses.safetensors")
     else:
@@ -225,7 +242,6 @@ def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 def _leakage(own: Path, images: Path, task: dict[str, Any], reporting: tuple[str, Emit]) -> dict[str, float]:
     """PSNR and SSIM of what the edge can render of this device's model at its training poses, against the photographs it never sees."""
     from radiant_core.evaluate.image_error import psnr_db, ssim
-    from radiant_core.io.records import load_scene
     from radiant_core.render.rendered_view import render_views
 
     stage, emit = reporting

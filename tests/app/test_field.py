@@ -17,7 +17,7 @@ from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageSkipped, Warned
 from radiant_app.field import _middle
-from radiant_app.field_nodes import _placed
+from radiant_app.field_nodes import _placed_once
 from radiant_app.inbox import _are_one_group
 from radiant_app.pipeline import RunResult, run
 from radiant_app.report import ledger_by_tier
@@ -94,9 +94,11 @@ def test_a_device_that_begins_again_makes_the_same_scene(finished: tuple[RunConf
     config, _ = finished
     shutil.copytree(config.out / "devices" / "north-1", tmp_path / "north-1")
     task = json.loads((tmp_path / "north-1" / "task.json").read_text())
-    first, second = (_placed(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene for _ in range(2))
+    first, second = (_placed_once(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene for _ in range(2))
     assert len(first.points) > 100 and first.points.tobytes() == second.points.tobytes()
     assert first.observations.tobytes() == second.observations.tobytes()
+    (tmp_path / "north-1" / "placed" / "scene.safetensors").write_bytes(b"")
+    assert len(_placed_once(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene.points) > 100
 
 
 def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> None:
@@ -205,7 +207,8 @@ def assert_models_and_little_else_were_sent(run_folder: Path) -> None:
             sent = {path.name: path.stat().st_size for path in sender.iterdir()}
             assert sent.pop("model.safetensors") == (run_folder / tier / sender.name / "upload.safetensors").stat().st_size
             assert sent.pop("cameras.safetensors" if tier == "devices" else "virtual_cameras.safetensors") > 0
-            assert sum(sent.values()) <= 1000, sent
+            sent |= {path.name: path.stat().st_size for path in (records / sender.name).iterdir()}
+            assert {"delivery.json", "delivery.sig"} <= set(sent) and sum(sent.values()) <= 1000, sent
 
 
 def split_by_device(images: Path, target: Path) -> Path:
@@ -343,4 +346,4 @@ def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, Ru
     assert tiers["device"]["num_photographs"] == 12 and tiers["edge"]["photograph_bytes"] == tiers["cloud"]["photograph_bytes"] == 0
     assert sum(row["other_bytes"] for row in tiers.values()) == sum(row["other_bytes"] for row in ledger)
     page = (config.out / "report.html").read_text()
-    assert "Executor: local" in page and "planned from a count raster" in page and "no device&#39;s id" in page
+    assert "with nodes run by local" in page and "planned from a count raster" in page and "no device&#39;s id" in page
