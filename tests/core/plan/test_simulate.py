@@ -1,18 +1,22 @@
-"""The vectorised timeline against an event queue that plays every machine by itself, second by second of the trace."""
+"""The vectorised timeline against simpy, which plays every machine by itself, second by second of the trace."""
 
 from __future__ import annotations
 
-import heapq
 import time
+from collections.abc import Generator
+from typing import Any
 
 import numpy as np
 import pytest
+import simpy
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.deadline import edge_tables, fastest_counts
 from radiant_core.plan.simulate import BandwidthTrace, Fleet, fleet_of, merged_s, simulate
 
 from .instances import random_system
+
+Happenings = Generator[simpy.Event, Any, None]
 
 
 def random_fleet(rng: np.random.Generator, num_edges: int, num_devices: int) -> Fleet:
@@ -49,44 +53,43 @@ def sent_by_steps(trace: BandwidthTrace, now_s: float, seconds: float) -> float:
 
 
 def played(fleet: Fleet, trace: BandwidthTrace) -> list[float]:
-    """When each edge has delivered, from a queue of events (time, what, who)."""
-    queue: list[tuple[float, str, int]] = [(float(start), "start", n) for n, start in enumerate(fleet.start_s) if not fleet.dropped[n]]
-    waiting = np.bincount(fleet.edge_of_device, weights=~fleet.dropped, minlength=len(fleet.aggregate_s)).astype(int)
-    received = [0.0] * len(waiting)
-    done = [0.0] * len(waiting)
-    repaired: set[int] = set()
-    heapq.heapify(queue)
-    while queue:
-        now_s, what, who = heapq.heappop(queue)
-        if what == "start":
-            end_s = now_s + fleet.work_s[who]
-            if who not in repaired and now_s <= fleet.fails_s[who] < end_s:
-                repaired.add(who)
-                heapq.heappush(queue, (float(fleet.fails_s[who] + fleet.repair_s[who]), "start", who))
-            else:
-                heapq.heappush(queue, (float(end_s), "send", who))
-        elif what == "send":
-            seconds = float(fleet.model_bytes[who] / fleet.uplink_bytes_per_s[who])
-            heapq.heappush(queue, (sent_by_steps(trace, now_s, seconds), "arrive", who))
-        elif what == "arrive":
-            edge = int(fleet.edge_of_device[who])
-            waiting[edge] -= 1
-            received[edge] += float(fleet.model_bytes[who])
-            if not waiting[edge]:
-                heapq.heappush(queue, (now_s + float(fleet.aggregate_s[edge]), "joined", edge))
-        else:
-            done[who] = sent_by_steps(trace, now_s, received[who] / float(fleet.edge_uplink_bytes_per_s[who]))
+    """When each edge has delivered, played by simpy: every device and edge is a process of its own."""
+    world = simpy.Environment()
+    done = [0.0] * len(fleet.aggregate_s)
+
+    def device(who: int) -> Happenings:
+        yield world.timeout(fleet.start_s[who])
+        if world.now <= fleet.fails_s[who] < world.now + fleet.work_s[who]:
+            yield world.timeout(fleet.fails_s[who] - world.now)
+            yield world.timeout(fleet.repair_s[who])
+        yield world.timeout(fleet.work_s[who])
+        yield from sending(fleet.model_bytes[who] / fleet.uplink_bytes_per_s[who])
+
+    def sending(seconds: float) -> Happenings:
+        yield world.timeout(sent_by_steps(trace, world.now, float(seconds)) - world.now)
+
+    def edge(which: int, own: list[int]) -> Happenings:
+        yield world.all_of([world.process(device(who)) for who in own])
+        yield world.timeout(fleet.aggregate_s[which])
+        yield from sending(fleet.model_bytes[own].sum() / fleet.edge_uplink_bytes_per_s[which])
+        done[which] = world.now
+
+    for which in range(len(done)):
+        own = np.flatnonzero((fleet.edge_of_device == which) & ~fleet.dropped).tolist()
+        if own:
+            world.process(edge(which, own))
+    world.run()
     return done
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_timeline_is_that_of_the_event_queue(seed: int) -> None:
+def test_the_timeline_is_that_of_simpy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     fleet, trace = random_fleet(rng, 20, 100), random_trace(rng)
     np.testing.assert_allclose(simulate(fleet, trace).edge_done_s, played(fleet, trace), rtol=1e-12)
 
 
-def test_ten_thousand_devices_equal_the_event_queue() -> None:
+def test_ten_thousand_devices_equal_simpy() -> None:
     rng = np.random.default_rng(99)
     fleet, trace = random_fleet(rng, 100, 10_000), random_trace(rng)
     np.testing.assert_allclose(simulate(fleet, trace).edge_done_s, played(fleet, trace), rtol=1e-12)
