@@ -196,6 +196,9 @@ def test_too_little_memory_makes_a_smaller_budget_that_the_next_process_keeps(
     # What a later process holds is another matter: with another limit, its checkpoints would be another training's.
     ballast = np.ones(5_000_000)
     assert choice() == first and ballast[-1] == 1
+    kept = read_json(tmp_path / "device" / "memory.json")
+    write_json(tmp_path / "device" / "memory.json", {name: value - 50_000_000 for name, value in kept.items()})
+    assert choice() != first, "it is the figure in the file that counts"
     # A damaged one is taken anew, whatever the figure is now.
     (tmp_path / "device" / "memory.json").write_text("{")
     assert "Gaussians" in choice() and read_json(tmp_path / "device" / "memory.json")
