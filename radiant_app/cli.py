@@ -358,10 +358,10 @@ def bench(
     long_side_px: LongSide = None,
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
     plot: BenchPlot = None,
-    method: Annotated[list[str] | None, typer.Option(help="methods: those to compare; paper: parts of its page; else all.")] = None,
+    method: Annotated[list[str] | None, typer.Option(help="methods: those to compare; paper: parts; train: ablations; else all.")] = None,
     layout: Annotated[str, typer.Option(help="methods: edges x devices per edge.")] = "2x2",
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
-    out: Annotated[Path | None, typer.Option("--out", help="methods, paper: folder of what is made; a later call goes on.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train: folder of what is made; a later call goes on.")] = None,
 ) -> None:
     """Run time beside error."""
     from radiant_app.bench.runner import BenchOptions, run_bench

@@ -40,13 +40,13 @@ class BenchOptions:
     plot: Path | None = None
     """PNG for the curves (train, methods, fed3dgs), or the folder of the figures (plan)."""
     methods: tuple[str, ...] = ()
-    """Methods to compare (methods) or parts of the page (paper); empty for all."""
+    """Methods to compare (methods), parts of the page (paper) or ablations (train); empty for all."""
     layout: str = "2x2"
     """Edges x devices per edge (methods)."""
     num_placements: int = 1
     """Placements of the edges (methods)."""
     out: Path | None = None
-    """Folder of models and rows, which a later call goes on with (methods, paper), and of the page (paper)."""
+    """Folder of models and rows, which a later call goes on with (methods, paper, train), and of the page (paper)."""
 
 
 def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
@@ -59,8 +59,8 @@ def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
         raise BadInput(f"--preset, --budget and --ablations are for the benchmark train, not for {name}: leave them out.")
     if name not in ("train", "methods", "paper") and options.num_seeds:
         raise BadInput(f"--seeds is for the benchmarks train, methods and paper, not for {name}: leave it out.")
-    if name not in ("methods", "paper") and (options.methods or options.out):
-        raise BadInput(f"--method and --out are for the benchmarks methods and paper, not for {name}: leave them out.")
+    if name not in ("methods", "paper", "train") and (options.methods or options.out):
+        raise BadInput(f"--method and --out are for the benchmarks methods, paper and train, not for {name}: leave them out.")
     if name != "methods" and options.num_placements > 1:
         raise BadInput(f"--placements is for the benchmark methods, not for {name}: leave it out.")
     if name in ("methods", "paper") and (options.scene is None or options.out is None):

@@ -4,13 +4,14 @@ One model of all training photographs of a scene, no tiers. Budgets are CPU seco
 no more than an idle one. Equal for all presets: scene, photographs, size, budgets, seeds, held-out photographs; every row has its Gaussians
 beside it. A preset is also given half of each budget, and the difference to the reference at the full one is stated with the 95 % bounds of
 a bootstrap over images and seeds. `ablations`: the first preset with one thing switched off at a time, at the first budget, paired.
+With a folder for its rows a run that ended early is gone on with.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,14 +22,17 @@ from rich.console import Console
 from radiant_app.bench.runner import BenchOptions
 from radiant_app.commands import stage_bar
 from radiant_app.demo import sample_scenes_folder
-from radiant_app.nodes import load_images
+from radiant_app.nodes import load_images, load_training_views
 from radiant_app.progress import ProgressDisplay, tracked
-from radiant_app.sources import images_of_scene, load_scene_of
+from radiant_app.sources import images_of_scene, load_scene_of, masks_of_scene
+from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import PairedDifference, paired_bootstrap
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.masks import pixel_weights, used_pixels
+from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.render.contract import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
@@ -54,6 +58,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "sizes without limit": {"max_scale_per_distance": None},
     "needles without limit": {"max_elongation": None},
     "any number of Gaussians": {"pixels_per_splat": None},
+    "all photographs": {"skip_images": "none"},
     "black background": {"background": "black"},
     "random background": {"background": "random"},
     "antialiased": {"antialiased": True},
@@ -75,6 +80,8 @@ class TrainBench:
     long_side_px: int = LONG_SIDE_PX
     ablations: bool = False
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: ABLATIONS)
+    out: Path | None = None
+    """Folder of the rows; those that are there already are not measured again."""
 
     def __post_init__(self) -> None:
         if not self.presets or not self.budgets_s or not self.seeds or not all(np.isfinite(s) and s > 0 for s in self.budgets_s):
@@ -105,6 +112,7 @@ class _Loaded:
     training: SfmScene
     held_out: SfmScene
     images: Path
+    masks: Path | None
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
@@ -124,7 +132,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
             for seed in bench.seeds
             if budget_s in bench.budgets_s or preset != REFERENCE
         ]
-        rows = [_trained(loaded, *job) for job in tracked(jobs, "bench train")]
+        rows = [_row(bench.out, loaded, *job) for job in tracked(jobs, "bench train")]
     metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(loaded.name, group)]
     for preset in bench.presets:
         for budget_s in bench.budgets_s if preset != REFERENCE and REFERENCE in bench.presets else ():
@@ -140,6 +148,10 @@ def bench_of(options: BenchOptions) -> TrainBench:
     budgets_s = options.budgets_s or ((4.0, 8.0) if options.quick else (ABLATION_BUDGET_S,) if ablations else BUDGETS_S)
     num_seeds = options.num_seeds or (len(ABLATION_SEEDS) if ablations and not options.quick else 1)
     size = options.long_side_px or (240 if options.quick else ABLATION_LONG_SIDE_PX if ablations else LONG_SIDE_PX)
+    if unknown := [name for name in options.methods if name not in ABLATIONS]:
+        raise BadInput(f"ablation {unknown[0]!r} is unknown: use {', '.join(ABLATIONS)}.")
+    if options.methods and not ablations:
+        raise BadInput("--method picks among ablations: give --ablations as well.")
     return TrainBench(
         scene=options.scene or sample_scenes_folder() / "town" / "images",
         presets=options.presets or (("default",) if ablations else ("default", REFERENCE)),
@@ -147,6 +159,8 @@ def bench_of(options: BenchOptions) -> TrainBench:
         seeds=tuple(range(num_seeds)),
         long_side_px=size,
         ablations=ablations,
+        changes={name: change for name, change in ABLATIONS.items() if not options.methods or name in options.methods},
+        out=options.out,
     )
 
 
@@ -166,7 +180,7 @@ def _ablations(bench: TrainBench, loaded: _Loaded) -> tuple[list[TrainedRow], li
     # What is switched off already, or on, is no ablation.
     variants = {name: config for name, config in variants.items() if name == whole or config != base}
     jobs = [(name, config, budget_s, seed) for seed in bench.seeds for name, config in variants.items()]
-    rows = [_trained(loaded, *job) for job in tracked(jobs, "bench train")]
+    rows = [_row(bench.out, loaded, *job) for job in tracked(jobs, "bench train")]
     metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(loaded.name, group)]
     for name in variants:
         if name != whole:
@@ -184,19 +198,32 @@ def _load(source: Path, work: Path) -> _Loaded:
     from radiant_app.sources import reconstruct_source
 
     try:
-        scene, images = load_scene_of(source), images_of_scene(source)
+        scene, images, masks = load_scene_of(source), images_of_scene(source), masks_of_scene(source)
     except BadInput:
         task = {"source": str(source), "sfm": {}}
         with stage_bar(ProgressDisplay(Console(stderr=True)), "sfm") as report:
             result = reconstruct_source(task, work / "sfm", lambda at: report(at.done, at.total, at.phase))
-        scene, images = result.scene, result.undistorted_folder
+        scene, images, masks = result.scene, result.undistorted_folder, None
     held = held_out_mask(scene.cameras.names)
     if held.all() or held.sum() < 2:
         raise BadInput(f"{source} has {len(scene.cameras)} placed photographs, of which {held.sum()} are held out: at least 2 are needed.")
     name = source.resolve().parent.name if source.name in ("images", "sfm") else source.resolve().name
-    return _Loaded(
-        name=name, training=scene.restricted_to(np.flatnonzero(~held)), held_out=scene.restricted_to(np.flatnonzero(held)), images=images
-    )
+    training, held_out = (scene.restricted_to(np.flatnonzero(part)) for part in (~held, held))
+    return _Loaded(name=name, training=training, held_out=held_out, images=images, masks=masks)
+
+
+def _row(out: Path | None, loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
+    if out is None:
+        return _trained(loaded, variant, config, budget_s, seed)
+    key = content_key(__version__, {"scene": loaded.training.cameras.names, "config": asdict(config)})[:16]
+    record = out / "rows" / f"{loaded.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
+    if record.is_file():
+        fields = read_json(record)
+        return TrainedRow(**{**fields, "psnr_db": tuple(fields["psnr_db"])})
+    row = _trained(loaded, variant, config, budget_s, seed)
+    record.parent.mkdir(parents=True, exist_ok=True)
+    write_json(record, asdict(row))
+    return row
 
 
 def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
@@ -204,11 +231,10 @@ def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float
     from radiant_core.train.initialize import first_splats
     from radiant_core.train.needs import fit_to_scene
     from radiant_core.train.trainer import FitOptions, fit_splats
-    from radiant_core.train.views import TrainingViews
     from radiant_core.train.worth import worth_training
 
     cameras = loaded.training.cameras.scaled(config.long_side_px)
-    views = TrainingViews(cameras=cameras, images=load_images(loaded.images, cameras))
+    views = load_training_views(loaded.images, cameras, loaded.masks)
     begun_s = time.process_time()
     training, views, _ = worth_training(loaded.training, views, config)
     config, _ = fit_to_scene(replace(config, seed=seed, budget_s=budget_s), training, views)
@@ -220,7 +246,10 @@ def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float
     cpu_s = time.process_time() - begun_s
     scored = loaded.held_out.cameras.scaled(config.long_side_px)
     photographs = load_images(loaded.images, scored)
-    figures = [psnr_db(view.image, photo / 255) for view, photo in zip(render_views(result.splats, scored), photographs, strict=True)]
+    weights = pixel_weights(loaded.masks, scored)
+    used = [None] * len(photographs) if weights is None else [used_pixels(each) for each in weights]
+    renders = render_views(result.splats, scored)
+    figures = [psnr_db(view.image, photo / 255, own) for view, photo, own in zip(renders, photographs, used, strict=True)]
     return TrainedRow(
         variant=variant,
         budget_s=budget_s,

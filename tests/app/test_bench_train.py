@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from radiant_app.bench.runner import BenchOptions, run_bench
-from radiant_app.bench.train import TrainBench, bench_of, bench_train, curves_of
+from radiant_app.bench.train import TrainBench, _load, _trained, bench_of, bench_train, curves_of
 from radiant_app.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
+from radiant_core.train.config import train_preset
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +57,42 @@ def test_ablations_are_paired_with_the_whole(project: Path) -> None:
     assert not any("as_it_is" in key for key in keys)
 
 
+def test_rows_that_are_there_are_not_measured_again(project: Path, tmp_path: Path) -> None:
+    bench = TrainBench(scene=project, presets=("default",), budgets_s=(0.4,), long_side_px=96, out=tmp_path)
+    first, _ = bench_train(bench)
+    records = sorted((tmp_path / "rows").iterdir())
+    assert len(records) == len(first) == 2
+    again, metrics = bench_train(bench)
+    assert again == first and metrics
+    records[0].unlink()
+    bench_train(bench)
+    assert records[0].is_file()
+
+
+def test_masked_pixels_are_neither_trained_on_nor_scored(tmp_path: Path) -> None:
+    project = tmp_path / "hamlet"
+    shutil.copytree(sample_scenes_folder() / "hamlet" / "images", project / "images")
+    shutil.copytree(sample_scenes_folder() / "hamlet" / "known", project / "sparse" / "0")
+    assert _load(project, tmp_path).masks is None
+    loaded = replace(_load(project, tmp_path), masks=_masks_of_the_left_half(tmp_path / "masks", project / "images"))
+    config = replace(train_preset("default"), long_side_px=96)
+    whole = _trained(replace(loaded, masks=None), "default", config, 0.3, 0)
+    masked = _trained(loaded, "default", config, 0.3, 0)
+    assert np.isfinite(masked.psnr_db).all() and masked.psnr_db != whole.psnr_db
+
+
+def _masks_of_the_left_half(folder: Path, images: Path) -> Path:
+    folder.mkdir()
+    for image in images.iterdir():
+        photograph = cv2.imread(str(image))
+        assert photograph is not None
+        height, width = photograph.shape[:2]
+        mask = np.zeros((height, width), np.uint8)
+        mask[:, : width // 2] = 255
+        cv2.imwrite(str(folder / f"{image.stem}.png"), mask)
+    return folder
+
+
 def test_the_command_writes_figures_and_a_picture(project: Path, tmp_path: Path) -> None:
     options = BenchOptions(quick=True, scene=project, budgets_s=(0.4,), long_side_px=96, plot=tmp_path / "curves.png")
     run_bench("train", tmp_path / "train.json", options)
@@ -70,4 +110,9 @@ def test_options_that_do_not_belong_together_are_refused(project: Path, tmp_path
         TrainBench(scene=project, budgets_s=(float("nan"),))
     with pytest.raises(BadInput, match="train preset 'best' is unknown"):
         bench_train(TrainBench(scene=project, presets=("best",), budgets_s=(0.1,)))
+    with pytest.raises(BadInput, match="ablation 'no magic' is unknown"):
+        bench_of(BenchOptions(ablations=True, methods=("no magic",)))
+    with pytest.raises(BadInput, match="give --ablations as well"):
+        bench_of(BenchOptions(methods=("no sky",)))
+    assert list(bench_of(BenchOptions(ablations=True, methods=("no sky",))).changes) == ["no sky"]
     assert bench_of(BenchOptions(ablations=True)).seeds == (0, 1, 2) and bench_of(BenchOptions()).budgets_s == (60.0, 180.0, 600.0)
