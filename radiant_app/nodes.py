@@ -146,7 +146,8 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     config, options = TrainConfig(**task["train"]), fit_options(stage, task["backend"], emit)
     cameras = scene.cameras.scaled(config.long_side_px)
     if task["memory_bytes"] is not None:
-        plan = memory_plan(config, cameras, int(task["memory_bytes"]), base_bytes_in(folder, resident_bytes()))
+        base_bytes = base_bytes_in(folder, resident_bytes())
+        plan = memory_plan(config, cameras, int(task["memory_bytes"]), base_bytes, masked=(folder / MASKS).is_dir())
         config, decision = within_memory(config, plan, int(task["memory_bytes"]), stage, config.max_num_splats)
         emit(Decided(decision=decision))
         options = replace(options, statistics_bytes=plan.statistics_bytes)

@@ -197,7 +197,7 @@ def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _S
     if request.memory_bytes is not None:
         kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
         base_bytes = base_bytes_in(request.out, base_bytes) if request.out.is_dir() else base_bytes
-        plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate)
+        plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate, masked=photos[1] is not None)
         config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
         options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)
     for decision in (*decisions, _validation_decision(request, num_training, int(validated.sum()))):

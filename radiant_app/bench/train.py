@@ -128,7 +128,8 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
         jobs = [
             (preset, _config(preset, bench.long_side_px), budget_s, seed)
             for budget_s in sorted({*bench.budgets_s, *halves})
-            for preset in bench.presets
+            # The reference first: with its largest budget done, every difference at half the time is known.
+            for preset in sorted(bench.presets, key=lambda preset: preset != REFERENCE)
             for seed in bench.seeds
             if budget_s in bench.budgets_s or preset != REFERENCE
         ]

@@ -1,9 +1,9 @@
 """How many Gaussians a training may grow to within a limit of memory. Once per model, before the photographs are loaded.
 
-    memory(N) = base + 3 Σ_v p_v (1 + s²) + kept + 100 max_v p_v + N (C · 4 (11 + 3 K) + 600)        bytes
+    memory(N) = base + (3 + m) Σ_v p_v (1 + s²) + kept + 100 max_v p_v + N (C · 4 (11 + 3 K) + 600)        bytes
 
 base: what the process holds before, and BASE_BYTES that come with the first step; p_v pixels of view v, kept as bytes, and again at the
-share s of its side that training begins with; kept: the loss' statistics, 36 bytes a pixel where there is room; 100: a step on the
+share s of its side that training begins with; m: 1 where photographs have masks, of a byte a pixel, else 0; kept: the loss' statistics, 36 bytes a pixel where there is room; 100: a step on the
 largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times: parameters, gradients, two moments, what an edit or a
 checkpoint copies; 600 bytes each are the rasterizer's and an edit's.
 
@@ -26,7 +26,7 @@ from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 BASE_BYTES = 95_000_000
 COPIES = 7.0
 RASTERIZER_BYTES_PER_SPLAT = 600
-IMAGE_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 36, 100
+IMAGE_BYTES_PER_PX, MASK_BYTES_PER_PX, STATISTICS_BYTES_PER_PX, STEP_BYTES_PER_PX = 3, 1, 36, 100
 MAX_STATISTICS_SHARE = 0.25
 """Of what photographs leave free, at most this much keeps statistics: they save time, Gaussians make the picture."""
 VRAM_SHARE = 0.8
@@ -53,15 +53,19 @@ def bytes_per_splat(sh_degree: int, *, validated: bool = False) -> float:
     return (COPIES + validated) * 4 * (11 + 3 * SH_BASES[sh_degree]) + RASTERIZER_BYTES_PER_SPLAT
 
 
-def fixed_bytes(config: TrainConfig, cameras: Cameras, base_bytes: int) -> int:
-    """What photographs, one step and the process take, whatever the number of Gaussians."""
+def fixed_bytes(config: TrainConfig, cameras: Cameras, base_bytes: int, *, masked: bool = False) -> int:
+    """What photographs, their masks if they have any, one step and the process take, whatever the number of Gaussians."""
     pixels = cameras.sizes_wh.prod(axis=1)
-    return round(_fixed_bytes(config, float(pixels.sum()), float(pixels.max(initial=0)), base_bytes))
+    masks = MASK_BYTES_PER_PX * _copies(config) * float(pixels.sum()) if masked else 0.0
+    return round(_fixed_bytes(config, float(pixels.sum()), float(pixels.max(initial=0)), base_bytes) + masks)
 
 
 def _fixed_bytes(config: TrainConfig, all_pixels: float, most_pixels: float, base_bytes: float) -> float:
-    copies = 1.0 + (config.start_scale**2 if config.start_scale < 1 else 0.0)
-    return base_bytes + BASE_BYTES + IMAGE_BYTES_PER_PX * copies * all_pixels + STEP_BYTES_PER_PX * most_pixels
+    return base_bytes + BASE_BYTES + IMAGE_BYTES_PER_PX * _copies(config) * all_pixels + STEP_BYTES_PER_PX * most_pixels
+
+
+def _copies(config: TrainConfig) -> float:
+    return 1.0 + (config.start_scale**2 if config.start_scale < 1 else 0.0)
 
 
 def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:
@@ -84,12 +88,15 @@ def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[
     return low
 
 
-def memory_plan(config: TrainConfig, cameras: Cameras, memory_bytes: int, base_bytes: int, *, validated: bool = False) -> MemoryPlan:
+def memory_plan(
+    config: TrainConfig, cameras: Cameras, memory_bytes: int, base_bytes: int, *, validated: bool = False, masked: bool = False
+) -> MemoryPlan:
     """The most Gaussians and the statistics that fit into `memory_bytes` with the photographs of `cameras`, at their training size.
 
     `base_bytes` is what the process holds before they are loaded. Raises BadInput where fewer than 1,000 fit, with what would do.
     """
-    fixed, each = fixed_bytes(config, cameras, base_bytes), bytes_per_splat(config.sh_degree, validated=validated)
+    fixed = fixed_bytes(config, cameras, base_bytes, masked=masked)
+    each = bytes_per_splat(config.sh_degree, validated=validated)
     free = memory_bytes - fixed
     wanted = STATISTICS_BYTES_PER_PX * int(cameras.sizes_wh.prod(axis=1).sum())
     statistics = max(0, min(wanted, STATISTICS_BUDGET_BYTES, int(MAX_STATISTICS_SHARE * free)))

@@ -20,15 +20,22 @@ CONFIG = TrainConfig()
 BASE = 400_000_000
 
 
-@given(st.integers(700_000_000, 10**12), st.integers(0, 3), st.booleans())
-def test_a_plan_fills_its_limit_and_never_exceeds_it(memory_bytes: int, sh_degree: int, validated: bool) -> None:
+@given(st.integers(700_000_000, 10**12), st.integers(0, 3), st.booleans(), st.booleans())
+def test_a_plan_fills_its_limit_and_never_exceeds_it(memory_bytes: int, sh_degree: int, validated: bool, masked: bool) -> None:
     config = replace(CONFIG, sh_degree=sh_degree)
-    plan = memory_plan(config, CAMERAS, memory_bytes, BASE, validated=validated)
+    plan = memory_plan(config, CAMERAS, memory_bytes, BASE, validated=validated, masked=masked)
     each = bytes_per_splat(sh_degree, validated=validated)
     assert 0 <= memory_bytes - plan.needed_bytes <= each + 1
-    needed = fixed_bytes(config, CAMERAS, BASE) + plan.statistics_bytes + plan.max_num_splats * each
+    needed = fixed_bytes(config, CAMERAS, BASE, masked=masked) + plan.statistics_bytes + plan.max_num_splats * each
     assert needed == pytest.approx(plan.needed_bytes, abs=1)
     assert 0 <= plan.statistics_bytes <= STATISTICS_BUDGET_BYTES
+
+
+def test_masks_take_a_byte_a_pixel_at_each_size_that_is_kept() -> None:
+    pixels = 40 * 640 * 480
+    for start_scale, copies in ((1.0, 1.0), (0.5, 1.25)):
+        config = replace(CONFIG, start_scale=start_scale)
+        assert fixed_bytes(config, CAMERAS, BASE, masked=True) - fixed_bytes(config, CAMERAS, BASE) == pixels * copies
 
 
 def test_more_memory_more_degrees_and_more_photographs_pull_as_they_should() -> None:
