@@ -3,9 +3,9 @@
     memory(N) = base + (3 + m) Σ_v p_v (1 + s²) + kept + 100 max_v p_v + N (C · 4 (11 + 3 K) + 600)        bytes
 
 base: what the process holds before, and BASE_BYTES that come with the first step; p_v pixels of view v, kept as bytes, and again at the
-share s of its side that training begins with; m: 1 where photographs have masks, of a byte a pixel, else 0; kept: the loss' statistics, 36 bytes a pixel where there is room; 100: a step on the
-largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times: parameters, gradients, two moments, what an edit or a
-checkpoint copies; 600 bytes each are the rasterizer's and an edit's.
+share s of its side that training begins with; m: 1 where photographs have masks, of a byte a pixel, else 0; kept: the loss' statistics,
+36 bytes a pixel where there is room; 100: a step on the largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times:
+parameters, gradients, two moments, what an edit or a checkpoint copies; 600 bytes each are the rasterizer's and an edit's.
 
 The constants are set so that tests/stress/test_train_memory.py holds on the sample town with planned growth: allowed 0.6, 1 and 2 GB, it
 peaked at 0.62, 1.00 and 2.14 GB. `python -m radiant_app.bench.train_memory` shows one case of other sizes.
