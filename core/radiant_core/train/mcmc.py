@@ -1,6 +1,7 @@
 """Densification as sampling (Kheradmand et al., 3D Gaussian Splatting as Markov Chain Monte Carlo, NeurIPS 2024).
 
-Dead Gaussians (opacity ≤ 0.005) are moved onto live ones drawn by opacity, and the model grows by 5 % a round up to a hard limit. Where n
+Dead Gaussians (opacity ≤ 0.005) are moved onto live ones drawn by opacity, and the model grows by 5 % per 100 steps of the schedule up to a
+hard limit: a run of a twentieth of the schedule's steps, which has a twentieth of its rounds, grows by 1.05²⁰ in each. Where n
 Gaussians share one place, each gets (their Eqn. 9)
     o' = 1 − (1 − o)^(1/n),    σ' = σ · o / Σ_{i=1..n} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
 so that the picture stays nearly the same. Opacity and size cost a little, and centres of Gaussians that are nearly transparent wander by
@@ -24,7 +25,8 @@ from radiant_core.train.config import TrainConfig
 from radiant_core.train.density import MIN_OPACITY, DensityCounts, rotated
 from radiant_core.train.optimizer import SelectiveAdam
 
-GROWTH = 1.05
+GROWTH_PER_STEP = 1.05**0.01
+"""Per step of the schedule."""
 MAX_COPIES = 51
 """More than so many Gaussians in one place count as so many."""
 OPACITY_COST = 0.01
@@ -82,7 +84,9 @@ class RelocatedDensity:
         config = self._config
         rng = np.random.default_rng((config.seed, step))
         if config.densify_from_step < schedule_step < config.densify_until_step and step % config.densify_every == 0 and len(splats):
-            splats = self._edited(splats, optimizer, rng)
+            # Between two rounds the schedule moves by so much on average, whatever measures its length.
+            growth = GROWTH_PER_STEP ** (config.densify_every * max(1.0, schedule_step / step))
+            splats = self._edited(splats, optimizer, rng, growth)
         if step % WANDER_EVERY == 0:
             wander(splats, WANDER_RATE * optimizer.rate("means") * math.sqrt(WANDER_EVERY), rng)
         return splats
@@ -95,14 +99,14 @@ class RelocatedDensity:
         """Go on with what was counted."""
         self.counts = counts
 
-    def _edited(self, splats: SplatTensors, optimizer: SelectiveAdam, rng: np.random.Generator) -> SplatTensors:
+    def _edited(self, splats: SplatTensors, optimizer: SelectiveAdam, rng: np.random.Generator, growth: float) -> SplatTensors:
         tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}
         logits = tensors["logit_opacities"].cpu().numpy()
         alive = logits > math.log(MIN_OPACITY / (1 - MIN_OPACITY))
         if not alive.any():
             return splats
         num_dead = int((~alive).sum())
-        num_added = max(0, min(self._config.max_num_splats, int(GROWTH * len(logits))) - len(logits))
+        num_added = max(0, round(min(self._config.max_num_splats, growth * len(logits))) - len(logits))
         self.counts += DensityCounts(num_cloned=num_added, num_relocated=num_dead)
         if num_dead + num_added == 0:
             return splats

@@ -120,9 +120,9 @@ def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> 
 
 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """Where growth is planned, no more Gaussians than the photographs have detail for."""
+    """Where growth has a limit to reach, no more Gaussians than the photographs have detail for."""
     num_pixels = sum(image.shape[0] * image.shape[1] for image in views.images)
-    if config.densify != "planned" or config.pixels_per_splat is None:
+    if config.densify not in ("planned", "mcmc") or config.pixels_per_splat is None:
         return config, ()
     most = max(MIN_PLANNED, num_pixels // config.pixels_per_splat)
     if most >= config.max_num_splats:
