@@ -27,12 +27,15 @@ from radiant_app.progress import ProgressDisplay, tracked
 from radiant_app.sources import images_of_scene, load_scene_of, masks_of_scene
 from radiant_core import __version__
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.bootstrap import PairedDifference, paired_bootstrap
+from radiant_core.evaluate.bootstrap import paired_bootstrap
+from radiant_core.evaluate.color_correction import color_corrected
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.masks import pixel_weights, used_pixels
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
@@ -90,7 +93,11 @@ class TrainBench:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedRow:
-    """One trained model: its variant, the budget it was given, and what it took and reached; psnr_db per held-out image."""
+    """One trained model: its variant, the budget it was given, and what it took and reached.
+
+    Per held-out image psnr_db, and psnr_cc_db of the render after an affine correction of its colours: a photograph's exposure is nothing
+    that a model could know.
+    """
 
     variant: str
     budget_s: float
@@ -99,11 +106,17 @@ class TrainedRow:
     num_steps: int
     num_gaussians: int
     psnr_db: tuple[float, ...]
+    psnr_cc_db: tuple[float, ...]
 
     @property
     def mean_psnr_db(self) -> float:
         """Mean over the held-out images."""
         return float(np.mean(self.psnr_db))
+
+    @property
+    def mean_psnr_cc_db(self) -> float:
+        """The same after the correction of colours."""
+        return float(np.mean(self.psnr_cc_db))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +129,7 @@ class _Loaded:
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
-    """All rows, and `train.<scene>.<variant>.<budget>s.<psnr_db|cpu_s|num_gaussians|num_steps>` with the differences described above.
+    """All rows, and `train.<scene>.<variant>.<budget>s.<psnr_db|psnr_cc_db|cpu_s|num_gaussians|num_steps>` with the differences.
 
     `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs. BadInput where nothing can be held out.
     """
@@ -138,8 +151,8 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
     for preset in bench.presets:
         for budget_s in bench.budgets_s if preset != REFERENCE and REFERENCE in bench.presets else ():
             for share, label in ((1.0, "equal_time"), (0.5, "half_time")):
-                difference = _difference(rows, (preset, share * budget_s), (REFERENCE, budget_s))
-                metrics += _difference_metrics(f"train.{loaded.name}.{preset}.{budget_s:g}s.over_{REFERENCE}_at_{label}", difference)
+                key = f"train.{loaded.name}.{preset}.{budget_s:g}s.over_{REFERENCE}_at_{label}"
+                metrics += _difference_metrics(key, rows, (preset, share * budget_s), (REFERENCE, budget_s))
     return rows, metrics
 
 
@@ -185,8 +198,8 @@ def _ablations(bench: TrainBench, loaded: _Loaded) -> tuple[list[TrainedRow], li
     metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(loaded.name, group)]
     for name in variants:
         if name != whole:
-            difference = _difference(rows, (name, budget_s), (whole, budget_s))
-            metrics += _difference_metrics(f"train.{loaded.name}.{_key(name)}.{budget_s:g}s.over_{whole}", difference)
+            key = f"train.{loaded.name}.{_key(name)}.{budget_s:g}s.over_{whole}"
+            metrics += _difference_metrics(key, rows, (name, budget_s), (whole, budget_s))
     return rows, metrics
 
 
@@ -220,7 +233,7 @@ def _row(out: Path | None, loaded: _Loaded, variant: str, config: TrainConfig, b
     record = out / "rows" / f"{loaded.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
     if record.is_file():
         fields = read_json(record)
-        return TrainedRow(**{**fields, "psnr_db": tuple(fields["psnr_db"])})
+        return TrainedRow(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
     row = _trained(loaded, variant, config, budget_s, seed)
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, asdict(row))
@@ -249,8 +262,8 @@ def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float
     photographs = load_images(loaded.images, scored)
     weights = pixel_weights(loaded.masks, scored)
     used = [None] * len(photographs) if weights is None else [used_pixels(each) for each in weights]
-    renders = render_views(result.splats, scored)
-    figures = [psnr_db(view.image, photo / 255, own) for view, photo, own in zip(renders, photographs, used, strict=True)]
+    triples = zip(render_views(result.splats, scored), photographs, used, strict=True)
+    figures = [_psnrs_db(view.image, photograph / 255, own) for view, photograph, own in triples]
     return TrainedRow(
         variant=variant,
         budget_s=budget_s,
@@ -258,8 +271,14 @@ def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float
         cpu_s=cpu_s,
         num_steps=result.num_steps,
         num_gaussians=len(result.splats),
-        psnr_db=tuple(figures),
+        psnr_db=tuple(plain for plain, _ in figures),
+        psnr_cc_db=tuple(corrected for _, corrected in figures),
     )
+
+
+def _psnrs_db(image: FloatArray, photograph: FloatArray, used: Used) -> tuple[float, float]:
+    """PSNR in dB of an image (H,W,3) and of its colours corrected to the photograph's."""
+    return psnr_db(image, photograph, used), psnr_db(color_corrected(image, photograph, used), photograph, used)
 
 
 def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedRow]]:
@@ -269,26 +288,31 @@ def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedR
     return groups
 
 
+_FIGURES = ("mean_psnr_db", "mean_psnr_cc_db", "cpu_s", "num_gaussians", "num_steps")
+
+
 def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
     key = f"train.{scene}.{_key(rows[0].variant)}.{rows[0].budget_s:g}s"
-    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in ("mean_psnr_db", "cpu_s", "num_gaussians", "num_steps")}
+    means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in _FIGURES}
     return [
         Metric(key=f"{key}.psnr_db", value=means["mean_psnr_db"], unit="dB", direction="higher"),
+        Metric(key=f"{key}.psnr_cc_db", value=means["mean_psnr_cc_db"], unit="dB", direction="higher"),
         Metric(key=f"{key}.cpu_s", value=means["cpu_s"], unit="s", direction="info"),
         Metric(key=f"{key}.num_gaussians", value=means["num_gaussians"], unit="1", direction="info"),
         Metric(key=f"{key}.num_steps", value=means["num_steps"], unit="1", direction="info"),
     ]
 
 
-def _difference(rows: Sequence[TrainedRow], one: tuple[str, float], other: tuple[str, float]) -> PairedDifference:
+def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, float], other: tuple[str, float]) -> list[Metric]:
+    """The paired difference of two groups of rows, as photographs are and with colours corrected."""
     groups = _groups(rows)
-    one_db, other_db = (np.array([row.psnr_db for row in groups[key]]) for key in (one, other))
-    return paired_bootstrap(one_db, other_db)
-
-
-def _difference_metrics(key: str, difference: PairedDifference) -> list[Metric]:
-    figures = {"mean_db": difference.mean, "at_least_db": difference.at_least, "low_db": difference.low, "high_db": difference.high}
-    return [Metric(key=f"{key}.{name}", value=value, unit="dB", direction="info") for name, value in figures.items()]
+    metrics = []
+    for figure, mark in (("psnr_db", ""), ("psnr_cc_db", "cc_")):
+        one_db, other_db = (np.array([getattr(row, figure) for row in groups[group]]) for group in (one, other))
+        difference = paired_bootstrap(one_db, other_db)
+        bounds = {"mean_db": difference.mean, "at_least_db": difference.at_least, "low_db": difference.low, "high_db": difference.high}
+        metrics += [Metric(key=f"{key}.{mark}{name}", value=value, unit="dB", direction="info") for name, value in bounds.items()]
+    return metrics
 
 
 def _key(variant: str) -> str:
