@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rich.console import Console
 
 from radiant_app.bench.runner import BenchOptions
@@ -35,7 +36,6 @@ from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.masks import pixel_weights, used_pixels
 from radiant_core.io.run_store import content_key, read_json, write_json
-from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
@@ -233,7 +233,7 @@ def _row(out: Path | None, loaded: _Loaded, variant: str, config: TrainConfig, b
     record = out / "rows" / f"{loaded.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
     if record.is_file():
         fields = read_json(record)
-        return TrainedRow(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
+        return TrainedRow(**{**fields, "psnr_db": tuple(fields["psnr_db"]), "psnr_cc_db": tuple(fields["psnr_cc_db"])})
     row = _trained(loaded, variant, config, budget_s, seed)
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, asdict(row))
@@ -276,7 +276,7 @@ def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float
     )
 
 
-def _psnrs_db(image: FloatArray, photograph: FloatArray, used: Used) -> tuple[float, float]:
+def _psnrs_db(image: ArrayLike, photograph: ArrayLike, used: Used) -> tuple[float, float]:
     """PSNR in dB of an image (H,W,3) and of its colours corrected to the photograph's."""
     return psnr_db(image, photograph, used), psnr_db(color_corrected(image, photograph, used), photograph, used)
 
