@@ -38,7 +38,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Tree, dict[str, NodeT
     """The tree of a finished run, and its tasks with what they read in place."""
     folder = tmp_path_factory.mktemp("overhead")
     hamlet_in(folder)
-    overrides = Overrides(long_side_px=160, num_steps=800, max_num_splats=3000)
+    overrides = Overrides(long_side_px=160, num_steps=2000, max_num_splats=3000)
     config = RunConfig(source=folder / "hamlet", out=folder / "run", overrides=overrides, teachers="late", max_workers=1)
     radiant_app.pipeline.run(config)
     tree = tree_of_plan(*load_plan(config.out / "plan.json"))
