@@ -62,6 +62,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "needles without limit": {"max_elongation": None},
     "any number of Gaussians": {"pixels_per_splat": None},
     "all photographs": {"skip_images": "none"},
+    "any number of steps": {"max_epochs": None},
     "black background": {"background": "black"},
     "random background": {"background": "random"},
     "antialiased": {"antialiased": True},
@@ -204,8 +205,8 @@ def _ablations(bench: TrainBench, loaded: _Loaded) -> tuple[list[TrainedRow], li
 
 
 def _config(preset: str, long_side_px: int) -> TrainConfig:
-    overrides = Overrides(long_side_px=long_side_px, num_steps=UNLIMITED_STEPS)
-    return fit_to_backend(train_preset(preset), resolve_backend("auto"), overrides)[0]
+    config = fit_to_backend(train_preset(preset), resolve_backend("auto"), Overrides(long_side_px=long_side_px))[0]
+    return replace(config, num_steps=UNLIMITED_STEPS)
 
 
 def _load(source: Path, work: Path) -> _Loaded:

@@ -21,6 +21,8 @@ class TrainConfig:
 
     num_steps: int = 7_000
     """Optimisation steps, one image each; schedules are scaled to this number."""
+    max_epochs: int | None = None
+    """A longer run, by steps or by time, ends after so many steps per photograph, but not before 1,500; None: never."""
     long_side_px: int = 1_152
     """Photographs are reduced until their long side is at most this."""
     max_num_splats: int = 1_000_000
@@ -115,8 +117,10 @@ class TrainConfig:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise BadInput(f"{name} is {value}, expected a positive number, or None for no limit.")
-        if self.pixels_per_splat is not None and self.pixels_per_splat < 1:
-            raise BadInput(f"pixels_per_splat is {self.pixels_per_splat}, expected at least 1, or None for no limit.")
+        for name in ("pixels_per_splat", "max_epochs"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise BadInput(f"{name} is {value}, expected at least 1, or None for no limit.")
         if not 0 <= self.sh_degree <= 3:
             raise BadInput(f"sh_degree is {self.sh_degree}, expected 0 to 3.")
         if not 0 <= self.ssim_weight <= 1:
@@ -143,6 +147,7 @@ class TrainConfig:
 
 # Short runs have no time for small steps: rates, Adam and growth were found on validation photographs (docs/experiments/training.md).
 _SHORT = TrainConfig(
+    max_epochs=120,
     means_lr=6.4e-4,
     scales_lr=2e-2,
     quats_lr=5e-3,

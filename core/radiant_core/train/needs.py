@@ -21,6 +21,8 @@ MIN_EXPOSURE_SPREAD = 0.05
 """Standard deviation of the photographs' gains from which on each gets an exposure of its own."""
 MIN_PLANNED = 4_000
 """Planned growth may always reach so many."""
+MIN_STEPS = 1_500
+"""Few photographs never shorten a run below this."""
 MIN_SHARED_POINTS = 20
 """A photograph that shows fewer points of others says nothing of its exposure."""
 
@@ -50,6 +52,9 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
     """The configuration that this backend can carry, and a decision for each number that differs from the preset."""
     limits = _LIMITS.get(backend, Overrides()) if config.reduce_on_cpu else Overrides()
     decisions = [_forced_setting(config, name, value) for name, value in overrides.settings.items()]
+    if overrides.num_steps is not None:
+        # Steps that somebody asked for are taken, all of them.
+        config = replace(config, max_epochs=None)
     config = replace(config, **overrides.settings)
     if backend in _LIMITS and not config.reduce_on_cpu:
         decisions.append(_unreduced_decision(overrides.num_steps or config.num_steps, backend))
@@ -104,6 +109,8 @@ def _unreduced_decision(num_steps: int, backend: str) -> Decision:
 def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """What is "auto" in a configuration, decided by figures of the scene; `views.cameras` are the scene's in the same order."""
     config, decisions = _fit_size(config, views)
+    config, length = _fit_length(config, len(views))
+    decisions += length
     if config.exposure != "auto":
         return config, decisions
     spread = exposure_spread(scene, views)
@@ -136,6 +143,21 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
         reason=f"more than one Gaussian per {config.pixels_per_splat} pixels cost time and gained nothing on photographs left out",
     )
     return replace(config, max_num_splats=most), (decision,)
+
+
+def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """No more steps than the photographs have to say; schedules are scaled to them."""
+    if config.max_epochs is None or config.num_steps <= (most := max(MIN_STEPS, config.max_epochs * num_views)):
+        return config, ()
+    decision = Decision(
+        stage="train",
+        topic="length",
+        choice=f"at most {most:,} steps",
+        figure=float(num_views),
+        unit="training photographs",
+        reason=f"after {config.max_epochs} steps per photograph more of them gained nothing on photographs left out",
+    )
+    return replace(config, num_steps=most), (decision,)
 
 
 def exposure_spread(scene: SfmScene, views: TrainingViews) -> float:

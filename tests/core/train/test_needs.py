@@ -1,0 +1,90 @@
+"""What a training needs: limits of a backend, of the photographs' pixels and of their number; what is asked for is left alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame
+from radiant_core.scene import SfmScene
+from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, exposure_spread, fit_to_backend, fit_to_scene
+from radiant_core.train.views import TrainingViews
+from tests.core.scenes import cameras_above
+
+FRAME = Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3))
+
+
+def scene_of(num_views: int, gains: np.ndarray | None = None, size_wh: tuple[int, int] = (64, 48)) -> tuple[SfmScene, TrainingViews]:
+    """Views of one flat ground whose points all of them see; photograph v is `gains[v]` times as bright."""
+    cameras = cameras_above([(0.1 * v, 0.0) for v in range(num_views)], size_wh=size_wh)
+    gains = np.ones(num_views) if gains is None else gains
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-0.5, 0.5, (40, 2)), np.zeros(40)])
+    observations = np.array([(point, view) for point in range(40) for view in range(num_views)])
+    images = tuple(np.full((*size_wh[::-1], 3), round(100 * gain), np.uint8) for gain in gains)
+    scene = SfmScene(cameras=cameras, points=points, colors=np.full((40, 3), 100, np.uint8), observations=observations, frame=FRAME)
+    return scene, TrainingViews(cameras=cameras, images=images)
+
+
+class TestLength:
+    def test_a_long_run_of_few_photographs_is_cut_and_says_so(self) -> None:
+        scene, views = scene_of(20)
+        config, decisions = fit_to_scene(TrainConfig(num_steps=10**9, max_epochs=100, densify="none"), scene, views)
+        assert config.num_steps == 2_000
+        (decision,) = decisions
+        assert decision.topic == "length" and "2,000" in decision.choice and decision.figure == 20 and not decision.forced
+
+    def test_never_below_the_floor_and_never_longer_than_asked(self) -> None:
+        scene, views = scene_of(3)
+        assert fit_to_scene(TrainConfig(num_steps=7_000, max_epochs=10), scene, views)[0].num_steps == MIN_STEPS
+        assert fit_to_scene(TrainConfig(num_steps=800, max_epochs=10), scene, views)[0].num_steps == 800
+        assert fit_to_scene(TrainConfig(num_steps=7_000, max_epochs=None), scene, views)[0].num_steps == 7_000
+
+    def test_steps_that_were_asked_for_are_all_taken(self) -> None:
+        assert fit_to_backend(train_preset("default"), "native", Overrides())[0].max_epochs == 120
+        assert fit_to_backend(train_preset("default"), "native", Overrides(num_steps=20_000))[0].max_epochs is None
+        both = Overrides(num_steps=20_000, settings={"max_epochs": 5})
+        assert fit_to_backend(train_preset("default"), "native", both)[0].max_epochs == 5
+        assert train_preset("standard").max_epochs is train_preset("paper").max_epochs is None
+
+    @pytest.mark.parametrize("epochs", [0, -1])
+    def test_a_limit_below_one_is_refused(self, epochs: int) -> None:
+        with pytest.raises(BadInput, match="max_epochs is"):
+            TrainConfig(max_epochs=epochs)
+
+
+class TestSize:
+    @pytest.mark.parametrize("densify", ["planned", "mcmc"])
+    def test_growth_is_limited_by_the_pixels_of_the_photographs(self, densify) -> None:
+        scene, views = scene_of(50, size_wh=(160, 120))
+        config, decisions = fit_to_scene(TrainConfig(densify=densify, pixels_per_splat=80, max_epochs=None), scene, views)
+        assert config.max_num_splats == 50 * 160 * 120 // 80 and [d.topic for d in decisions] == ["number of Gaussians"]
+
+    def test_a_floor_a_switch_and_policies_without_a_limit_to_reach(self) -> None:
+        scene, views = scene_of(2)
+        assert fit_to_scene(TrainConfig(densify="planned"), scene, views)[0].max_num_splats == MIN_PLANNED
+        for config in (TrainConfig(densify="planned", pixels_per_splat=None), TrainConfig(densify="adc"), TrainConfig(densify="none")):
+            assert fit_to_scene(config, scene, views) == (config, ())
+
+
+class TestExposure:
+    def test_the_spread_of_gains_is_found_and_decides(self) -> None:
+        gains = np.array([0.8, 1.0, 1.2, 1.0, 0.9, 1.1])
+        scene, views = scene_of(6, gains)
+        # Each against the mean of the others; one step above black is added before the ratio is taken.
+        logs = np.log(1 + np.round(100 * gains))
+        expected = np.std([log - np.delete(logs, v).mean() for v, log in enumerate(logs)])
+        assert exposure_spread(scene, views) == pytest.approx(expected, rel=1e-6)
+        config = TrainConfig(exposure="auto", densify="none")
+        assert fit_to_scene(config, scene, views)[0].exposure == "affine"
+        assert fit_to_scene(config, *scene_of(6))[0].exposure == "none"
+
+    def test_photographs_that_share_nothing_say_nothing(self) -> None:
+        scene, views = scene_of(4, np.array([0.5, 1.0, 1.5, 2.0]))
+        own = np.array([(point, point % 4) for point in range(40)])
+        assert exposure_spread(replace(scene, observations=own), views) == 0
+        assert exposure_spread(replace(scene, observations=np.zeros((0, 2), np.int64)), views) == 0
