@@ -65,7 +65,8 @@ def subject_of_run(run: RunView) -> Subject:
 def run_layers(run: RunView) -> list[Layer]:
     """All layers of a run from the ground up: points, plan, cameras, and what the run has beyond: model, seams, errors."""
     regions, strips, borders, by_region, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
-    layers = [regions, strips, sparse_point_layer(run.scene)]
+    # Before capture there are no points, and "0 points" in a legend looks like a run that failed.
+    layers = [regions, strips, *([sparse_point_layer(run.scene)] if len(run.scene.points) else [])]
     if run.splats is not None and layers[-1].name != "Gaussians":
         layers.append(splat_layer(run.splats))
     layers += [
