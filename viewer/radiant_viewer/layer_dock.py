@@ -54,6 +54,10 @@ class LayerDock(QDockWidget):
         """The layer that is seen alone."""
         return next((name for name, item in self._items.items() if item.checkState(SOLO) == Qt.CheckState.Checked), None)
 
+    def checked(self) -> dict[str, bool]:
+        """Whether the box of each layer is ticked."""
+        return {name: item.checkState(NAME) == Qt.CheckState.Checked for name, item in self._items.items()}
+
     def set_visible(self, name: str, visible: bool) -> None:
         """As its check box does; BadInput for an unknown layer."""
         self._item(name).setCheckState(NAME, _check_state(visible))

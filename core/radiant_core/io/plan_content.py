@@ -8,7 +8,6 @@ from typing import Any
 from radiant_core.plan.border_forecast import BorderForecast
 from radiant_core.plan.buffers import EdgeBuffer
 
-
 GROUND_KEY = "ground_m"
 """Altitude of the ground in the waypoints' own heights, where somebody gave it."""
 
