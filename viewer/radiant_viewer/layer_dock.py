@@ -114,7 +114,7 @@ def _add_legend(item: QTreeWidgetItem, layer: Layer) -> None:
     rows = [(entry.text, color_icon(np.array([[entry.color]], np.uint8))) for entry in layer.legend]
     if layer.heat is not None:
         rows += [
-            (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", color_icon(heat_table()[None])),
+            (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", color_icon(heat_table(layer.heat.start)[None])),
             (fill(layer.heat.label, LEGEND_COLUMNS), QIcon()),
         ]
     rows += [(note, QIcon()) for note in [moving_note(layer)] if note]

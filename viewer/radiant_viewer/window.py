@@ -30,7 +30,7 @@ from radiant_viewer.planning import Planning, add_planning
 from radiant_viewer.run_feeds import RunFeeds
 from radiant_viewer.run_view import RunView, file_stamps
 from radiant_viewer.subject import Subject
-from radiant_viewer.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet
+from radiant_viewer.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet, themed
 from radiant_viewer.view_pose import pose_of_camera
 from radiant_viewer.window_state import WindowState, restore
 
@@ -125,7 +125,7 @@ class InspectorWindow(QMainWindow):
             self.layers[names.index(layer.name)] = layer
         else:
             self.layers.append(layer)
-        self.layer_dock.update_legend(layer)
+        self.layer_dock.update_legend(themed(layer, self.theme))
         self._draw(layer)
 
     def draw_on_map(self, layer: Layer) -> None:
@@ -220,6 +220,8 @@ class InspectorWindow(QMainWindow):
         self.setStyleSheet(style_sheet(self.theme))
         for canvas in (self.map, self.view):
             canvas.set_theme(self.theme)
+        for layer in self.layers:
+            self.layer_dock.update_legend(themed(layer, self.theme))
         self._draw_all()
 
     def reset_views(self) -> None:
