@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shapely import get_coordinates
 from shapely.geometry import Point, Polygon, shape
 
 from radiant_app.system_file import load_system
@@ -331,7 +332,7 @@ def test_the_regions_are_where_and_as_large_as_planned(done: Any) -> None:
     # The town lies at 0° N: radii of curvature of WGS84 there, metres per degree east and north.
     per_degree = np.radians(1) * np.array([6378137.0, 6378137.0 * (1 - 0.00669437999014)])
     for edge, border in zip(cloud.edge_ids, cloud.borders, strict=True):
-        region = Polygon(np.array(regions[edge].exterior.coords) * per_degree)
+        region = Polygon(get_coordinates(regions[edge]) * per_degree)
         assert region.is_valid
         assert region.area == pytest.approx(Polygon(border).area, rel=1e-4)
         assert region.symmetric_difference(Polygon(border)).area < 1e-3 * region.area

@@ -14,6 +14,7 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
+from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
@@ -39,7 +40,7 @@ class Canvas:
 
     def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray) -> None:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
-        self.actors: dict[str, list[pv.Actor]] = {}
+        self.actors: dict[str, list[vtkProp]] = {}
         self.click_takers: list[Clicked] = []
         self.frame = QWidget(parent)
         layout = QVBoxLayout(self.frame)
@@ -68,11 +69,12 @@ class Canvas:
         """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
         self.remove(layer.name)
         height = float(SLOTS_PER_LAYER * slot)
-        self.actors[layer.name] = add_layer(
+        actors = add_layer(
             self.plotter, themed(layer, self.theme), self.origin, flat_height=height if self.is_map else None, detail=self.detail
         )
+        self.actors[layer.name] = [*actors]
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
-            for actor in self.actors[layer.name][-1:]:
+            for actor in actors[-1:]:
                 # A view of the window is a quarter of a picture's size: points as large would bury what lies below.
                 actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
         if layer.labels and self.is_map:

@@ -25,7 +25,7 @@ def add_map_labels(
     places[:, 2] = height
     marks = pv.PolyData(places)
     # Names only: VTK does not keep labels inside the view, and the figures stand in the legend.
-    marks["text"] = [label.text.splitlines()[0] for label in labels]
+    marks["text"] = [label.text.splitlines()[0] for label in labels]  # type: ignore[assignment]
     actor = plotter.add_point_labels(
         marks,
         "text",
