@@ -191,6 +191,7 @@ def tools(window):
         spot = QPoint(round(pixel[0]), round(window.map.size_wh[1] - 1 - pixel[1]))
         QTest.mouseClick(window.map.plotter, Qt.MouseButton.LeftButton, pos=spot)
     assert np.allclose(window.measure.corners, [[-60, -30], [60, -30], [60, 30]], atol=2), window.measure.corners
+    assert "area" in window.statusBar().currentMessage(), window.statusBar().currentMessage()
     length, area = (float(part.split()[-2]) for part in window.statusBar().currentMessage().split("·"))
     assert abs(length - 180) < 4 and abs(area - 3600) < 250, (length, area)
     window.measure.undo()
@@ -204,6 +205,7 @@ def tools(window):
     count = crop.save_inside(out / "inside.ply")
     inside = load_ply(out / "inside.ply").means
     assert len(inside) == count > 100 and (abs(inside) <= (50, 30, 70)).all()
+    drags_the_box(window, crop)
     crop.set_box(np.full((2, 3), 1e4))
     refused(window, lambda: crop.save_inside(out / "nothing.ply"))
     window.attempt(lambda: crop.save_inside(out / "nothing.ply"))
@@ -213,6 +215,29 @@ def tools(window):
     crop.active.setChecked(False)
     crop.reset.click()
     assert np.array_equal(before, window.screenshot()), "the crop box left something behind"
+
+def drags_the_box(window, crop):
+    # By the handle in the middle of its east side, in the 3D view.
+    before, plotter = crop.box, window.view.plotter
+    def spot(east):
+        x, y = window.view.pixels_of(np.array([[east, *before.mean(axis=0)[1:]]]))[0]
+        return QPoint(round(x), round(window.view.size_wh[1] - 1 - y))
+    count = crop.count.text()
+    QTest.mouseMove(plotter, spot(50))
+    QTest.mousePress(plotter, Qt.MouseButton.LeftButton, pos=spot(50))
+    for east in (45, 40, 35, 30):
+        QTest.mouseMove(plotter, spot(east))
+        QTest.qWait(20)
+    QTest.mouseRelease(plotter, Qt.MouseButton.LeftButton, pos=spot(30))
+    moved = crop.box - before
+    # The mouse moves in the plane of the picture: in perspective that is not quite so far along the axis.
+    assert -26 < moved[1, 0] < -14, crop.box
+    moved[1, 0] = 0
+    assert np.abs(moved).max() < 0.02, "another side moved as well"
+    assert crop.count.text() != count
+    crop.save_inside(out / "dragged.ply")
+    dragged = load_ply(out / "dragged.ply").means
+    assert 20 < dragged[:, 0].max() <= crop.box[1, 0] + 1e-3
 
 def themes(window):
     light = window.screenshot()
@@ -397,7 +422,7 @@ def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_pat
     tasks = [f"run={tmp_path / 'run'}", f"begun={tmp_path / 'begun'}", f"model={tmp_path / 'model.ply'}"]
     result = run_python(DRIVER, str(out), *tasks, DISPLAY=display, QT_QPA_PLATFORM="xcb")
     assert result.returncode == 0, result.stderr[-4000:]
-    written = ["cameras.csv", "inside.ply", "layers.gif", "ours.npz", "part.ply", "shot.png", "window.png"]
+    written = ["cameras.csv", "dragged.ply", "inside.ply", "layers.gif", "ours.npz", "part.ply", "shot.png", "window.png"]
     assert sorted(path.name for path in out.iterdir()) == written
     assert (out / "shot.png").stat().st_size > 5000
     ours = np.load(out / "ours.npz")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pyvista as pv
-from vtkmodules.vtkCommonCore import vtkCommand
+from vtkmodules.vtkCommonCore import vtkCommand, vtkStringArray
 from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray
@@ -25,7 +25,12 @@ def add_map_labels(
     places[:, 2] = height
     marks = pv.PolyData(places)
     # Names only: VTK does not keep labels inside the view, and the figures stand in the legend.
-    marks["text"] = [label.text.splitlines()[0] for label in labels]  # type: ignore[assignment]
+    names = vtkStringArray()
+    names.SetName("text")
+    for label in labels:
+        names.InsertNextValue(label.text.splitlines()[0])
+    # Not through pyvista, which refuses what is not ASCII: edges have names like Zürich, and areas are in m².
+    marks.GetPointData().AddArray(names)
     actor = plotter.add_point_labels(
         marks,
         "text",
