@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from radiant_app import commands
-from radiant_app.commands import training_part
 from radiant_app.constraints_file import dump_constraints
 from radiant_app.plan_pictures import SYSTEM, beside
 from radiant_app.prediction_error import SYSTEM_NAME
-from radiant_app.sources import load_scene_of
 from radiant_app.system_file import dump_system, load_system
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.records import load_plan, load_plan_waypoints
-from radiant_core.plan.waypoints import Waypoints
+from radiant_core.io.records import PlanFile, load_plan, load_plan_file
+from radiant_core.plan.system import System
+from radiant_viewer.run_view import SCENE_NAME
 
 if TYPE_CHECKING:
+    from radiant_core.scene import SfmScene
     from radiant_viewer.plan_files import PlanSetting
 
 EDITS = "_edits.json"
@@ -27,12 +27,17 @@ EDITS = "_edits.json"
 def plan_file_of(source: Path) -> Path | None:
     """The plan file where `source` is one, or a folder without a run that holds exactly one plan; None for a run, and for anything else.
 
-    Raises BadInput for a folder with several plans.
+    Raises BadInput for a folder with several plans, and for a run that lost its manifest.
     """
     if source.is_file():
         return source if source.suffix == ".json" else None
     if not source.is_dir() or (source / "manifest.json").is_file():
         return None
+    if (source / "plan.json").is_file() and (source / SCENE_NAME).is_file():
+        raise BadInput(
+            f"{source} is a run that lost its manifest.json: bring that file back, or look at the plan alone with "
+            f"'radiant inspect {source / 'plan.json'} --scene {source}'."
+        )
     found = [path for path in sorted(source.glob("*.json")) if not path.stem.endswith("_start") and _is_plan(path)]
     if len(found) > 1 and source / "plan.json" not in found:
         raise BadInput(f"{source} holds {len(found)} plans, {found[0].name} and {found[1].name} among them: name one of the files.")
@@ -48,9 +53,8 @@ def open_inspector(source: Path, system: Path | None = None, scene: Path | None 
     if plan is None:
         if scene is not None:
             raise BadInput("a run knows its scene: leave out --scene, or give a plan file.")
-        return open_window(source, feeds_of(source), setting=run_setting(source, system) if source.is_dir() else None)
-    known = None if scene is None else training_part(load_scene_of(scene))
-    return open_window(plan, setting=plan_setting(plan, system), scene=known)
+        return open_window(source, feeds_of(source), setting=(lambda: run_setting(source, system)) if source.is_dir() else None)
+    return open_window(plan, setting=lambda: plan_setting(plan, system), scene=None if scene is None else _planned_scene(scene))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +75,8 @@ def save_picture(source: Path, view: str, path: Path, picture: Picture = Picture
         )
     plan, scene = plan_file_of(source), picture.scene
     if plan is None:
+        from radiant_app import commands
+
         return commands.screenshot(source, view, path, picture.size_wh, picture.camera)
     if picture.camera is not None:
         raise BadInput("a plan has no photographs: leave out --camera.")
@@ -82,7 +88,7 @@ def save_picture(source: Path, view: str, path: Path, picture: Picture = Picture
     from radiant_viewer.plan_view import load_plan_view
     from radiant_viewer.views import cameras_picture, plan_picture
 
-    shown = load_plan_view(plan, None if scene is None else training_part(load_scene_of(scene)))
+    shown = load_plan_view(plan, None if scene is None else _planned_scene(scene))
     if view == "regions":
         save_png(path, plan_picture(shown.scene, shown.cloud_plan, shown.edge_plans, size_wh=picture.size_wh))
     else:
@@ -94,27 +100,54 @@ def run_setting(run: Path, system: Path | None = None) -> PlanSetting:
     """With which machines the plan of a run may be changed: those it was planned for."""
     reason = f"The plan cannot be changed: {run.name} has no {SYSTEM_NAME}, it was planned by an earlier version; name one by --system."
     own = run / SYSTEM_NAME
-    return _setting(system or (own if own.is_file() else None), reason, run / f"plan{EDITS}", None)
+    return _setting(_machines(system, [own], reason), run / f"plan{EDITS}")
 
 
 def plan_setting(plan: Path, system: Path | None = None) -> PlanSetting:
     """As `run_setting`, of a plan file."""
-    places = [path for path in (beside(plan, SYSTEM), plan.parent / SYSTEM_NAME) if path.is_file()]
     reason = "The plan cannot be changed: its machines are not known; name the system file it was made with by --system."
-    return _setting(system or (places[0] if places else None), reason, beside(plan, EDITS), load_plan_waypoints(plan))
+    machines = _machines(system, [beside(plan, SYSTEM), plan.parent / SYSTEM_NAME], reason)
+    return _setting(machines, beside(plan, EDITS), load_plan_file(plan))
 
 
-def _setting(system: Path | None, reason: str, keep_in: Path, waypoints: Waypoints | None) -> PlanSetting:
+def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[System | None, str]:
+    """The system that was named, else the first that stands in `places`, else None and why: `reason`, or what is wrong with the file.
+
+    Only a file that somebody named is refused where it is broken: without machines everything but the plan's editing works.
+    """
+    if named is not None:
+        return load_system(named, curves=True), ""
+    found = [path for path in places if path.is_file()]
+    if not found:
+        return None, reason
+    try:
+        return load_system(found[0], curves=True), ""
+    except (BadInput, StoreDamaged) as error:
+        return None, f"The plan cannot be changed: {error}"
+
+
+def _setting(machines: tuple[System | None, str], keep_in: Path, plan: PlanFile | None = None) -> PlanSetting:
     from radiant_viewer.plan_files import PlanSetting
 
+    system, reason = machines
     return PlanSetting(
-        system=None if system is None else load_system(system, curves=True),
-        reason=reason if system is None else "",
+        system=system,
+        reason=reason,
         keep_in=keep_in,
-        waypoints=waypoints,
+        waypoints=None if plan is None else plan.waypoints,
+        ground_m=None if plan is None else plan.ground_m,
         system_text=dump_system,
         constraints_text=dump_constraints,
     )
+
+
+def _planned_scene(scene: Path) -> SfmScene:
+    """The cameras of a scene that a plan deals: those that are not held out."""
+    # Imported here: half a second that a window of a run need not wait for.
+    from radiant_app.commands import training_part
+    from radiant_app.sources import load_scene_of
+
+    return training_part(load_scene_of(scene))
 
 
 def _is_plan(path: Path) -> bool:

@@ -26,7 +26,7 @@ def feeds_of(run: Path) -> RunFeeds:
         return RunFeeds()
     return RunFeeds(
         gantt_rows=lambda: _gantt_rows(run),
-        gantt_detail=GANTT_TEXT[bool(read_manifest(run).emulated)],
+        gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)],
         progress=lambda: read_progress(run),
     )
 

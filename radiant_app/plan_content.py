@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_core.io.plan_content import content_record
+from radiant_core.io.plan_content import GROUND_KEY, content_record
 from radiant_core.plan.border_forecast import BorderForecast, forecast_borders
 from radiant_core.plan.buffers import BufferRule, EdgeBuffer, plan_buffers
 from radiant_core.plan.footprints import Optics, Views, ground_footprints, region_shares, views_before_capture, views_of_cameras
@@ -52,10 +52,15 @@ class PlanContent:
     assumed: str = ""
     reason: str | None = None
     """Why nothing was forecast, a whole sentence."""
+    ground_m: float | None = None
+    """Altitude of the ground, where it was given."""
 
     def record(self) -> dict[str, Any]:
-        """For plan.json; empty where nothing was forecast and nothing buffered."""
-        return {} if self.reason is not None and not self.buffers else content_record(self.forecasts, self.buffers, self.assumed)
+        """For plan.json; empty where nothing was given, forecast or buffered."""
+        ground = {} if self.ground_m is None else {GROUND_KEY: self.ground_m}
+        if self.reason is not None and not self.buffers:
+            return ground
+        return ground | content_record(self.forecasts, self.buffers, self.assumed)
 
     def summary(self) -> dict[str, Any]:
         """What the command line prints: one line of text a key, and the borders as rows."""
@@ -92,6 +97,12 @@ def content_of_waypoints(
     waypoints: Waypoints, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, request: ContentRequest
 ) -> PlanContent:
     """Forecasts and buffers of a plan of waypoints; system as planned."""
+    return replace(_waypoint_content(waypoints, cloud, edges, system, request), ground_m=request.ground_m)
+
+
+def _waypoint_content(
+    waypoints: Waypoints, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, request: ContentRequest
+) -> PlanContent:
     ground_m = request.ground_m or 0.0
     heights_m = waypoints.lat_lon_alt[:, 2] - ground_m
     positions = waypoints.positions_m[:, :2]

@@ -14,17 +14,21 @@ from rich.console import Console
 from radiant_app.constraints_file import dump_constraints, load_constraints
 from radiant_app.inspect_command import plan_file_of, plan_setting, run_setting, save_picture
 from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.plan_content import ContentRequest
 from radiant_app.progress import ProgressDisplay
 from radiant_app.stages import require_plan
 from radiant_app.system_file import load_system
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.plan.constraints import PlanConstraints
+from radiant_core.plan.footprints import Optics
+from radiant_core.plan.waypoints import Waypoints
 from radiant_viewer.edited_plan import dragged_weight_m2
 from radiant_viewer.plan_editor import PlanEditor
 from radiant_viewer.plan_edits import FixWeight, LockRegion, PinCameras
 from radiant_viewer.plan_files import load_other_plan, save_edited_plan, subject_of
-from radiant_viewer.plan_view import load_plan_view
+from radiant_viewer.plan_view import likely_ground_m, load_plan_view
+from radiant_viewer.subject import subject_of_run
 from tests.app.test_plan_command import grid_csv, make_plan
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -48,7 +52,8 @@ def test_an_edited_plan_is_what_plan_and_run_read(planned: Path) -> None:
     before = load_plan_waypoints(planned / "plan.json")
     assert before is not None
     np.testing.assert_allclose(run.scene.cameras.centers[:, :2], before.positions_m[:, :2], atol=1e-9)
-    assert (run.scene.cameras.centers[:, 2] > 400).all()  # above altitude 0
+    # Altitudes of 490 m, images 18 m apart: heights above the sea, and 80 % of overlap from 50 m above the ground.
+    assert (abs(run.scene.cameras.centers[:, 2] - 50) < 15).all()
     forward = run.scene.cameras.cam_from_world[:, 2, :3]
     np.testing.assert_allclose(forward, np.tile([0, 0, -1.0], (300, 1)), atol=1e-9)  # straight down
     editor = PlanEditor(subject_of(run), setting.system, (run.cloud_plan, run.edge_plans), setting.keep_in)
@@ -56,7 +61,8 @@ def test_an_edited_plan_is_what_plan_and_run_read(planned: Path) -> None:
     editor.apply(PinCameras(cameras=editor.subject.names[:4], edge="south"))
     editor.apply(FixWeight(edge="north", weight_m2=dragged_weight_m2(editor.state.cloud, "north", "south", 30.0)))
     written = save_edited_plan(planned / "mine.json", editor.subject, editor.state, setting)
-    assert {path.name for path in written} == {"mine.json", "mine_system.toml", "mine_start.json", "mine_constraints.toml"}
+    beside = {f"mine{ending}" for ending in (".json", "_system.toml", "_start.json", "_constraints.toml", "_waypoints", "_regions.geojson")}
+    assert {path.name for path in written} == beside
     # The run's own check, and the plan bit for bit.
     require_plan(planned / "mine.json", load_system(planned / "mine_system.toml"))
     cloud, edges = load_plan(planned / "mine.json")
@@ -77,6 +83,12 @@ def test_an_edited_plan_is_what_plan_and_run_read(planned: Path) -> None:
     again, edges_again = load_plan(planned / "again.json")
     np.testing.assert_array_equal(again.edge_of_camera, cloud.edge_of_camera)
     np.testing.assert_array_equal(edges_again[0].device_of_camera, edges[0].device_of_camera)
+    # And to the same lists for the devices; one of a device that an earlier plan of this name had is gone.
+    (planned / "mine_waypoints" / "gone.csv").touch()
+    save_edited_plan(planned / "mine.json", editor.subject, editor.state, setting)
+    lists = {path.name: path.read_bytes() for path in (planned / "mine_waypoints").iterdir()}
+    assert lists == {path.name: path.read_bytes() for path in (planned / "again_waypoints").iterdir()} and len(lists) == 6
+    assert (planned / "mine_regions.geojson").read_bytes() == (planned / "again_regions.geojson").read_bytes()
     # Loaded into the window of the first plan it is the same again, whatever order its waypoints come in.
     editor.undo()
     adopted = load_other_plan(planned / "mine.json", editor.subject)
@@ -110,7 +122,7 @@ def test_a_run_on_the_globe_gives_a_plan_that_another_run_can_take(tmp_path: Pat
     system = load_system(_write_system(tmp_path / "town.toml"))
     editor = PlanEditor(subject, system, (town.cloud_plan, town.edge_plans))
     written = save_edited_plan(tmp_path / "out.json", subject, editor.state, plan_setting(tmp_path / "plan.json", tmp_path / "town.toml"))
-    assert len(written) == 2
+    assert len(written) == 4
     waypoints = load_plan_waypoints(tmp_path / "out.json")
     assert waypoints is not None
     # The file counts from the waypoints' own middle, as plans before capture do: regions lie around the same cameras.
@@ -140,6 +152,40 @@ def test_what_cannot_be_opened_is_one_sentence(tmp_path: Path, planned: Path) ->
         subject_of(load_plan_view(tmp_path / "empty.json", bare))
     with pytest.raises(BadInput, match="cannot be read"):
         plan_setting(tmp_path / "empty.json", tmp_path / "none.toml")
+
+
+def test_cameras_of_a_plan_stand_over_its_ground(planned: Path) -> None:
+    request = PlanRequest(
+        source=planned / "flight.csv",
+        out=planned / "given.json",
+        system=planned / "machines.toml",
+        method="exact",
+        seed=0,
+        content=ContentRequest(ground_m=460.0),
+    )
+    plan(request, ProgressDisplay(Console(file=io.StringIO())))
+    run, setting = load_plan_view(planned / "given.json"), plan_setting(planned / "given.json")
+    # The grid flies at 490 m and curves down with the globe by some millimetres.
+    np.testing.assert_allclose(run.scene.cameras.centers[:, 2], 30, atol=0.1)
+    editor = PlanEditor(subject_of(run), setting.system, (run.cloud_plan, run.edge_plans))  # type: ignore[arg-type]
+    save_edited_plan(planned / "again.json", editor.subject, editor.state, setting)
+    np.testing.assert_array_equal(load_plan_view(planned / "again.json").scene.cameras.centers, run.scene.cameras.centers)
+    assert not [layer.name for layer in subject_of_run(run).layers if "Gaussians" in layer.name or "points" in layer.name]
+    high = Waypoints(names=("a", "b"), lat_lon_alt=[[47.37, 8.54, 100.0], [47.3704, 8.54, 100.0]])
+    assert likely_ground_m(high, Optics()) == 0, "images 44 m apart overlap by 70 % from 100 m"
+
+
+def test_a_run_with_a_broken_system_opens_and_one_without_manifest_says_so(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    save_run(run, made_up_town())
+    (run / "system.toml").write_text("[[edge]\n")
+    setting = run_setting(run)
+    assert setting.system is None and setting.reason.startswith("The plan cannot be changed: ") and "system.toml" in setting.reason
+    with pytest.raises(BadInput, match=r"system\.toml"):
+        run_setting(run, run / "system.toml")
+    (run / "manifest.json").unlink()
+    with pytest.raises(BadInput, match=r"lost its manifest\.json.*plan\.json --scene"):
+        plan_file_of(run)
 
 
 def test_constraints_are_written_as_they_are_read(tmp_path: Path) -> None:

@@ -34,12 +34,19 @@ class Town:
     held_out: frozenset[str]
 
 
-def made_up_town(shift: tuple[float, float] = (0.0, 0.0), *, step_levels: float = 0.0) -> Town:
-    """The town, moved by `shift` metres, with the region "harbour" brighter by `step_levels` of 255: a planted seam."""
+def made_up_town(
+    shift: tuple[float, float] = (0.0, 0.0),
+    *,
+    step_levels: float = 0.0,
+    quarry_levels: float = 0.0,
+    grid: tuple[int, int] = (8, 3),
+) -> Town:
+    """The town, moved by `shift` metres, with the regions "harbour" and "quarry" brighter by `step_levels` and `quarry_levels` of 255,
+    planted seams, and a grid of so many cameras east by north."""
     rng = np.random.default_rng(3)
     offset = np.array([*shift, 0.0])
-    xy = np.array([(x, y) for y in (-45, 0, 45) for x in np.linspace(-90, 90, 8)])
-    cameras = _cameras(np.column_stack([xy, np.full(24, 60.0)]) + offset)
+    xy = np.array([(x, y) for y in np.linspace(-45, 45, grid[1]) for x in np.linspace(-90, 90, grid[0])])
+    cameras = _cameras(np.column_stack([xy, np.full(len(xy), 60.0)]) + offset)
     points = np.column_stack(
         [rng.uniform(-HALF_WH[0], HALF_WH[0], 9000), rng.uniform(-HALF_WH[1], HALF_WH[1], 9000), rng.uniform(0, 1, 9000)]
     )
@@ -52,7 +59,8 @@ def made_up_town(shift: tuple[float, float] = (0.0, 0.0), *, step_levels: float 
         frame=Frame(kind="metric", origin_lat_lon_alt=np.zeros(3)),
     )
     cloud_plan = _cloud_plan(xy, shift)
-    splats = _splats(points, offset, colors + step_levels * (_nearest(points[:, :2]) == 1)[:, None])
+    brighter = np.array([0.0, step_levels, quarry_levels])[_nearest(points[:, :2])]
+    splats = _splats(points, offset, colors + brighter[:, None])
     edge_plans = tuple(_edge_plan(cloud_plan, edge) for edge in range(3))
     return Town(scene=scene, cloud_plan=cloud_plan, edge_plans=edge_plans, splats=splats, held_out=frozenset(cameras.names[::8]))
 

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.ply import save_ply
 from radiant_viewer.measure import area_text, length_text, path_length, polygon_area
-from radiant_viewer.palette import INK
+from radiant_viewer.palette import INK, heat_table
 from radiant_viewer.photo_access import find_photograph
 from radiant_viewer.run_feeds import StageState
 from radiant_viewer.run_figures import image_figures
@@ -99,6 +100,14 @@ def test_figures_are_read_by_photograph_and_a_broken_file_is_named(tmp_path: Pat
         image_figures(tmp_path)
 
 
+def contrast(color: ArrayLike, ground: ArrayLike) -> float:
+    """Of two colours (3,) uint8, as WCAG 2 defines it."""
+    shares = np.array([color, ground]) / 255
+    linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    darker, lighter = np.sort(linear @ (0.2126, 0.7152, 0.0722))
+    return float((lighter + 0.05) / (darker + 0.05))
+
+
 def test_dark_draws_ink_light_and_fills_dark_and_leaves_what_is_data(tmp_path: Path) -> None:
     save_run(tmp_path / "run", made_up_town())
     layers = {layer.name: layer for layer in load_subject(tmp_path / "run").layers}
@@ -106,7 +115,20 @@ def test_dark_draws_ink_light_and_fills_dark_and_leaves_what_is_data(tmp_path: P
     assert (layers["Regions"].segment_colors == INK).all()
     assert (regions.segment_colors == DARK.ink).all()
     assert regions.polygon_colors.mean() < 0.6 * layers["Regions"].polygon_colors.mean()
-    assert np.array_equal(themed(layers["Seams"], DARK).segment_colors, layers["Seams"].segment_colors)
+    cameras, loads = layers["Cameras by device"], layers["Edge loads"]
+    assert np.array_equal(themed(cameras, DARK).point_colors, cameras.point_colors)
+    filled = ~(loads.polygon_colors == 255).all(axis=1)
+    assert 0 < filled.sum() < len(filled)
+    assert np.array_equal(themed(loads, DARK).polygon_colors[filled], loads.polygon_colors[filled])
+    assert (themed(loads, DARK).polygon_colors[~filled] == DARK.field).all()
+    # The lowest value of a heat scale can be seen, and the legend shows the colours that are drawn.
+    for name in ("Seams", "Overlap"):
+        seen = themed(layers[name], DARK)
+        assert seen.heat is not None
+        table = heat_table(seen.heat.start)
+        drawn = np.concatenate([seen.segment_colors, seen.polygon_colors])
+        assert (drawn[:, None] == table).all(axis=2).any(axis=1).all()
+        assert contrast(table[0], DARK.view) > 3 > contrast(heat_table()[0], DARK.view)
     assert themed(layers["Regions"], LIGHT) is layers["Regions"]
 
 

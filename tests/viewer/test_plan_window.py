@@ -119,7 +119,7 @@ def steps(window):
     assert session.is_busy and len(editor.edits) == 2
 
 QTimer.singleShot(0, drive)
-code = open_window(run, setting=run_setting(run))
+code = open_window(run, setting=lambda: run_setting(run))
 assert not failures, failures
 sys.exit(code)
 """

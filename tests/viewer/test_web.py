@@ -191,7 +191,9 @@ def test_rows_say_every_figure_once_with_its_unit(run_folder: Path) -> None:
     assert rows[8]["psnr_db"] == "21.00"
     assert rows[1]["psnr_db"] == ""
     layers = {row["name"]: row for row in map(layer_row, run_layers(run))}
-    assert layers["Cameras by PSNR"]["heat"] == {"label": "PSNR of held-out photographs (dB)", "low": "20", "high": "22"}
+    heat = layers["Cameras by PSNR"]["heat"]
+    assert (heat["label"], heat["low"], heat["high"]) == ("PSNR of held-out photographs (dB)", "20", "22")
+    assert heat["gradient"].startswith("linear-gradient(to right, #440154"), "the bar is not the colours of the layer"
     assert layers["Regions"]["legend"][0]["text"].startswith("north: ")
 
 

@@ -1,4 +1,5 @@
-"""The real windows under a real X server, in a process of their own: one of a run for all that it does, of a begun run, of a PLY."""
+"""The real windows under a real X server, in a process of their own: of a run for all that it does, of one at work from before its plan
+to its model, and of a PLY."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtCore import QPoint, QTimer, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QMessageBox
+from PySide6.QtWidgets import QApplication, QMessageBox, QTabBar
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_viewer import inspector
@@ -33,18 +34,19 @@ from radiant_viewer.images import load_image
 from radiant_viewer.run_feeds import RunFeeds, RunProgress, StageState
 from radiant_viewer.charts import TimelineSpan
 from radiant_viewer.gantt_chart import GanttRow
+from radiant_viewer.waiting_window import WaitingWindow
 from radiant_viewer.window import InspectorWindow
 
 out, tasks = Path(sys.argv[1]), [task.split("=", 1) for task in sys.argv[2:]]
 failures = []
 progress = RunProgress(stages=(StageState(stage="devices/a", state="running", done=1, total=4),), is_running=True, status="running")
-begun = progress
+begun = RunProgress(stages=(StageState(stage="sfm", state="running"),), is_running=True, status="running")
 begun_feeds = RunFeeds(progress=lambda: begun)
 row = GanttRow(name="devices/a", predicted=(TimelineSpan(stage="train", start_s=0, stop_s=9),))
 feeds = RunFeeds(gantt_rows=lambda: [row], progress=lambda: progress)
 
 def windows():
-    return [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, InspectorWindow)]
+    return [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, InspectorWindow) and widget.isVisible()]
 
 def until(done, seconds=30):
     for _ in range(20 * seconds):
@@ -63,7 +65,7 @@ def drive():
             "film": steps_of_splat_film,
             "splats": steps_of_splats_of_model,
         }
-        steps[what](next(window for window in windows() if window.isVisible()))
+        steps[what](next(iter(windows()), None))
     except BaseException as error:
         import traceback
         traceback.print_exc()
@@ -189,6 +191,7 @@ def tools(window):
         spot = QPoint(round(pixel[0]), round(window.map.size_wh[1] - 1 - pixel[1]))
         QTest.mouseClick(window.map.plotter, Qt.MouseButton.LeftButton, pos=spot)
     assert np.allclose(window.measure.corners, [[-60, -30], [60, -30], [60, 30]], atol=2), window.measure.corners
+    assert "area" in window.statusBar().currentMessage(), window.statusBar().currentMessage()
     length, area = (float(part.split()[-2]) for part in window.statusBar().currentMessage().split("·"))
     assert abs(length - 180) < 4 and abs(area - 3600) < 250, (length, area)
     window.measure.undo()
@@ -202,6 +205,7 @@ def tools(window):
     count = crop.save_inside(out / "inside.ply")
     inside = load_ply(out / "inside.ply").means
     assert len(inside) == count > 100 and (abs(inside) <= (50, 30, 70)).all()
+    drags_the_box(window, crop)
     crop.set_box(np.full((2, 3), 1e4))
     refused(window, lambda: crop.save_inside(out / "nothing.ply"))
     window.attempt(lambda: crop.save_inside(out / "nothing.ply"))
@@ -211,6 +215,29 @@ def tools(window):
     crop.active.setChecked(False)
     crop.reset.click()
     assert np.array_equal(before, window.screenshot()), "the crop box left something behind"
+
+def drags_the_box(window, crop):
+    # By the handle in the middle of its east side, in the 3D view.
+    before, plotter = crop.box, window.view.plotter
+    def spot(east):
+        x, y = window.view.pixels_of(np.array([[east, *before.mean(axis=0)[1:]]]))[0]
+        return QPoint(round(x), round(window.view.size_wh[1] - 1 - y))
+    count = crop.count.text()
+    QTest.mouseMove(plotter, spot(50))
+    QTest.mousePress(plotter, Qt.MouseButton.LeftButton, pos=spot(50))
+    for east in (45, 40, 35, 30):
+        QTest.mouseMove(plotter, spot(east))
+        QTest.qWait(20)
+    QTest.mouseRelease(plotter, Qt.MouseButton.LeftButton, pos=spot(30))
+    moved = crop.box - before
+    # The mouse moves in the plane of the picture: in perspective that is not quite so far along the axis.
+    assert -26 < moved[1, 0] < -14, crop.box
+    moved[1, 0] = 0
+    assert np.abs(moved).max() < 0.02, "another side moved as well"
+    assert crop.count.text() != count
+    crop.save_inside(out / "dragged.ply")
+    dragged = load_ply(out / "dragged.ply").means
+    assert 20 < dragged[:, 0].max() <= crop.box[1, 0] + 1e-3
 
 def themes(window):
     light = window.screenshot()
@@ -272,7 +299,7 @@ def live(window):
     done = StageState(stage="devices/a", state="done", seconds=9.0)
     progress = RunProgress(stages=(done, StageState(stage="edges/e", state="done", seconds=2.0)), status="done")
     dock.read()
-    assert dock.table.rowCount() == 2 and "F5" in window.statusBar().currentMessage()
+    assert dock.table.rowCount() == 2 and "run ended (done)" in window.statusBar().currentMessage()
     window.save_screenshot(out / "shot.png")
     window.save_window_picture(out / "window.png")
     assert load_image(out / "window.png").shape == (800, 1280, 3)
@@ -285,7 +312,7 @@ def live(window):
     plan.write_bytes(text)
     window.reload()
     QTest.qWait(300)
-    fresh = next(other for other in windows() if other.isVisible())
+    fresh, = windows()
     assert fresh is not window and fresh.screenshot().std() > 10
     # Closed in the middle of a film: no half of it stays.
     for _ in range(2):
@@ -302,7 +329,16 @@ def steps_of_model(window):
     window.docks.crop.active.setChecked(True)
     assert window.docks.crop.save_inside(out / "part.ply") > 0
 
-def steps_of_begun_run(window):
+def steps_of_begun_run(nothing):
+    # There is no plan yet: what is at work is shown until there is one.
+    assert nothing is None
+    waiting = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, WaitingWindow))
+    assert "no plan yet" in waiting.text.text() and waiting.progress.table.item(0, 0).text() == "sfm"
+    (out / "plan.json").rename(run_folder / "plan.json")
+    until(windows)
+    window, = windows()
+    QTest.qWait(100)
+    assert not [other for other in QApplication.topLevelWidgets() if isinstance(other, WaitingWindow)]
     assert window.docks.splats is None and window.docks.seams is None
     assert "no model yet" in window.statusBar().currentMessage()
     window.docks.photo.show_worst()
@@ -311,12 +347,35 @@ def steps_of_begun_run(window):
     window.set_theme("dark")
     assert window.docks.progress.table.item(0, 1).text() == "running"
     refused(window, lambda: window.docks.crop.save_inside(out / "none.ply"))
-    # What was trained since appears when the run is read anew.
+    # What was trained since appears by itself, and the window stays as it was set up, but not while somebody measures.
+    window.set_layer_visible("Borders", False)
+    window.docks.fly.add_view()
+    window.view.plotter.camera.azimuth += 25
+    window.raise_dock(window.docks.fly)
+    window.measure.set_active(True)
+    pose, keyframes = window.view.pose, window.docks.fly.keyframes
     (out / "scene.ply").rename(run_folder / "scene.ply")
-    window.reload()
-    QTest.qWait(300)
-    fresh = next(other for other in windows() if other.isVisible())
+    QTest.qWait(1500)
+    assert windows() == [window], "the window was replaced under a measurement"
+    window.measure.set_active(False)
+    until(lambda: windows() and windows() != [window])
+    fresh, = windows()
+    QTest.qWait(100)
     assert fresh.docks.splats is not None and fresh.docks.seams is not None and fresh.theme.name == "dark"
+    assert fresh.selected == 9 and not fresh.layer_dock.is_visible("Borders") and fresh.layer_dock.is_visible("Regions")
+    assert np.allclose(fresh.view.pose.position, pose.position) and len(fresh.docks.fly.keyframes) == len(keyframes)
+    assert not fresh.docks.fly.visibleRegion().isEmpty(), "another dock came to the front"
+    floats(fresh)
+
+def floats(window):
+    dock = window.docks.photo
+    bar = next(bar for bar in window.findChildren(QTabBar) if bar.tabText(0) == "Photograph")
+    QTest.mouseDClick(bar, Qt.MouseButton.LeftButton, pos=bar.tabRect(0).center())
+    assert dock.isFloating() and dock.titleBarWidget() is None, "a floating dock cannot be taken hold of"
+    action = next(action for action in window.panels.button.menu().actions() if action.text() == "Float Photograph")
+    assert action.isChecked()
+    action.trigger()
+    assert not dock.isFloating() and dock.titleBarWidget() is not None and window.tabifiedDockWidgets(dock)
 
 for what, run_folder in tasks:
     run_folder = Path(run_folder)
@@ -358,11 +417,12 @@ def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_pat
     out = tmp_path / "out"
     out.mkdir()
     (tmp_path / "begun/scene.ply").rename(out / "scene.ply")
+    (tmp_path / "begun/plan.json").rename(out / "plan.json")
     (tmp_path / "begun/metrics.json").unlink()
     tasks = [f"run={tmp_path / 'run'}", f"begun={tmp_path / 'begun'}", f"model={tmp_path / 'model.ply'}"]
     result = run_python(DRIVER, str(out), *tasks, DISPLAY=display, QT_QPA_PLATFORM="xcb")
     assert result.returncode == 0, result.stderr[-4000:]
-    written = ["cameras.csv", "inside.ply", "layers.gif", "ours.npz", "part.ply", "shot.png", "window.png"]
+    written = ["cameras.csv", "dragged.ply", "inside.ply", "layers.gif", "ours.npz", "part.ply", "shot.png", "window.png"]
     assert sorted(path.name for path in out.iterdir()) == written
     assert (out / "shot.png").stat().st_size > 5000
     ours = np.load(out / "ours.npz")

@@ -14,17 +14,20 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
+from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
 from radiant_viewer.images import Image
 from radiant_viewer.layers import CLOUD_SIZE, Layer
+from radiant_viewer.map_labels import add_map_labels
 from radiant_viewer.offscreen import aim_camera
 from radiant_viewer.point_detail import PointDetail
 from radiant_viewer.themes import LIGHT, Theme, themed
 from radiant_viewer.view_pose import ViewPose
 
 CLICK_PX = 4
+LABEL_SIZE = 11
 CLOUD_POINT_PX, CLOUD_POINT_3D_PX = 2.6, 3.2
 TOP_SLOT = 400
 """Slot of the map on which marks of selections and tools lie: above a hundred layers."""
@@ -37,7 +40,7 @@ class Canvas:
 
     def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray) -> None:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
-        self.actors: dict[str, list[pv.Actor]] = {}
+        self.actors: dict[str, list[vtkProp]] = {}
         self.click_takers: list[Clicked] = []
         self.frame = QWidget(parent)
         layout = QVBoxLayout(self.frame)
@@ -66,15 +69,16 @@ class Canvas:
         """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
         self.remove(layer.name)
         height = float(SLOTS_PER_LAYER * slot)
-        self.actors[layer.name] = add_layer(
+        actors = add_layer(
             self.plotter, themed(layer, self.theme), self.origin, flat_height=height if self.is_map else None, detail=self.detail
         )
+        self.actors[layer.name] = [*actors]
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
-            for actor in self.actors[layer.name][-1:]:
+            for actor in actors[-1:]:
                 # A view of the window is a quarter of a picture's size: points as large would bury what lies below.
                 actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
         if layer.labels and self.is_map:
-            self.actors[layer.name].append(self._labels(layer, height))
+            self.actors[layer.name].append(add_map_labels(self.plotter, layer.labels, self.origin, height, self.theme, LABEL_SIZE))
         self.show(layer.name, visible)
 
     def remove(self, name: str) -> None:
@@ -174,21 +178,6 @@ class Canvas:
         per_px = 2 * camera.parallel_scale / max(height, 1)
         offset = (np.array(pixel, np.float64) + 0.5 - (width / 2, height / 2)) * per_px
         return np.array(camera.focal_point[:2]) + offset + self.origin[:2]
-
-    def _labels(self, layer: Layer, height: float) -> pv.Actor:
-        places = np.array([label.position for label in layer.labels]) - self.origin
-        places[:, 2] = height
-        dark = self.theme.name == "dark"
-        style = {
-            "font_size": 11,
-            "text_color": pv.Color(self.theme.text),
-            "shape_color": pv.Color(self.theme.panel if dark else "white"),
-            "shape_opacity": 0.8,
-            "show_points": False,
-        }
-        # Names only: VTK does not keep labels inside the view, and the figures stand in the layer tree.
-        texts = [label.text.splitlines()[0] for label in layer.labels]
-        return self.plotter.add_point_labels(places, texts, always_visible=True, reset_camera=False, render=False, **style)
 
     def _on_click(self, x: float, y: float) -> None:
         scale = self.plotter.devicePixelRatioF()

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.numerics import FloatArray, checked_array, require_finite
 from radiant_viewer.layers import Layer
 
 MOVING_POINTS = 50_000
@@ -29,19 +29,19 @@ _CHUNK = 1 << 18
 """Points that are projected at a time, so that they stay in the cache."""
 
 
-def even_subset(points: FloatArray, limit: int) -> NDArray[np.int64]:
+def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
     """Ascending indices (K,) of at most `limit` of the points (N,3), spread evenly over the space they take; all where N ≤ `limit`.
 
     A point's level is the first of the octree at which it has a cell of its own along the Morton curve, so that the points up to
     level L are one of each occupied cell of that level. BadInput for a limit below 1 or a coordinate that is not finite.
     """
-    positions = checked_array("points to thin", points, (None, 3))
     if limit < 1:
         raise BadInput(f"{limit} points were asked for, expected at least 1.")
-    if len(positions) <= limit:
-        return np.arange(len(positions))
-    step = max(1, min(len(positions) // _SORTED_POINTS, len(positions) // limit))
-    codes = _morton_codes(positions[::step])
+    if len(points) <= limit:
+        return np.arange(len(points))
+    step = max(1, min(len(points) // _SORTED_POINTS, len(points) // limit))
+    require_finite("points to thin", points)
+    codes = _morton_codes(checked_array("points to thin", points[::step], (None, 3)))
     order = np.argsort(codes, kind="stable")
     levels = _first_levels(codes[order])
     last = int(np.searchsorted(np.cumsum(np.bincount(levels)), limit, side="right"))

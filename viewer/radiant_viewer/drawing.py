@@ -16,7 +16,7 @@ from radiant_core.numerics import FloatArray
 from radiant_viewer.detail import is_thinned
 from radiant_viewer.layers import Layer
 from radiant_viewer.palette import INK
-from radiant_viewer.point_detail import PointDetail, point_mesh
+from radiant_viewer.point_detail import PointDetail, local_cloud, point_mesh
 
 SLOTS_PER_LAYER = 4
 """Heights that a flattened layer takes on a map: polygons, segments, rims, points."""
@@ -69,8 +69,7 @@ def _add_cloud(
     actor.prop.point_size = layer.point_size_px * line_scale
     if not layer.square_points:
         actor.GetShaderProperty().AddFragmentShaderReplacement("//VTK::Color::Impl", True, ROUND_SHADER, False)
-    placed = _placed(layer.points, origin, height)
-    detail.add(layer.points - origin, placed, layer.point_colors, actor)
+    detail.add(local_cloud(layer, origin), height, layer.point_colors, actor)
     return actor
 
 

@@ -73,8 +73,12 @@ class FlyDock(QDockWidget):
 
     def add_view(self) -> None:
         """Take the 3D view as it stands as the last keyframe."""
-        self.keyframes.append(self._window.view.pose)
-        x, y, z = self._window.view.pose.position
+        self.add_keyframe(self._window.view.pose)
+
+    def add_keyframe(self, pose: ViewPose) -> None:
+        """Fly through a pose last."""
+        self.keyframes.append(pose)
+        x, y, z = pose.position
         self.list.addItem(f"{len(self.keyframes)}:  east {x:.1f}, north {y:.1f}, up {z:.1f}")
         self._update()
 

@@ -65,7 +65,7 @@ class GanttDock(QDockWidget):
                 return
             happened = any(row.measured for row in rows)
             title = "Predicted and measured" if happened else "Predicted stages"
-            self.image = gantt_picture(rows, title, self._feeds.gantt_detail, width_px)
+            self.image = gantt_picture(rows, title, self._feeds.gantt_detail(), width_px)
             self.label.setPixmap(pixmap_of(self.image))
         except RadiantError as error:
             self.label.setText(str(error))

@@ -54,6 +54,10 @@ class LayerDock(QDockWidget):
         """The layer that is seen alone."""
         return next((name for name, item in self._items.items() if item.checkState(SOLO) == Qt.CheckState.Checked), None)
 
+    def checked(self) -> dict[str, bool]:
+        """Whether the box of each layer is ticked."""
+        return {name: item.checkState(NAME) == Qt.CheckState.Checked for name, item in self._items.items()}
+
     def set_visible(self, name: str, visible: bool) -> None:
         """As its check box does; BadInput for an unknown layer."""
         self._item(name).setCheckState(NAME, _check_state(visible))
@@ -110,7 +114,7 @@ def _add_legend(item: QTreeWidgetItem, layer: Layer) -> None:
     rows = [(entry.text, color_icon(np.array([[entry.color]], np.uint8))) for entry in layer.legend]
     if layer.heat is not None:
         rows += [
-            (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", color_icon(heat_table()[None])),
+            (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", color_icon(heat_table(layer.heat.start)[None])),
             (fill(layer.heat.label, LEGEND_COLUMNS), QIcon()),
         ]
     rows += [(note, QIcon()) for note in [moving_note(layer)] if note]

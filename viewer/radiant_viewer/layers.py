@@ -45,6 +45,8 @@ class HeatScale:
     label: str
     low: float
     high: float
+    start: float = 0.0
+    """Where on the table of colours the lowest value lies, 0 to 1: on dark ground its first colours cannot be seen."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,6 +88,8 @@ class Layer:
     line_width_px: float = 1.5
     polygons: tuple[FloatArray, ...] = ()
     polygon_colors: ColorArray = field(default_factory=_no_colors)
+    pale_fills: bool = False
+    """Whether fills are colours mixed with white, which a dark view mixes with its own ground; else they are data and stay."""
     labels: tuple[Label, ...] = ()
     legend: tuple[LegendEntry, ...] = ()
     heat: HeatScale | None = None

@@ -240,7 +240,7 @@ def _add_entry(axes: Axes, entry: LegendEntry, y: float) -> None:
 def _add_heat(axes: Axes, heat: HeatScale, y: float) -> float:
     axes.text(10, y, heat.label, size=9, color=INK_COLOR, va="center")
     left, right, top = 10, PANEL_PX - 60, y + 12
-    axes.imshow(heat_table()[None], extent=(left, right, top + 13, top), aspect="auto", interpolation="nearest", zorder=2)
+    axes.imshow(heat_table(heat.start)[None], extent=(left, right, top + 13, top), aspect="auto", interpolation="nearest", zorder=2)
     axes.set(xlim=(0, PANEL_PX), ylim=(axes.get_ylim()[0], 0))
     for share, align in ((0.0, "left"), (0.5, "center"), (1.0, "right")):
         value = heat.low + share * (heat.high - heat.low)

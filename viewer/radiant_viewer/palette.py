@@ -62,11 +62,20 @@ def shade_colors(color: ArrayLike, count: int) -> ColorArray:
     return np.stack([tinted(color, WHITE if step > 0 else BLACK, abs(step)) for step in steps])
 
 
-def heat_table() -> ColorArray:
-    """The 256 colours (256,3) of viridis, dark violet to yellow, readable in grey and for every kind of colour vision."""
+def heat_table(start: float = 0.0) -> ColorArray:
+    """The 256 colours (256,3) of viridis, dark violet to yellow, readable in grey and for every kind of colour vision; of a scale that
+    begins at the share `start` of it."""
     from matplotlib import colormaps
 
-    return np.rint(255 * colormaps["viridis"](np.arange(256))[:, :3]).astype(np.uint8)
+    return np.rint(255 * colormaps["viridis"](np.linspace(start, 1, 256))[:, :3]).astype(np.uint8)
+
+
+def with_heat_start(colors: ColorArray, start: float) -> ColorArray:
+    """Colours (N,3) of the whole scale as those of one that begins at `start`; others stay."""
+    packed, whole = (table.astype(np.int64) @ (1 << 16, 1 << 8, 1) for table in (colors, heat_table()))
+    order = np.argsort(whole)
+    places = order[np.clip(np.searchsorted(whole[order], packed), 0, len(order) - 1)]
+    return np.where((whole[places] == packed)[:, None], heat_table(start)[places], colors)
 
 
 def heat_colors(values: ArrayLike, low: float, high: float) -> ColorArray:

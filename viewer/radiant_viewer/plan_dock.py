@@ -6,9 +6,10 @@ It shows and asks; what is done is `Planning`'s.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from html import escape
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtCore import QSignalBlocker, Qt, QTimer
 from PySide6.QtWidgets import (
     QComboBox,
     QDockWidget,
@@ -28,7 +29,7 @@ from PySide6.QtWidgets import (
 
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.edited_plan import EditedPlan
-from radiant_viewer.plan_report import certificate_text, headline
+from radiant_viewer.plan_report import ComparedRow, certificate_text, headline
 
 if TYPE_CHECKING:
     from radiant_viewer.planning import Planning
@@ -38,6 +39,8 @@ Figures: {figures}
 = and != take names, ~ a part of one; a lone word is looked for in names"""
 
 
+MAX_COMPARED = 12
+"""Rows of two plans' figures."""
 HEADLINE_PX = 14
 """More than the buttons need, so that the headline keeps to one line."""
 
@@ -87,7 +90,7 @@ class PlanDock(QDockWidget):
         for label in (self.certificate, self.changes):
             layout.addWidget(label)
         layout.addStretch(1)
-        area = QScrollArea()
+        area = self._area = QScrollArea()
         area.setWidgetResizable(True)
         area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         area.setWidget(body)
@@ -122,6 +125,12 @@ class PlanDock(QDockWidget):
         self.headline.setText(headline(cloud))
         self.certificate.setText(certificate_text(cloud))
         self.changes.setText(changes)
+
+    def show_comparison(self, other: str, text: str, rows: Sequence[ComparedRow]) -> None:
+        """What differs from another plan, and the figures of both; those of edges beyond `MAX_COMPARED` are left out."""
+        self.changes.setText(_comparison_html(other, text, rows))
+        # Once the text has its place: at 1280×800 it lies below what is seen.
+        QTimer.singleShot(0, lambda: self._area.ensureWidgetVisible(self.changes))
 
     def show_selected(self, count: int, target: str | None = None) -> None:
         """How many cameras are selected, and the edge they would most likely be pinned to."""
@@ -230,6 +239,17 @@ class PlanDock(QDockWidget):
         button = self.buttons[name] = QPushButton(name)
         button.clicked.connect(lambda _: action())
         return button
+
+
+def _comparison_html(other: str, text: str, rows: Sequence[ComparedRow]) -> str:
+    head = f"<tr><th></th><th align='left'>this plan</th><th align='left'>{escape(other)}</th></tr>"
+    cells = [
+        f"<tr><td>{escape(row.name)}&nbsp;&nbsp;</td><td>{escape(row.mine)}&nbsp;&nbsp;</td><td>{escape(row.other)}</td></tr>"
+        for row in rows[:MAX_COMPARED]
+    ]
+    left_out = len(rows) - len(cells)
+    more = f"<p>… and {left_out} more edges</p>" if left_out else ""
+    return f"<p>Against {escape(other)}: {escape(text)}</p><table>{head}{''.join(cells)}</table>{more}"
 
 
 def _label(*, strong: bool = False, soft: bool = False) -> QLabel:

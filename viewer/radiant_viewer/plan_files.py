@@ -2,6 +2,7 @@
 
 <stem>.json  the plan, with waypoints where its cameras are on the globe: `radiant run --plan` takes it
 <stem>_system.toml  the machines it is for
+<stem>_waypoints/<device>.csv, <stem>_regions.geojson  what each device captures and where, for flight planners and maps, on the globe
 <stem>_constraints.toml, <stem>_start.json  what is fixed, locked and pinned, and the plan that this refers to
 """
 
@@ -15,7 +16,8 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
-from radiant_core.io.plan_export import save_regions_geojson
+from radiant_core.io.plan_content import GROUND_KEY
+from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray
@@ -41,6 +43,8 @@ class PlanSetting:
     keep_in: Path | None
     waypoints: Waypoints | None
     """What the plan was made from, where its file says it."""
+    ground_m: float | None
+    """Altitude of the ground in the waypoints' heights, where the plan's file says it."""
     system_text: Callable[[System], str]
     constraints_text: Callable[[PlanConstraints, Sequence[str], str], str]
     """Of constraints, the cameras' names, and the name of the plan they refer to."""
@@ -65,8 +69,9 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
     waypoints, shift = _on_the_globe(subject, setting.waypoints)
     cloud, edges = moved_plan((plan.cloud, plan.edges), -shift)
     system, constraints = plan.wishes.system, plan.wishes.constraints
-    system_path, constraints_path, start_path = (
-        path.with_name(f"{path.stem}{ending}") for ending in ("_system.toml", "_constraints.toml", "_start.json")
+    system_path, constraints_path, start_path, lists, regions = (
+        path.with_name(f"{path.stem}{ending}")
+        for ending in ("_system.toml", "_constraints.toml", "_start.json", "_waypoints", "_regions.geojson")
     )
     written = [system_path]
     write_atomic(system_path, setting.system_text(_moved_system(system, -shift)).encode())
@@ -74,8 +79,12 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
         save_plan(start_path, moved_plan((plan.wishes.reference, ()), -shift)[0], ())
         write_atomic(constraints_path, setting.constraints_text(constraints, subject.names, start_path.name).encode())
         written += [start_path, constraints_path]
+    if waypoints is not None:
+        _save_lists(lists, cloud, edges, waypoints)
+        save_regions_geojson(regions, cloud, edges, waypoints)
+        written += [lists, regions]
     # The plan itself last: where it stands, everything else does.
-    save_plan(path, cloud, edges, waypoints)
+    save_plan(path, cloud, edges, waypoints, content=None if setting.ground_m is None else {GROUND_KEY: setting.ground_m})
     return (path, *written)
 
 
@@ -90,6 +99,17 @@ def save_plan_geojson(
         raise BadInput("this scene is not on the globe, its photographs hold no GPS: a map cannot show its regions.")
     cloud, edges = moved_plan(plan, -shift)
     save_regions_geojson(path, cloud, edges, waypoints)
+
+
+def _save_lists(folder: Path, cloud: CloudPlan, edges: Sequence[EdgePlan], waypoints: Waypoints) -> None:
+    """A list per device in `folder`, and none of a device that an earlier plan of this name had; BadInput where it cannot be made."""
+    try:
+        folder.mkdir(exist_ok=True)
+        for old in (*folder.glob("*.csv"), *folder.glob("edges/*.csv")):
+            old.unlink()
+    except OSError as error:
+        raise BadInput(f"cannot write {folder} ({error.strerror}): choose another name or folder.") from error
+    save_device_waypoints(folder, cloud, edges, waypoints)
 
 
 def load_other_plan(path: Path, subject: PlanSubject) -> AdoptPlan:

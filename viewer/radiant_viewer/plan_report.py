@@ -69,6 +69,37 @@ def load_rows(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, const
     return tuple(rows)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ComparedRow:
+    """One figure of two plans, as texts."""
+
+    name: str
+    mine: str
+    other: str
+
+
+def compared_rows(mine: CloudPlan, other: CloudPlan) -> tuple[ComparedRow, ...]:
+    """Makespan, its ratio to the bound, and each edge's cameras and time in two plans; those that differ most in cameras first."""
+    rows = [
+        ComparedRow(name="makespan", mine=duration_text(mine.makespan_s), other=duration_text(other.makespan_s)),
+        ComparedRow(name="over the bound", mine=_over_bound(mine), other=_over_bound(other)),
+    ]
+    dealt = [dict(zip(plan.edge_ids, plan.counts.tolist(), strict=True)) for plan in (mine, other)]
+    ids = sorted({*mine.edge_ids, *other.edge_ids}, key=lambda edge: (-abs(dealt[0].get(edge, 0) - dealt[1].get(edge, 0)), edge))
+    return (*rows, *(ComparedRow(name=edge, mine=_load_of(mine, edge), other=_load_of(other, edge)) for edge in ids))
+
+
+def _over_bound(cloud: CloudPlan) -> str:
+    return f"{cloud.makespan_s / cloud.lower_bound_s:.3f} ×" if cloud.lower_bound_s > 0 else "unknown"
+
+
+def _load_of(cloud: CloudPlan, edge: str) -> str:
+    if edge not in cloud.edge_ids:
+        return "not there"
+    index = cloud.edge_ids.index(edge)
+    return f"{int(cloud.counts[index]):,} in {duration_text(float(cloud.edge_time_s[index]))}"
+
+
 def headline(cloud: CloudPlan) -> str:
     """Makespan, bound and their ratio in one line."""
     bound_s = cloud.lower_bound_s

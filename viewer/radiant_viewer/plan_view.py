@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.io.records import load_plan, load_plan_waypoints
+from radiant_core.io.records import load_plan_file
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.footprints import Optics, views_before_capture
 from radiant_core.plan.plans import require_plan_of
@@ -25,6 +26,8 @@ from radiant_viewer.run_view import RunView
 IMAGE_WIDTH_PX = 4000
 HIGHEST_FLIGHT_M = 500.0
 """Larger altitudes are heights above the sea, as for `radiant plan`."""
+USUAL_OVERLAP, LARGEST_OVERLAP = 0.8, 0.95
+"""Of an image with the next one: what flights for photogrammetry have, and more than any has."""
 
 
 def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
@@ -32,10 +35,10 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
 
     Raises BadInput when it has neither or they do not fit, and as `load_plan`.
     """
-    cloud_plan, edge_plans = load_plan(path)
-    waypoints = load_plan_waypoints(path)
-    if waypoints is not None:
-        scene = scene_before_capture(waypoints)
+    found = load_plan_file(path)
+    cloud_plan, edge_plans = found.cloud, found.edges
+    if found.waypoints is not None:
+        scene = scene_before_capture(found.waypoints, found.ground_m)
     if scene is None:
         raise BadInput(f"{path} was made from a scene and holds no positions: name the scene's folder by --scene.")
     require_plan_of(len(scene.cameras), cloud_plan, edge_plans)
@@ -51,11 +54,12 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
     )
 
 
-def scene_before_capture(waypoints: Waypoints, optics: Optics | None = None) -> SfmScene:
-    """The cameras that waypoints will become, without points, in metres about the waypoints' origin; z counts from the ground, which is
-    at altitude 0 where flights may be that high, and else from the lowest waypoint."""
+def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None, optics: Optics | None = None) -> SfmScene:
+    """The cameras that waypoints will become, without points, in metres about the waypoints' origin; z counts from the ground, at
+    `ground_m` of the waypoints' altitudes, and where nobody gave it at `likely_ground_m`."""
     optics = optics or Optics()
-    positions = _above_ground(waypoints)
+    positions = waypoints.positions_m.copy()
+    positions[:, 2] += waypoints.origin[2] - (likely_ground_m(waypoints, optics) if ground_m is None else ground_m)
     views = views_before_capture(positions[:, :2], np.ones(len(positions)), optics, waypoints.heading_pitch_deg)
     return SfmScene(
         cameras=_looking(waypoints.names, positions, views.corner_rays, optics),
@@ -66,12 +70,17 @@ def scene_before_capture(waypoints: Waypoints, optics: Optics | None = None) -> 
     )
 
 
-def _above_ground(waypoints: Waypoints) -> FloatArray:
-    positions = waypoints.positions_m.copy()
+def likely_ground_m(waypoints: Waypoints, optics: Optics) -> float:
+    """Where the ground lies in the waypoints' altitudes (m): at 0 where a flight may be that high and its images overlap by at most
+    `LARGEST_OVERLAP` from there, and else so far below the lowest waypoint that they overlap by `USUAL_OVERLAP`."""
     altitudes = waypoints.lat_lon_alt[:, 2]
-    is_above_ground = altitudes.min() > 0 and altitudes.max() <= HIGHEST_FLIGHT_M
-    positions[:, 2] += waypoints.origin[2] - (0.0 if is_above_ground else float(altitudes.min()))
-    return positions
+    low, high = float(altitudes.min()), float(altitudes.max())
+    positions = waypoints.positions_m[:, :2]
+    apart = float(np.median(KDTree(positions).query(positions, k=2)[0][:, 1])) if len(positions) > 1 else 0.0
+    seen_per_height = 2 * np.tan(np.radians(optics.field_of_view_deg / 2))
+    if low > 0 and high <= HIGHEST_FLIGHT_M and (apart == 0 or apart >= (1 - LARGEST_OVERLAP) * seen_per_height * low):
+        return 0.0
+    return low - apart / ((1 - USUAL_OVERLAP) * seen_per_height)
 
 
 def _looking(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:

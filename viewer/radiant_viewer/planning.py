@@ -19,9 +19,10 @@ from radiant_core.numerics import FloatArray
 from radiant_viewer.camera_figures import CameraFigures, camera_figures, filtered_rows
 from radiant_viewer.change_layer import selection_layer
 from radiant_viewer.edited_plan import EditedPlan
-from radiant_viewer.layers import Layer
+from radiant_viewer.layers import Layer, at_height, outline_segments
 from radiant_viewer.load_dock import LoadDock
 from radiant_viewer.map_tools import MapTools
+from radiant_viewer.palette import VERMILLION
 from radiant_viewer.plan_difference import PlanDifference, plan_difference
 from radiant_viewer.plan_dock import PlanDock
 from radiant_viewer.plan_editor import PlanEditor
@@ -39,7 +40,7 @@ from radiant_viewer.plan_edits import (
 )
 from radiant_viewer.plan_files import PlanSetting, load_other_plan, save_edited_plan, save_plan_geojson, subject_of
 from radiant_viewer.plan_layers import edited_layers, roles_of, scene_footprints
-from radiant_viewer.plan_report import load_rows
+from radiant_viewer.plan_report import compared_rows, load_rows
 from radiant_viewer.plan_session import PlanSession
 from radiant_viewer.run_view import RunView
 from radiant_viewer.views import ground_height
@@ -218,14 +219,25 @@ class Planning:
         self.do(load_other_plan(path, self.session.editor.subject))
 
     def compare(self, path: Path) -> PlanDifference:
-        """Mark the cameras that another plan gives to other edges, and say what is different; BadInput for a plan of other cameras."""
+        """Mark the cameras that another plan gives to other edges and draw its borders, with the figures of both beside each other;
+        BadInput for a plan of other cameras."""
         subject = subject_of(self.run) if self.session is None else self.session.editor.subject
         other = load_other_plan(path, subject)
         mine = (self.run.cloud_plan, self.run.edge_plans)
         found = self.comparison = plan_difference(mine, (other.cloud, other.edges))
-        self.window.draw_mark(replace(selection_layer(subject.positions[found.new_edge]), name=COMPARED))
+        ground = ground_height(self.run.scene)
+        sides = outline_segments([at_height(border, ground) for border in other.cloud.borders])
+        marked = replace(
+            selection_layer(subject.positions[found.new_edge]),
+            name=COMPARED,
+            segments=sides,
+            segment_colors=np.tile(np.array(VERMILLION, np.uint8), (len(sides), 1)),
+            line_width_px=1.5,
+            in_front=True,
+        )
+        self.window.draw_mark(marked)
         self.window.render_views()
-        self.dock.changes.setText(f"Against {path.name}: {found.text}")
+        self.dock.show_comparison(path.name, found.text, compared_rows(mine[0], other.cloud))
         self.window.tell(f"Against {path.name}: {found.text}")
         return found
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyvista as pv
@@ -16,32 +17,73 @@ from vtkmodules.vtkCommonCore import vtkCommand
 
 from radiant_core.numerics import FloatArray
 from radiant_viewer.detail import MOVING_POINTS, WHOLE_POINTS, even_subset, visible_subset
+from radiant_viewer.layers import Layer
 from radiant_viewer.palette import ColorArray
 
 REST_S = 0.25
 """A view that has not moved for so long is at rest."""
 MOVING_HZ = 1.0
 """VTK asks for more frames a second than this while a mouse button drags, for far fewer otherwise."""
+_BLOCK = 1 << 16
+"""Points that are moved at a time, so that they stay in the cache."""
 View = tuple[object, ...]
 Later = Callable[[float, Callable[[], None]], object]
 
 
 @dataclass(eq=False)
-class _Cloud:
-    """One large cloud: points (N,3) near the origin as they lie and as they are placed, colours (N,3), and its actor."""
+class LocalCloud:
+    """The points (N,3) of a layer near an origin, which map and 3D view share, and what was chosen of them."""
 
     points: NDArray[np.float32]
-    placed: NDArray[np.float32]
-    colors: ColorArray
-    actor: pv.Actor
     ends: NDArray[np.int64] = field(init=False)
-    """The outermost points (6,) as placed; always drawn, since near and far planes are set by what an actor draws."""
-    shown: object = None
-    """What the actor draws: a limit of points, or a view."""
+    """The outermost points (6,); always drawn, since near and far planes are set by what an actor draws."""
     subsets: dict[int, NDArray[np.int64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.ends = np.concatenate([self.placed.argmin(axis=0), self.placed.argmax(axis=0)])
+        columns = [self.points[:, axis] for axis in range(3)]
+        self.ends = np.array([*(column.argmin() for column in columns), *(column.argmax() for column in columns)], np.int64)
+
+    def even(self, limit: int) -> NDArray[np.int64]:
+        """At most `limit` of the points, spread evenly; chosen once."""
+        if limit not in self.subsets:
+            self.subsets[limit] = even_subset(self.points, limit)
+        return self.subsets[limit]
+
+
+_LOCAL: WeakKeyDictionary[Layer, tuple[bytes, LocalCloud]] = WeakKeyDictionary()
+
+
+def local_cloud(layer: Layer, origin: FloatArray) -> LocalCloud:
+    """The points of a layer relative to `origin` (3,) in float32; kept with the layer, since two views draw it. O(N)."""
+    key = np.asarray(origin, np.float64).tobytes()
+    known = _LOCAL.get(layer)
+    if known is not None and known[0] == key:
+        return known[1]
+    local = np.empty((len(layer.points), 3), np.float32)
+    for start in range(0, len(local), _BLOCK):
+        np.subtract(layer.points[start : start + _BLOCK], origin, out=local[start : start + _BLOCK], casting="same_kind")
+    cloud = LocalCloud(points=local)
+    _LOCAL[layer] = (key, cloud)
+    return cloud
+
+
+@dataclass(eq=False)
+class _Cloud:
+    """A large cloud in one view: its points, the height (None: as they lie) at which a map has them, colours (N,3), and its actor."""
+
+    local: LocalCloud
+    height: float | None
+    colors: ColorArray
+    actor: pv.Actor
+    shown: object = None
+    """What the actor draws: a limit of points, or a view."""
+
+    def placed(self, indices: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Points (K,3) as they are drawn."""
+        positions = self.local.points[indices]
+        if self.height is not None:
+            positions[:, 2] = self.height
+        return positions
 
 
 class PointDetail:
@@ -56,9 +98,9 @@ class PointDetail:
         """Whether the last frame was drawn with few points."""
         plotter.renderer.AddObserver(vtkCommand.StartEvent, self._before_frame)
 
-    def add(self, cloud_points: FloatArray, placed: NDArray[np.float32], colors: ColorArray, actor: pv.Actor) -> None:
-        """Take over an actor that draws a cloud: points (N,3) relative to the origin, the same as placed on a map, colours (N,3)."""
-        cloud = _Cloud(points=cloud_points.astype(np.float32), placed=placed, colors=colors, actor=actor)
+    def add(self, local: LocalCloud, height: float | None, colors: ColorArray, actor: pv.Actor) -> None:
+        """Take over an actor that draws a cloud, on a map at one height, with colours (N,3)."""
+        cloud = _Cloud(local=local, height=height, colors=colors, actor=actor)
         self._draw(cloud, np.zeros(0, np.int64), shown=None)
         self._clouds.append(cloud)
 
@@ -113,15 +155,14 @@ class PointDetail:
     def _show_few(self, cloud: _Cloud, limit: int) -> None:
         if cloud.shown == limit:
             return
-        if limit not in cloud.subsets:
-            cloud.subsets[limit] = even_subset(cloud.points.astype(np.float64), limit)
-        self._draw(cloud, cloud.subsets[limit], shown=limit)
+        self._draw(cloud, cloud.local.even(limit), shown=limit)
 
     def _show_all(self, cloud: _Cloud) -> None:
-        view = self._seen if len(cloud.points) > WHOLE_POINTS else "whole"
+        count = len(cloud.local.points)
+        view = self._seen if count > WHOLE_POINTS else "whole"
         if cloud.shown == view:
             return
-        kept = self._in_view(cloud) if len(cloud.points) > WHOLE_POINTS else np.arange(len(cloud.points))
+        kept = self._in_view(cloud) if count > WHOLE_POINTS else np.arange(count)
         self._draw(cloud, kept, shown=view)
 
     def _in_view(self, cloud: _Cloud) -> NDArray[np.int64]:
@@ -129,11 +170,11 @@ class PointDetail:
         matrix = self._plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)
         clip_from_world = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
         # Half a point wide, so that what is left out lies under what is drawn.
-        return visible_subset(cloud.points, clip_from_world, (width, height), max(1.0, cloud.actor.prop.point_size / 2))
+        return visible_subset(cloud.local.points, clip_from_world, (width, height), max(1.0, cloud.actor.prop.point_size / 2))
 
     def _draw(self, cloud: _Cloud, kept: NDArray[np.int64], shown: object) -> None:
-        drawn = np.append(kept, cloud.ends)
-        cloud.actor.mapper.SetInputData(point_mesh(cloud.placed[drawn], cloud.colors[drawn]))
+        drawn = np.append(kept, cloud.local.ends)
+        cloud.actor.mapper.SetInputData(point_mesh(cloud.placed(drawn), cloud.colors[drawn]))
         cloud.shown = shown
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QTimer
+from PySide6.QtCore import QTimer, Signal
 from PySide6.QtWidgets import (
     QDockWidget,
     QHBoxLayout,
@@ -23,6 +23,7 @@ from radiant_viewer.region_layer import duration_text
 from radiant_viewer.run_feeds import RunFeeds, RunProgress, StageState
 
 if TYPE_CHECKING:
+    from radiant_viewer.waiting_window import WaitingWindow
     from radiant_viewer.window import InspectorWindow
 
 POLL_MS = 1000
@@ -30,9 +31,11 @@ HEADINGS = ("Stage", "State", "", "Doing")
 
 
 class ProgressDock(QDockWidget):
-    """`shown` is what was last read."""
+    """`shown` is what was last read; `polled` comes after every reading but the first."""
 
-    def __init__(self, window: InspectorWindow, feeds: RunFeeds) -> None:
+    polled = Signal()
+
+    def __init__(self, window: InspectorWindow | WaitingWindow, feeds: RunFeeds) -> None:
         super().__init__("Progress", window)
         self.setObjectName("progress")
         self._window, self._feeds = window, feeds
@@ -59,7 +62,7 @@ class ProgressDock(QDockWidget):
         layout.addWidget(self.table)
         self.setWidget(body)
         self._timer = QTimer(self)
-        self._timer.timeout.connect(self.read)
+        self._timer.timeout.connect(self._poll)
         self._timer.start(POLL_MS)
         self.read()
 
@@ -68,7 +71,7 @@ class ProgressDock(QDockWidget):
         self._timer.stop()
 
     def read(self) -> None:
-        """Ask how the run stands and show it; a run that ended is asked no more."""
+        """Ask how the run stands and show it; a run that ended is asked no more, once all it wrote is shown."""
         try:
             now = self._feeds.progress()
         except RadiantError as error:
@@ -81,9 +84,13 @@ class ProgressDock(QDockWidget):
         self.summary.setText(_summary(now))
         self.summary.setToolTip("\n".join(now.warnings))
         if was_running and not now.is_running:
-            self._window.tell(f"The run ended ({now.status}): press F5 to see its result.")
-        if not now.is_running:
+            self._window.tell(f"The run ended ({now.status}).")
+        if not now.is_running and not self._window.is_outdated:
             self._timer.stop()
+
+    def _poll(self) -> None:
+        self.read()
+        self.polled.emit()
 
     def _fill(self, stages: tuple[StageState, ...]) -> None:
         self._filled = stages

@@ -35,6 +35,7 @@ def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     sides = outline_segments(polygons)
     return Layer(
         name="Regions",
+        pale_fills=True,
         polygons=polygons,
         polygon_colors=tinted(colors, WHITE, FILL_TINT)[shown],
         segments=sides,
@@ -59,6 +60,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
     sides = outline_segments(polygons)
     return Layer(
         name="Device strips",
+        pale_fills=True,
         polygons=tuple(polygons),
         polygon_colors=np.array(fills, np.uint8).reshape(-1, 3),
         segments=sides,

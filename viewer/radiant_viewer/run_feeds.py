@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from radiant_viewer.gantt_chart import GanttRow
+if TYPE_CHECKING:
+    from radiant_viewer.gantt_chart import GanttRow
 
 State = Literal["running", "done", "skipped", "failed"]
 
@@ -56,5 +57,5 @@ class RunFeeds:
     """Functions that read anew each time; they raise BadInput or StoreDamaged where a file cannot be read."""
 
     gantt_rows: Callable[[], Sequence[GanttRow]] = no_rows
-    gantt_detail: str = ""
+    gantt_detail: Callable[[], str] = str
     progress: Callable[[], RunProgress] = RunProgress

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from radiant_viewer.camera_roles import CameraRoles, camera_roles
 SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
 DELIVERED = "delivered"
 """Folder of a run whose photographs stayed on their devices: the poses and the plan of what was delivered."""
+FileStamps = tuple[tuple[str, int, int], ...]
 COMPARISON_KINDS = ("photographs", "renders", "differences")
 """Folders below pictures/ with one PNG per held-out photograph, in the order they are shown."""
 
@@ -79,6 +81,25 @@ def load_run_view(folder: Path) -> RunView:
         psnr_db=psnr_db,
         roles=camera_roles(scene.cameras, cloud_plan, edge_plans, held_out),
     )
+
+
+def is_planned(folder: Path) -> bool:
+    """Whether a run has come so far that there is a plan to show."""
+    if (folder / DELIVERED).is_dir():
+        return (folder / DELIVERED / PLAN_NAME).is_file()
+    return (folder / SCENE_NAME).is_file() and (folder / PLAN_NAME).is_file()
+
+
+def file_stamps(path: Path) -> FileStamps:
+    """What tells whether `load_run_view` of a run, or the file itself that `path` is, would read something new: of every file that is
+    there its name, time and length."""
+    names = (SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME, f"{DELIVERED}/{PLAN_NAME}", f"{DELIVERED}/scene.safetensors")
+    stamps = []
+    for file in [path / name for name in names] if path.is_dir() else [path]:
+        with suppress(OSError):
+            stat = file.stat()
+            stamps.append((file.name, stat.st_mtime_ns, stat.st_size))
+    return tuple(stamps)
 
 
 def plan_path(folder: Path) -> Path:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -44,8 +44,7 @@ class SplatDock(QDockWidget):
         self._window = window
         # Of what the strict reader took, and in a place of its own: the run may be written to while the window is open.
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
-        self.ply_path = Path(self._folder.name) / "model.ply"
-        save_ply(self.ply_path, splats)
+        self._splats = splats
         self.picture = PictureLabel()
         self.picture.message = "Starting the renderer…"
         self.note = QLabel("")
@@ -76,6 +75,13 @@ class SplatDock(QDockWidget):
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._tick)
         self._timer.start(POLL_MS)
+
+    @cached_property
+    def ply_path(self) -> Path:
+        """The model for the processes that draw it; written when it is first asked for, which many a window never does."""
+        path = Path(self._folder.name) / "model.ply"
+        save_ply(path, self._splats)
+        return path
 
     @property
     def kind(self) -> Kind:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from radiant_core.errors import BadInput
@@ -13,7 +13,7 @@ from radiant_viewer.camera_layer import camera_layer
 from radiant_viewer.layers import Layer
 from radiant_viewer.plan_layers import with_planning_layers
 from radiant_viewer.plan_view import load_plan_view
-from radiant_viewer.run_view import RunView, load_run_view
+from radiant_viewer.run_view import FileStamps, RunView, file_stamps, load_run_view
 from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
 from radiant_viewer.views import ground_height, plan_layers, seam_of
 
@@ -29,11 +29,18 @@ class Subject:
     unit: str
     ground: float
     summary: str
+    stamps: FileStamps = ()
+    """Of the files as they were before they were read."""
 
 
 def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
     """A run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged with one sentence when it is
     none of them or broken."""
+    stamps = file_stamps(path)
+    return replace(_load_subject(path, scene), stamps=stamps)
+
+
+def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
     if path.suffix.lower() == ".ply" and not path.is_dir():
         splats = load_ply(path)
         if not len(splats):
@@ -65,7 +72,8 @@ def subject_of_run(run: RunView) -> Subject:
 def run_layers(run: RunView) -> list[Layer]:
     """All layers of a run from the ground up: points, plan, cameras, and what the run has beyond: model, seams, errors."""
     regions, strips, borders, by_region, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
-    layers = [regions, strips, sparse_point_layer(run.scene)]
+    # Before capture there are no points, and "0 points" in a legend looks like a run that failed.
+    layers = [regions, strips, *([sparse_point_layer(run.scene)] if len(run.scene.points) else [])]
     if run.splats is not None and layers[-1].name != "Gaussians":
         layers.append(splat_layer(run.splats))
     layers += [

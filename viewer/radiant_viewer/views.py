@@ -152,7 +152,8 @@ def cameras_picture(
         worst = min(psnr_db, key=lambda name: psnr_db[name])
         mean = float(np.mean(list(psnr_db.values())))
         subtitle += f"   ·   held-out PSNR {mean:.2f} dB on average, lowest {psnr_db[worst]:.2f} dB ({worst})"
-    return render_view([sparse_point_layer(scene), cameras], size_wh, PageText(title="Cameras", subtitle=subtitle, unit=scene.frame.unit))
+    points = [sparse_point_layer(scene)] if len(scene.points) else []
+    return render_view([*points, cameras], size_wh, PageText(title="Cameras", subtitle=subtitle, unit=scene.frame.unit))
 
 
 def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:

@@ -138,7 +138,7 @@ def _legend() -> None:
     html.Div("{{ layer.note }}", v_if="layer.note", classes="rad-legend", title=("layer.note",))
     with html.Div(v_if="layer.heat", style="padding: 2px 12px 2px 42px", classes="rad-soft"):
         html.Div("{{ layer.heat.label }}")
-        html.Div(classes="rad-heat", style=("{ background: heat_gradient }",))
+        html.Div(classes="rad-heat", style=("{ background: layer.heat.gradient }",))
         with html.Div(classes="d-flex justify-space-between"):
             html.Span("{{ layer.heat.low }}")
             html.Span("{{ layer.heat.high }}")

@@ -28,7 +28,6 @@ from radiant_viewer.web_rows import (
     Row,
     camera_headers,
     camera_rows,
-    heat_gradient,
     layer_row,
     picture_file,
     pictures_of,
@@ -159,7 +158,6 @@ class WebPage:
         state.sort_by = [{"key": "psnr_db" if scored else "name", "order": "asc"}]
         state.order = sorted_rows(self.figures, state.sort_by[0]["key"]).tolist()
         state.gantt = picture_file(run.folder / "pictures" / "gantt.png")
-        state.heat_gradient = heat_gradient()
         state.update({"dark": False, "solo": "", "seams": [], "seam": -1, "seams_note": "Measuring the seams …", "selected": None})
         state.update({"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both"})
 

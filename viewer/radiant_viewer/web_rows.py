@@ -47,16 +47,17 @@ def run_layers(run: RunView) -> list[Layer]:
 
 def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:
     """Name, legend entries and colour bar of one layer under a theme."""
-    legend = themed(layer, theme).legend
+    shown = themed(layer, theme)
+    legend, scale = shown.legend, shown.heat
     entries = [{"text": entry.text, "color": hex_color(entry.color), "marker": entry.marker} for entry in legend]
     note = moving_note(layer)
-    heat = layer.heat and {"label": layer.heat.label, "low": f"{layer.heat.low:.4g}", "high": f"{layer.heat.high:.4g}"}
+    heat = scale and {"label": scale.label, "low": f"{scale.low:.4g}", "high": f"{scale.high:.4g}", "gradient": _gradient(scale.start)}
     return {"name": layer.name, "legend": entries, "note": note or "", "heat": heat}
 
 
-def heat_gradient() -> str:
+def _gradient(start: float) -> str:
     """The heat scale from left to right as CSS."""
-    colors = heat_table()[np.linspace(0, 255, 9).astype(int)]
+    colors = heat_table(start)[np.linspace(0, 255, 9).astype(int)]
     return f"linear-gradient(to right, {', '.join(hex_color(tuple(color)) for color in colors.tolist())})"
 
 

@@ -7,22 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-import numpy as np
 import pyvista as pv
 from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray
 from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
 from radiant_viewer.layers import Layer, drawn_positions
+from radiant_viewer.map_labels import add_map_labels
 from radiant_viewer.offscreen import aim_camera, egl_window
 from radiant_viewer.point_detail import Later, PointDetail
-from radiant_viewer.themes import LIGHT, Theme, hex_color, themed
+from radiant_viewer.themes import LIGHT, Theme, themed
 from radiant_viewer.view_pose import ViewPose
 
 TOP_SLOT = 400
 """Slot of the map on which marks lie: above a hundred layers."""
 FIRST_SIZE_WH = (480, 400)
-MAX_LABELS = 40
+MAX_LABELS, LABEL_SIZE = 40, 13
 SAMPLES = 4
 """Samples per pixel: lines without steps; eight cost twice the time on a software rasterizer."""
 
@@ -55,7 +55,7 @@ class WebView:
         height = float(SLOTS_PER_LAYER * slot) if self.is_map else None
         actors: list[vtkProp] = [*add_layer(self.plotter, themed(layer, theme), self.origin, flat_height=height, detail=self.detail)]
         if layer.labels and height is not None:
-            actors.append(self._labels(layer, height, theme))
+            actors.append(add_map_labels(self.plotter, layer.labels[:MAX_LABELS], self.origin, height, theme, LABEL_SIZE))
         self.actors[layer.name] = actors
         self.show(layer.name, visible)
         # A frame does not ask what has come since: beyond the near plane of before a mark would be cut off.
@@ -101,26 +101,6 @@ class WebView:
     def _look_down(self, middle: FloatArray) -> None:
         camera, (x, y) = self.plotter.camera, (float(value) for value in middle)
         camera.focal_point, camera.position, camera.up = (x, y, 0.0), (x, y, float(SLOTS_PER_LAYER * (TOP_SLOT + 8))), (0.0, 1.0, 0.0)
-
-    def _labels(self, layer: Layer, height: float, theme: Theme) -> vtkProp:
-        shown = layer.labels[:MAX_LABELS]
-        places = np.array([label.position for label in shown]) - self.origin
-        places[:, 2] = height
-        dark = theme.name == "dark"
-        return self.plotter.add_point_labels(
-            places,
-            # Names only: the figures stand in the legend.
-            [label.text.splitlines()[0] for label in shown],
-            font_size=13,
-            bold=False,
-            text_color=hex_color(theme.text),
-            shape_color=hex_color(theme.panel) if dark else "white",
-            shape_opacity=0.8,
-            show_points=False,
-            always_visible=True,
-            reset_camera=False,
-            render=False,
-        )
 
 
 class WebScene:

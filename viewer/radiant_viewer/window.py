@@ -24,13 +24,15 @@ from radiant_viewer.images import Image, save_png
 from radiant_viewer.layer_dock import LayerDock
 from radiant_viewer.layers import Layer, drawn_positions
 from radiant_viewer.measure_tool import MeasureTool
+from radiant_viewer.panels import Panels
 from radiant_viewer.plan_files import PlanSetting
 from radiant_viewer.planning import Planning, add_planning
 from radiant_viewer.run_feeds import RunFeeds
-from radiant_viewer.run_view import RunView
+from radiant_viewer.run_view import RunView, file_stamps
 from radiant_viewer.subject import Subject
-from radiant_viewer.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet
+from radiant_viewer.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet, themed
 from radiant_viewer.view_pose import pose_of_camera
+from radiant_viewer.window_state import WindowState, restore
 
 HIDDEN_AT_FIRST = frozenset(
     {"Device strips", "Gaussians", "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"}
@@ -49,7 +51,12 @@ class InspectorWindow(QMainWindow):
     wants_reload = Signal()
 
     def __init__(
-        self, subject: Subject, feeds: RunFeeds | None = None, theme: ThemeName = "light", setting: PlanSetting | None = None
+        self,
+        subject: Subject,
+        feeds: RunFeeds | None = None,
+        theme: ThemeName = "light",
+        setting: PlanSetting | None = None,
+        state: WindowState | None = None,
     ) -> None:
         super().__init__()
         self.subject, self.run = subject, subject.run
@@ -60,7 +67,10 @@ class InspectorWindow(QMainWindow):
         self.selected: int | None = None
         self._marks: dict[str, Layer] = {}
         self._was_shown = False
+        self._state = state
+        self._tried = subject.stamps
         self._dark_button: list[QAction] = []
+        self.edit_button: QAction | None = None
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
         splitter = QSplitter(Qt.Orientation.Horizontal)
@@ -79,9 +89,14 @@ class InspectorWindow(QMainWindow):
             canvas.click_takers.append(self._pick)
         self.docks: Docks = add_docks(self, subject.run, subject.splats, feeds or RunFeeds(), subject.unit)
         self.planning: Planning | None = add_planning(self, setting)
+        if self.docks.progress is not None:
+            self.docks.progress.polled.connect(self._on_polled)
+        self.panels = Panels(self)
         self._add_actions()
         self.set_theme(theme)
         self.tell(subject.summary)
+        if setting is not None and setting.reason:
+            self.tell(f"{subject.summary}.   {setting.reason}")
 
     def tell(self, message: str) -> None:
         """One line in the status bar."""
@@ -110,7 +125,7 @@ class InspectorWindow(QMainWindow):
             self.layers[names.index(layer.name)] = layer
         else:
             self.layers.append(layer)
-        self.layer_dock.update_legend(layer)
+        self.layer_dock.update_legend(themed(layer, self.theme))
         self._draw(layer)
 
     def draw_on_map(self, layer: Layer) -> None:
@@ -205,6 +220,8 @@ class InspectorWindow(QMainWindow):
         self.setStyleSheet(style_sheet(self.theme))
         for canvas in (self.map, self.view):
             canvas.set_theme(self.theme)
+        for layer in self.layers:
+            self.layer_dock.update_legend(themed(layer, self.theme))
         self._draw_all()
 
     def reset_views(self) -> None:
@@ -243,6 +260,16 @@ class InspectorWindow(QMainWindow):
         """Read the run anew, in a new window in the place of this one."""
         self.wants_reload.emit()
 
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the files of the run are others than those that are shown."""
+        return self.subject.run is not None and file_stamps(self.subject.path) != self.subject.stamps
+
+    def all_docks(self) -> list[QDockWidget]:
+        """Every dock, in the order of the menu."""
+        planning = [] if self.planning is None else [self.planning.dock, self.planning.loads]
+        return [self.layer_dock, *planning, *self.docks.all()]
+
     def showEvent(self, event: QShowEvent) -> None:
         """Fit the layers once the views have their size."""
         super().showEvent(event)
@@ -250,6 +277,13 @@ class InspectorWindow(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """End what runs beside the window, then free both views before Qt takes their windows away; VTK would draw into nothing."""
+        self.end()
+        for canvas in (self.map, self.view):
+            canvas.plotter.close()
+        super().closeEvent(event)
+
+    def end(self) -> None:
+        """End what runs beside the window; edits that are being solved are kept."""
         for dock in (self.docks.splats, self.docks.progress):
             if dock is not None:
                 dock.end()
@@ -257,18 +291,36 @@ class InspectorWindow(QMainWindow):
             self.docks.fly.stop()
         if self.planning is not None:
             self.planning.end()
-        for canvas in (self.map, self.view):
-            canvas.plotter.close()
-        super().closeEvent(event)
 
     def _on_first_shown(self) -> None:
         if self.isVisible() and not self._was_shown:
             self._was_shown = True
+            if self._state is not None:
+                share_room(self)
+                self.reset_views()
+                restore(self, self._state)
+                return
             # Before the docks are laid out Qt takes a window for wider than it needs to be.
             room = self.screen().availableSize()
             self.resize(min(SIZE_WH[0], room.width()), min(SIZE_WH[1], room.height()))
             share_room(self)
             self.reset_views()
+
+    def _on_polled(self) -> None:
+        """Read the run anew once one of its stages has written something, unless somebody is in the middle of something."""
+        stamps = file_stamps(self.subject.path)
+        if stamps == self._tried or self._is_busy():
+            return
+        self._tried = stamps
+        self.reload()
+
+    def _is_busy(self) -> bool:
+        planning, fly = self.planning, self.docks.fly
+        is_editing = planning is not None and (planning.tools.is_dragging or (planning.session is not None and planning.session.is_busy))
+        is_filming = fly is not None and fly.job is not None
+        has_dialog = QApplication.activeModalWidget() is not None or QApplication.activePopupWidget() is not None
+        is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
+        return is_editing or is_filming or has_dialog or is_pressed or self.measure.is_active or self.crop_box is not None
 
     def _add_actions(self) -> None:
         bar = self.addToolBar("View")
@@ -323,8 +375,11 @@ class InspectorWindow(QMainWindow):
             button.toggled.connect(toggle)
             if text == "Dark":
                 self._dark_button.append(button)
+            if text == "Edit plan":
+                self.edit_button = button
             if text == "Crop" and crop is not None:
                 crop.active.toggled.connect(button.setChecked)
+        bar.addWidget(self.panels.button)
 
     def _begin_tour(self) -> None:
         if self.docks.seams is not None:

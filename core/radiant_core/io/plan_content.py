@@ -8,6 +8,9 @@ from typing import Any
 from radiant_core.plan.border_forecast import BorderForecast
 from radiant_core.plan.buffers import EdgeBuffer
 
+GROUND_KEY = "ground_m"
+"""Altitude of the ground in the waypoints' own heights, where somebody gave it."""
+
 
 def content_record(forecasts: Sequence[BorderForecast], buffers: Sequence[EdgeBuffer], assumed: str) -> dict[str, Any]:
     """`forecast` (what was assumed of cameras and ground, and the borders) and, where any were planned, `buffers`."""

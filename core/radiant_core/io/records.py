@@ -7,7 +7,7 @@ Runs once per stage.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,9 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.array_file import VERSION, load_arrays, naming, require_schema, save_arrays
+from radiant_core.io.plan_content import GROUND_KEY
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.numerics import checked_array
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.slack_curve import SlackPoint
 from radiant_core.plan.waypoints import Waypoints
@@ -126,18 +128,30 @@ def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan
     return cloud, tuple(EdgePlan(**_plan_fields(EdgePlan, edge)) for edge in record["edges"])
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanFile:
+    """What a plan's file holds for whoever draws it: both levels, the waypoints it was made from, and the altitude of the ground (m)
+    that their altitudes count with, where somebody gave it."""
+
+    cloud: CloudPlan
+    edges: tuple[EdgePlan, ...]
+    waypoints: Waypoints | None = None
+    ground_m: float | None = None
+
+
 def load_plan(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The plan that `save_plan` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
-    cloud, edges, _ = _load_plan_parts(path)
-    return cloud, edges
+    found = load_plan_file(path)
+    return found.cloud, found.edges
 
 
 def load_plan_waypoints(path: Path) -> Waypoints | None:
     """The waypoints that a plan was made from, one per camera of it; None where it was made from a scene. Raises as `load_plan`."""
-    return _load_plan_parts(path)[2]
+    return load_plan_file(path).waypoints
 
 
-def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints | None]:
+def load_plan_file(path: Path) -> PlanFile:
+    """A plan with what it was made from; raises as `load_plan`."""
     record = read_json(path, max_bytes=MAX_PLAN_BYTES)
     with naming(path):
         if not isinstance(record, dict):
@@ -145,13 +159,15 @@ def _load_plan_parts(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypo
         require_schema(record, "radiant.plan")
         cloud, edges = plan_of_record(record)
         stored = record.get("waypoints")
+        ground = record.get(GROUND_KEY)
+        ground_m = None if ground is None else float(checked_array("the ground's altitude", [ground], (1,))[0])
         if stored is None:
-            return cloud, edges, None
+            return PlanFile(cloud=cloud, edges=edges, ground_m=ground_m)
         looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None
         angles = None if looks is None else np.array(looks, dtype=np.float64)
         waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"], heading_pitch_deg=angles)
         require_plan_of(len(waypoints), cloud, edges)
-    return cloud, edges, waypoints
+    return PlanFile(cloud=cloud, edges=edges, waypoints=waypoints, ground_m=ground_m)
 
 
 def _camera_arrays(cameras: Cameras) -> dict[str, NDArray]:

@@ -1,0 +1,43 @@
+"""Labels of a map stand above the marks they name, at any zoom and in any script, and go when they are taken away."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista as pv
+
+from radiant_viewer.layers import Label
+from radiant_viewer.map_labels import LIFT_PX, add_map_labels
+from radiant_viewer.offscreen import egl_window
+from radiant_viewer.themes import LIGHT
+
+SIZE = 200
+
+
+def test_a_label_keeps_off_its_mark_at_every_zoom() -> None:
+    with egl_window():
+        plotter = pv.Plotter(off_screen=True, window_size=[SIZE, SIZE])
+    plotter.background_color = pv.Color("black")
+    place, origin = np.array([5e5 + 3.0, 5e6 - 2.0, 0.0]), np.array([5e5, 5e6, 0.0])
+    labels = [Label(text="Zürich, 30 m²\n12 cameras", position=place)]
+    camera = plotter.camera
+    camera.parallel_projection = True
+    camera.focal_point, camera.position, camera.up = (3.0, -2.0, 0.0), (3.0, -2.0, 50.0), (0.0, 1.0, 0.0)
+    actor = add_map_labels(plotter, labels, origin, 0.0, LIGHT, 11)
+    plotter.show(auto_close=False, interactive=False)
+
+    def lit_rows(half_height: float) -> np.ndarray:
+        camera.parallel_scale = half_height
+        plotter.render()
+        image = plotter.screenshot(return_img=True)
+        assert image is not None
+        return np.flatnonzero(image.max(axis=(1, 2)) > 100)
+
+    for half_height in (10.0, 1000.0):
+        rows = lit_rows(half_height)
+        # Rows count from the top, and the mark of 11 px is in the middle one.
+        assert len(rows) > 8
+        assert rows.max() < SIZE / 2 - 6
+        assert rows.min() > SIZE / 2 - 3 * LIFT_PX
+    plotter.remove_actor(actor, render=False)
+    assert not len(lit_rows(20.0))
+    plotter.close()

@@ -1,0 +1,53 @@
+"""The window of a run that has no plan yet: its stages as they stand, until there is something to draw. Needs the `desktop` extra."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QLabel, QMainWindow
+
+from radiant_viewer.progress_dock import ProgressDock
+from radiant_viewer.run_feeds import RunFeeds
+from radiant_viewer.run_view import finish_command, is_planned
+from radiant_viewer.themes import THEMES, ThemeName, style_sheet
+
+SIZE_WH = (760, 320)
+
+
+class WaitingWindow(QMainWindow):
+    """`wants_reload` asks for the inspector as soon as the run has a plan."""
+
+    wants_reload = Signal()
+    is_outdated = False
+
+    def __init__(self, path: Path, feeds: RunFeeds, theme: ThemeName) -> None:
+        super().__init__()
+        self.path = path
+        self.setWindowTitle(f"Radiant: {path.resolve().name}")
+        self.resize(*SIZE_WH)
+        self.setStyleSheet(style_sheet(THEMES[theme]))
+        self.text = QLabel("This run has no plan yet: there is nothing to draw. Regions and cameras appear here as soon as it has one.")
+        self.text.setWordWrap(True)
+        self.text.setMargin(10)
+        self.setCentralWidget(self.text)
+        self.progress = ProgressDock(self, feeds)
+        self.progress.setFeatures(ProgressDock.DockWidgetFeature.NoDockWidgetFeatures)
+        self.progress.polled.connect(self._on_polled)
+        self.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self.progress)
+        self.resizeDocks([self.progress], [SIZE_WH[1]], Qt.Orientation.Vertical)
+
+    def tell(self, message: str) -> None:
+        """One line in the status bar."""
+        self.statusBar().showMessage(message)
+
+    def reload(self) -> None:
+        """Look whether there is a plan."""
+        self.wants_reload.emit()
+
+    def _on_polled(self) -> None:
+        if is_planned(self.path):
+            self.wants_reload.emit()
+        elif not self.progress.shown.is_running:
+            status = self.progress.shown.status or "unknown"
+            self.text.setText(f"This run ended ({status}) before it had a plan: {finish_command(self.path)}.")
