@@ -26,8 +26,9 @@ MAX_HEADER_LINES = 2000
 MAX_LINE_BYTES = 1000
 ANTIALIASED = "antialiased"
 CHUNK_ROWS = 65536
-CACHED_ROWS = 4096
 """Gaussians written at a time: 16 MB, so that writing takes no second copy of a large model."""
+CACHED_ROWS = 4096
+"""Gaussians taken apart at a time, which a core's cache holds."""
 
 MEANS = ("x", "y", "z")
 SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
