@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.dealing import ENDED, Dealer, Filled, deal_files, received
+from radiant_app.delivering import give_task, introduce_scoring
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
@@ -173,6 +174,10 @@ class Scorer:
             "lpips": self.lpips_network,
         }
         write_json(folder / "task.json", task)
+        edge = next(f"edges/{plan.edge_id}" for plan in self.dealer.edge_plans if device in plan.device_ids)
+        introduce_scoring(run, node.id, f"devices/{device}", edge)
+        given = [f"inbox/{path.name}" for path in sorted((folder / "inbox").iterdir())]
+        give_task(run, edge, f"devices/{device}", "score_task", folder, ["task.json", *given])
         inputs = [folder / "inbox", *(folder.parent / name for name in ("held_out.safetensors", "model.safetensors"))]
         self.ledger.append({"node": node.id, "tier": "device", **received([folder / "inbox"])})
         return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task, *inputs))
