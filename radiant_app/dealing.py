@@ -181,6 +181,7 @@ class Dealer:
             "aggregate": asdict(self.aggregate),
             "backend": self.backend,
             "upload": self.upload,
+            "memory_bytes": next(edge.memory_bytes for edge in self.system.edges if edge.id == node.name),
         }
         return task, [folder / "inbox"]
 

@@ -40,7 +40,7 @@ class Rescue:
         if lost.tier != "device":
             return
         dealer, positions = self.dealer, self.dealer.scene.cameras.centers[:, :2]
-        waiting = {node.name for node in self.tree if node.tier == "device" and node.id not in begun}
+        waiting = {node.name for node in self.tree if node.tier == "device" and node.id not in {*begun, lost.id}}
         at_work = {device.id for device in dealer.system.devices} - waiting - {lost.name}
         fixed = np.zeros(len(positions), bool)
         for plan in dealer.edge_plans:

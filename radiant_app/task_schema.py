@@ -104,6 +104,7 @@ class EdgeTask(_Sending):
     devices: Annotated[list[Id], Field(min_length=1)]
     strips: list[list[Pair]]
     aggregate: AggregateConfig
+    memory_bytes: Positive | None
     signed: Literal[True]
     teachers: list[Id]
 
