@@ -88,6 +88,10 @@ class Dealer:
         self.keys[node.id] = key
         return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
+    def take_plan(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
+        """Go on by another plan, in which devices that have begun keep what they have."""
+        self.cloud_plan, self.edge_plans = cloud, edges
+
     @property
     def kinds(self) -> dict[str, str]:
         """Which worker runs the nodes of a tier."""

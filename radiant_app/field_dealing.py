@@ -7,6 +7,7 @@ did; who delivered nothing is left out. Then every device gets the finished scen
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.sfm.given_poses import GivenPoses
 
 
@@ -46,6 +48,14 @@ class FieldDealer(Dealer):
     origin: FloatArray | None
     poses: GivenPoses | None
     sfm: dict[str, Any]
+    deal: Callable[[Sequence[EdgePlan]], dict[str, DeviceShare]] | None = None
+    """Whose photographs are whose in another plan; None where they lie with their devices."""
+
+    def take_plan(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
+        """As in a shared run; devices' own photographs follow."""
+        super().take_plan(cloud, edges)
+        if self.deal is not None:
+            self.shares = self.deal(edges)
 
     @property
     def kinds(self) -> dict[str, str]:

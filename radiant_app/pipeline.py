@@ -139,7 +139,8 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
     listen = counting_down(config, system, edge_plans, progress)
-    rescue = Rescue(dealer=dealer, tree=tree, first_plan_key=first_key, listen=listen)
+    positions = training.cameras.centers[:, :2]
+    rescue = Rescue(dealer=dealer, positions=positions, tree=tree, first_plan_key=first_key, listen=listen)
     executor_of(config, system, progress, Faults(may_fail=_goes_on_without, watch=listen, on_lost=rescue)).fold(
         tree, dealer.prepare, listen
     )
