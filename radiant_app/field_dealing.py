@@ -87,7 +87,7 @@ class FieldDealer(Dealer):
             "copy": share.copy,
             "changed": [[file.st_size, file.st_mtime_ns] for file in files],
             "origin": None if self.origin is None else self.origin.tolist(),
-            "sfm": self.sfm,
+            "sfm": {**self.sfm, "memory_bytes": self.memory_bytes_of(node.name)},
             "train": asdict(self.train),
             "backend": self.backend,
             "upload": self.upload,

@@ -161,11 +161,13 @@ def _goes_on_without(node: Tree, error: BadInput | StageFailed) -> bool:
     return node.tier != "cloud" and isinstance(error, StageFailed)
 
 
-def sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
-    """Structure from motion of the source in sfm/: the scene and the folder of its undistorted photographs."""
+def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None = None) -> tuple[SfmScene, Path]:
+    """Structure from motion of the source in sfm/, within a limit of memory: the scene and the folder of its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
-    sfm = {"matching": config.matching, "seed": config.seed}
+    sfm: dict[str, Any] = {"matching": config.matching, "seed": config.seed}
+    if memory_bytes is not None:
+        sfm["memory_bytes"] = memory_bytes
     masks = None if config.masks is None else config.masks.resolve()
     write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks)})
     masked = [] if masks is None else [source_files(masks, config.out)]

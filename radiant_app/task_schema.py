@@ -73,6 +73,7 @@ class SfmSettings(Strict):
     matching: Matching
     seed: Annotated[int, Field(ge=0)]
     two_view_points: bool
+    memory_bytes: Positive | None
 
 
 class FieldTask(DeviceTask):

@@ -40,7 +40,7 @@ TASKS: dict[str, dict[str, Any]] = {
         "copy": True,
         "changed": [[10, 20]],
         "origin": [45.0, 7.5, 300.0],
-        "sfm": {"matching": "auto", "seed": 0, "two_view_points": True},
+        "sfm": {"matching": "auto", "seed": 0, "two_view_points": True, "memory_bytes": None},
         "model": None,
     },
     "teacher": {"long_side_px": 64, "backend": "native", "signed": True, "checkpoint_every_s": 10.0},

@@ -30,7 +30,7 @@ BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 def database_key(photographs: Sequence[Photograph], config: SfmConfig, masks: Path | None) -> str:
     """Hash of all that features and matches are made from: bytes and cameras of photographs, masks, settings, COLMAP's version."""
-    settings = {name: value for name, value in asdict(config).items() if name != "num_threads"}
+    settings = {name: value for name, value in asdict(config).items() if name not in ("num_threads", "memory_bytes")}
     pictures = [[photo.name, photo.path, photo.camera] for photo in photographs]
     return content_key(pycolmap.__version__, settings, pictures, masks if masks is not None and masks.is_dir() else None)
 

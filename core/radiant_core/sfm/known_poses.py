@@ -26,6 +26,7 @@ from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
+from radiant_core.sfm.memory import within_memory
 from radiant_core.sfm.pairs import neighbor_pairs
 from radiant_core.sfm.undistort import undistort
 from radiant_core.sfm.workspace import listed
@@ -90,6 +91,7 @@ def scene_from_poses(
     Raises BadInput when a photograph is missing, has another size than its camera, or when no point can be triangulated.
     """
     photographs = _photographs_of(cameras, listed(photo_folder, report, cameras.names).photographs)
+    config, _ = within_memory(config, [photo.size_wh for photo in photographs])
     with kept_database(work_folder, database_key(photographs, config, masks)) as database:
         given = take_masks(masks, photographs, work_folder)
         extract_features(database, photo_folder, photographs, config, report, given)

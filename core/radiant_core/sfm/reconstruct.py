@@ -17,6 +17,7 @@ from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
 from radiant_core.sfm.mapping import MappingJob, map_photographs
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
+from radiant_core.sfm.memory import within_memory
 from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.refine import refine
 from radiant_core.sfm.undistort import undistort
@@ -46,6 +47,7 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
     """
     listing = listed(photo_folder, report)
     photographs = listing.photographs
+    config, limited = within_memory(config, [photo.size_wh for photo in photographs])
     with kept_database(work_folder, database_key(photographs, config, masks)) as database:
         given = take_masks(masks, photographs, work_folder)
         pairs, matching = choose_pairs(photographs, config)
@@ -72,7 +74,7 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
-        decisions=(matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
+        decisions=(*limited, matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
         warnings=(*_skip_warnings(listing), *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
         masks_folder=masks,
     )
