@@ -2,8 +2,8 @@
 
     peak = 180 MB + t · 330 p        bytes, t threads and p pixels of the largest photograph, reduced to `max_image_size_px`
 
-Each thread holds the scale space of one photograph at twice its side; matching took a fifth of that. What mapping holds grows with the
-scene and is not limited: a scene too large for that is one for several devices. tests/stress/test_sfm_memory.py measures it.
+Each thread holds the scale space of one photograph at twice its side; matching takes less. What mapping holds grows with the scene and
+is not limited: a scene too large for that is one for several devices. tests/stress/test_sfm_memory.py measures the whole.
 """
 
 from __future__ import annotations
