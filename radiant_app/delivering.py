@@ -37,7 +37,7 @@ from radiant_core.io.delivery import (
     save_delivery,
     sent_files,
 )
-from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
 from radiant_core.io.signing import PUBLIC_NAME, load_public_key, make_signing_key
 
 IDENTITY, SENDERS, DELIVERIES, GIVEN, POST_NAME = "identity", "senders", "deliveries", "given", "post.json"
@@ -99,7 +99,8 @@ def _sender_key(run: Path, sender: str, receiver: str) -> Path:
 def _register(key: Path, place: Path) -> None:
     if not place.is_file():
         place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(key, place)
+        # Half a key would stay registered for ever.
+        write_atomic(place, key.read_bytes())
 
 
 def give_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, names: Iterable[str]) -> None:
