@@ -193,7 +193,11 @@ def train(
     steps: Annotated[int | None, typer.Option("--steps", min=1, help="End training after so many steps.")] = None,
     gaussians: Annotated[int | None, typer.Option("--gaussians", "--max-splats", min=100, help="Upper limit of Gaussians.")] = None,
     memory: Annotated[
-        str | None, typer.Option(help="What the process may hold: 600MB, 2GB; sets the upper limit of Gaussians.", show_default=False)
+        str | None,
+        typer.Option(
+            help="What the process may hold: 600MB, 2GB; sets the upper limit of Gaussians, and bounds finding features.",
+            show_default=False,
+        ),
     ] = None,
     validate: Annotated[
         bool | None,

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.cloud_task import retrain_settings
-from radiant_app.delivering import DELIVERIES, introduce, introduce_teacher
+from radiant_app.delivering import DELIVERIES, give_task, introduce, introduce_teacher
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import REFUSED_NAME, VIRTUAL_CAMERAS
 from radiant_app.nodes import MASKS
 from radiant_app.sources import masks_of_scene
+from radiant_app.task_schema import SIGNED
 from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
@@ -79,8 +80,17 @@ class Dealer:
         if node.tier == "edge":
             unkeyed["teachers"] = [child.name for child in node.children if child.tier == "teacher"]
         write_json(folder / "task.json", {**task, **unkeyed})
+        kind = self.kinds[node.tier]
+        if kind in SIGNED:
+            # What lies in an inbox was signed by those who sent it.
+            beside = [path.relative_to(folder).as_posix() for path in inputs if path.name != "inbox"]
+            give_task(self.run, self._above(node), node.id, SIGNED[kind], folder, ["task.json", *beside])
         self.keys[node.id] = key
-        return NodeTask(kind=self.kinds[node.tier], stage=node.id, folder=folder, key=key)
+        return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
+
+    def take_plan(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
+        """Go on by another plan, in which devices that have begun keep what they have."""
+        self.cloud_plan, self.edge_plans = cloud, edges
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -88,18 +98,26 @@ class Dealer:
         return {"device": "device", "teacher": "teacher", "edge": "edge", "cloud": "cloud"}
 
     def _crossing(self, node: Tree) -> dict[str, Any]:
-        """What a node's task says of signatures, after making its key and registering it with the receiver."""
+        """What a node's task says of signatures, after making its key and exchanging it with the one above."""
         if node.tier == "teacher":
             (device,) = node.children
             introduce_teacher(self.run, node.id, f"edges/{self._edge_of(device.name)}", device.name)
             return {"signed": True}
+        introduce(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.edge_plans])
         if node.tier == "cloud":
-            introduce(self.run, node.id, None)
             return {"signed": True}
-        receiver = f"edges/{self._edge_of(node.name)}" if node.tier == "device" else "cloud"
-        introduce(self.run, node.id, receiver)
+        edge = node.name if node.tier == "edge" else self._edge_of(node.name)
+        devices = next(plan.device_ids for plan in self.edge_plans if plan.edge_id == edge)
+        introduce(self.run, f"edges/{edge}", "cloud", [f"devices/{device}" for device in devices])
         sends: dict[str, Any] = {"sends": self.sends(node.tier)}
-        return sends if node.tier == "device" else {**sends, "signed": True}
+        if node.tier == "edge":
+            return {**sends, "signed": True}
+        introduce(self.run, node.id, f"edges/{edge}")
+        return sends
+
+    def _above(self, node: Tree) -> str:
+        """Whom the tasks of a device or edge come from."""
+        return "cloud" if node.tier == "edge" else f"edges/{self._edge_of(node.name)}"
 
     def _edge_of(self, device: str) -> str:
         return next(plan.edge_id for plan in self.edge_plans if device in plan.device_ids)
@@ -167,6 +185,7 @@ class Dealer:
             "aggregate": asdict(self.aggregate),
             "backend": self.backend,
             "upload": self.upload,
+            "memory_bytes": next(edge.memory_bytes for edge in self.system.edges if edge.id == node.name),
         }
         return task, [folder / "inbox"]
 

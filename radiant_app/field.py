@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +29,19 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.field_dealing import DeviceShare, FieldDealer, Scorer
 from radiant_app.field_results import collect_scores, save_delivered
 from radiant_app.prediction_error import save_system
+from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.stages import (
     Progress,
     counting_down,
     executor_of,
+    made_before,
     plan_around,
     plan_stage,
     tell_warnings,
     training_settings,
     with_uploads,
 )
+from radiant_app.uncaptured import deal_uncaptured
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
@@ -80,6 +83,11 @@ class Captured:
         return np.isfinite(self.positions).all(axis=1)
 
     @property
+    def planned(self) -> Any:
+        """Rows of the photographs that are planned and trained on."""
+        return np.flatnonzero(self.placed & ~self.held_out)
+
+    @property
     def held_out(self) -> Any:
         """(P,) which photographs are held out of everything, by device and name."""
         return held_out_mask([name if owner is None else f"{owner}/{name}" for name, owner in zip(self.names, self.owners, strict=True)])
@@ -97,6 +105,10 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     captured = _captured(config, poses, folders, progress)
     system = with_uploads(system, config.upload, progress)
     system, cloud_plan, edge_plans, shares = _planned(config, system, captured, folders, progress)
+    first_key = plan_key(cloud_plan, edge_plans)
+    if folders is None:
+        cloud_plan, edge_plans = replanned(config.out, cloud_plan, edge_plans)
+        shares = _dealt_shares(config, captured, edge_plans)
     train, aggregate, backend = training_settings(config, progress)
     dealer = FieldDealer(
         run=config.out,
@@ -116,7 +128,13 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     listen = counting_down(config, system, edge_plans, progress)
-    executor = executor_of(config, system, progress, Faults(may_fail=lambda node, error: node.tier != "cloud", watch=listen))
+    faults = Faults(may_fail=lambda node, error: node.tier != "cloud", watch=listen)
+    if folders is None:
+        # Photographs that lie with one owner can go to another device; those of a device's own folder are gone with it.
+        dealer.deal = lambda plans: _dealt_shares(config, captured, plans)
+        positions = captured.positions[captured.planned, :2]
+        faults = replace(faults, on_lost=Rescue(dealer=dealer, positions=positions, tree=tree, first_plan_key=first_key, listen=listen))
+    executor = executor_of(config, system, progress, faults)
     scores = [f"{node.id}/score" for node in tree if node.tier == "device"]
     positions = {"positions", *(f"positions/{device}" for device in folders or ())}
     planning = {STAGE} if (config.out / STAGE).is_dir() else set()
@@ -324,7 +342,7 @@ def _planned(
     config: RunConfig, system: System, captured: Captured, folders: dict[str, Path] | None, progress: Progress
 ) -> tuple[System, CloudPlan, tuple[EdgePlan, ...], dict[str, DeviceShare]]:
     """The plan of the training photographs with a position, and every device's photographs."""
-    chosen = np.flatnonzero(captured.placed & ~captured.held_out)
+    chosen = captured.planned
     positions, owners = captured.positions[chosen, :2], [captured.owners[index] or "" for index in chosen]
     if captured.told is not None:
         positions = np.concatenate([*captured.told.values(), np.zeros((0, 2))])
@@ -343,12 +361,14 @@ def _planned(
             _tell_taken_for_others(owners, taken_for_others(strips, planned, devices, positions), progress)
         save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress))
         save_system(config.out, system)
+        if config.plan is not None and (told := deal_uncaptured(config.out, made_before(config.plan), system, set(owners))) is not None:
+            progress.listen(Warned(stage="plan", message=told))
         idle = [device.id for device in system.devices if device.id not in folders]
         for device in idle:
             progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs, it takes no part."))
         return system, cloud_plan, edge_plans, _own_shares(captured, folders)
     system, cloud_plan, edge_plans = plan_stage(config, system, positions, captured.origin, progress)
-    return system, cloud_plan, edge_plans, _dealt_shares(config, captured, chosen, edge_plans)
+    return system, cloud_plan, edge_plans, _dealt_shares(config, captured, edge_plans)
 
 
 def _tell_taken_for_others(owners: Sequence[str], strange: Any, progress: Progress) -> None:
@@ -372,8 +392,9 @@ def _own_shares(captured: Captured, folders: dict[str, Path]) -> dict[str, Devic
     return shares
 
 
-def _dealt_shares(config: RunConfig, captured: Captured, chosen: Any, edge_plans: Sequence[EdgePlan]) -> dict[str, DeviceShare]:
+def _dealt_shares(config: RunConfig, captured: Captured, edge_plans: Sequence[EdgePlan]) -> dict[str, DeviceShare]:
     """Training photographs as planned; a held-out one goes to the device of the training photograph nearest to it."""
+    chosen = captured.planned
     owner_of = {int(index): device for plan in edge_plans for device in plan.device_ids for index in plan.cameras_of(device)}
     held_out = np.flatnonzero(captured.placed & captured.held_out)
     nearest = np.asarray(KDTree(captured.positions[chosen]).query(captured.positions[held_out])[1]) if len(held_out) else []

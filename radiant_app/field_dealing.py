@@ -7,6 +7,7 @@ did; who delivered nothing is left out. Then every device gets the finished scen
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from radiant_app.dealing import ENDED, Dealer, Filled, deal_files, received
+from radiant_app.delivering import give_task, introduce_scoring
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.inbox import VIRTUAL_CAMERAS
@@ -22,6 +24,7 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.sfm.given_poses import GivenPoses
 
 
@@ -45,6 +48,14 @@ class FieldDealer(Dealer):
     origin: FloatArray | None
     poses: GivenPoses | None
     sfm: dict[str, Any]
+    deal: Callable[[Sequence[EdgePlan]], dict[str, DeviceShare]] | None = None
+    """Whose photographs are whose in another plan; None where they lie with their devices."""
+
+    def take_plan(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
+        """As in a shared run; devices' own photographs follow."""
+        super().take_plan(cloud, edges)
+        if self.deal is not None:
+            self.shares = self.deal(edges)
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -76,7 +87,7 @@ class FieldDealer(Dealer):
             "copy": share.copy,
             "changed": [[file.st_size, file.st_mtime_ns] for file in files],
             "origin": None if self.origin is None else self.origin.tolist(),
-            "sfm": self.sfm,
+            "sfm": {**self.sfm, "memory_bytes": self.memory_bytes_of(node.name)},
             "train": asdict(self.train),
             "backend": self.backend,
             "upload": self.upload,
@@ -173,6 +184,10 @@ class Scorer:
             "lpips": self.lpips_network,
         }
         write_json(folder / "task.json", task)
+        edge = next(f"edges/{plan.edge_id}" for plan in self.dealer.edge_plans if device in plan.device_ids)
+        introduce_scoring(run, node.id, f"devices/{device}", edge)
+        given = [f"inbox/{path.name}" for path in sorted((folder / "inbox").iterdir())]
+        give_task(run, edge, f"devices/{device}", "score_task", folder, ["task.json", *given])
         inputs = [folder / "inbox", *(folder.parent / name for name in ("held_out.safetensors", "model.safetensors"))]
         self.ledger.append({"node": node.id, "tier": "device", **received([folder / "inbox"])})
         return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task, *inputs))

@@ -153,6 +153,8 @@ def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str,
     result = reconstruct(photos, folder / "sfm", SfmConfig(**task["sfm"]), lambda progress: emit(sfm_progress(stage, progress)))
     for message in result.warnings:
         emit(Warned(stage=stage, message=message))
+    for decision in (decision for decision in result.decisions if decision.topic == "memory"):
+        emit(Decided(decision=replace(decision, stage=stage)))
     positions = {name: place for name, place in photograph_positions(photos).items() if place is not None}
     frame = device_frame(result.scene, positions, np.array(task["origin"]), task["sfm"]["seed"])
     if isinstance(frame, RefusedFrame):
@@ -177,6 +179,7 @@ def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[flo
 def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
     from radiant_core.sfm.config import SfmConfig
     from radiant_core.sfm.known_poses import pinhole_photographs, scene_from_poses
+    from radiant_core.sfm.memory import within_memory
 
     def report(progress: Any) -> None:
         emit(sfm_progress(stage, progress))
@@ -187,6 +190,9 @@ def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: st
         cameras = load_cameras(folder / "poses.safetensors")
     else:
         cameras, photos = pinhole_photographs(folder / "poses", photos, folder / "pinhole", config.threads, report)
+    config, decisions = within_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])
+    for decision in decisions:
+        emit(Decided(decision=replace(decision, stage=stage)))
     scene = scene_from_poses(cameras, photos, work, config, report)
     return _Placed(scene=scene, images=photos, uncertainty=None)
 

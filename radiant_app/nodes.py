@@ -48,6 +48,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, morton_order
 
 if TYPE_CHECKING:
+    from radiant_core.aggregate.join_memory import JoinPlan
     from radiant_core.aggregate.synthetic_views import Rendered
     from radiant_core.train.checkpoint import CheckpointFolder
     from radiant_core.train.config import TrainConfig
@@ -266,7 +267,7 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Join the devices' models by retraining on what each shows at its own cameras."""
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.ownership import claims_of_polygons
-    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+    from radiant_core.aggregate.retrain import Teacher, cut_at_borders, retrain_on_synthetic_views
     from radiant_core.train.config import TrainConfig
 
     task = read_json(folder / "task.json")
@@ -274,9 +275,11 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     if not inbox.models:
         return _nothing_placed(folder, inbox)
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
-    # A device's model shows the same at its own cameras wherever both were moved to.
+    limited = _join_plan(inbox, train, task.get("memory_bytes"), (stage, emit))
+    # A device's model shows the same at its own cameras wherever both were moved to. Smaller views than asked for are rendered anew.
+    as_asked = limited is None or limited.long_side_px == train.long_side_px
     rendered = [
-        load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if name in task["teachers"] else {}
+        load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if as_asked and name in task["teachers"] else {}
         for name, own in zip(inbox.senders, inbox.cameras, strict=True)
     ]
     if len(inbox.models) > 1:
@@ -286,10 +289,15 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     strips = [np.array(task["strips"][task["devices"].index(name)]).reshape(-1, 2) for name in inbox.senders]
     asked = zip(inbox.models, inbox.cameras, rendered, strict=True)
     teachers = [Teacher(splats=model, cameras=own, rendered=ready) for model, own, ready in asked]
-    joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims_of_polygons(strips))
+    if limited is not None and limited.long_side_px is None:
+        joined = cut_at_borders(teachers, claims_of_polygons(strips))
+    else:
+        if limited is not None:
+            train, options = replace(train, long_side_px=limited.long_side_px), replace(options, statistics_bytes=limited.statistics_bytes)
+        joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims_of_polygons(strips))
+        for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
+            emit(Decided(decision=decision))
     result = joined.trained
-    for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
-        emit(Decided(decision=decision))
     # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
     splats = result.splats.select(morton_order(result.splats.means))
     save_splats(folder / "model.safetensors", splats)
@@ -299,6 +307,18 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     outputs = ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox), *uploaded]
     checkpoints.remove()
     return [*outputs, *signed_upload(folder, task)]
+
+
+def _join_plan(inbox: Inbox, train: TrainConfig, memory_bytes: float | None, running: tuple[str, Emit]) -> JoinPlan | None:
+    """How the models in the inbox are joined within a limit of memory; None without a limit, and where there is nothing to join."""
+    from radiant_core.aggregate.join_memory import join_memory_decision, join_plan
+
+    if memory_bytes is None or len(inbox.models) < 2:
+        return None
+    stage, emit = running
+    plan = join_plan(inbox.models, inbox.cameras, train.long_side_px, memory_bytes)
+    emit(Decided(decision=join_memory_decision(stage, plan, train.long_side_px, memory_bytes)))
+    return plan
 
 
 def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:

@@ -139,7 +139,8 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
     listen = counting_down(config, system, edge_plans, progress)
-    rescue = Rescue(dealer=dealer, tree=tree, first_plan_key=first_key, listen=listen)
+    positions = training.cameras.centers[:, :2]
+    rescue = Rescue(dealer=dealer, positions=positions, tree=tree, first_plan_key=first_key, listen=listen)
     executor_of(config, system, progress, Faults(may_fail=_goes_on_without, watch=listen, on_lost=rescue)).fold(
         tree, dealer.prepare, listen
     )
@@ -160,11 +161,13 @@ def _goes_on_without(node: Tree, error: BadInput | StageFailed) -> bool:
     return node.tier != "cloud" and isinstance(error, StageFailed)
 
 
-def sfm_stage(config: RunConfig, progress: Progress) -> tuple[SfmScene, Path]:
-    """Structure from motion of the source in sfm/: the scene and the folder of its undistorted photographs."""
+def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None = None) -> tuple[SfmScene, Path]:
+    """Structure from motion of the source in sfm/, within a limit of memory: the scene and the folder of its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
-    sfm = {"matching": config.matching, "seed": config.seed}
+    sfm: dict[str, Any] = {"matching": config.matching, "seed": config.seed}
+    if memory_bytes is not None:
+        sfm["memory_bytes"] = memory_bytes
     masks = None if config.masks is None else config.masks.resolve()
     write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks)})
     masked = [] if masks is None else [source_files(masks, config.out)]

@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.dealing import SharedDealer
+from radiant_app.dealing import Dealer
 from radiant_app.events import Decided, Listener, Warned
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.replan import ReplanInfeasible, Situation, replan
 
@@ -29,7 +30,9 @@ FOLDER, RECORD = "replanned", "made_from.json"
 class Rescue:
     """Deals a lost device's photographs to devices of the tree that have not begun."""
 
-    dealer: SharedDealer
+    dealer: Dealer
+    positions: FloatArray
+    """(C,2) m of the plan's photographs."""
     tree: Tree
     first_plan_key: str
     """`plan_key` of the plan that this run makes by itself."""
@@ -39,8 +42,8 @@ class Rescue:
         """A node is given up while those in `begun` run or are done; ids of nodes."""
         if lost.tier != "device":
             return
-        dealer, positions = self.dealer, self.dealer.scene.cameras.centers[:, :2]
-        waiting = {node.name for node in self.tree if node.tier == "device" and node.id not in begun}
+        dealer, positions = self.dealer, self.positions
+        waiting = {node.name for node in self.tree if node.tier == "device" and node.id not in {*begun, lost.id}}
         at_work = {device.id for device in dealer.system.devices} - waiting - {lost.name}
         fixed = np.zeros(len(positions), bool)
         for plan in dealer.edge_plans:
@@ -64,7 +67,7 @@ class Rescue:
         save_plan(folder / "plan.json", cloud, edges)
         write_json(folder / RECORD, {"first_plan": self.first_plan_key})
         save_plan(self.dealer.run / "plan.json", cloud, edges)
-        self.dealer.cloud_plan, self.dealer.edge_plans = cloud, edges
+        self.dealer.take_plan(cloud, edges)
 
 
 def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:

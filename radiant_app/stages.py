@@ -106,7 +106,7 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
 
     Raises BadInput for a plan without waypoints, and where the photographs are not placed on the globe.
     """
-    cloud_plan, edge_plans, waypoints = _made_before(path)
+    cloud_plan, edge_plans, waypoints = made_before(path)
     if origin is None:
         raise BadInput(f"{path} is on the globe and the photographs have no GPS frame: leave out --plan, or give photographs with GPS.")
     # Over a site, two local frames differ by a shift: their axes turn by 1e-4 per kilometre.
@@ -118,11 +118,12 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
 
 def require_plan(path: Path, system: System) -> None:
     """Raise BadInput for a plan without waypoints or for another system; asked before anything runs, since all else waits for the plan."""
-    _, edge_plans, _ = _made_before(path)
+    _, edge_plans, _ = made_before(path)
     require_same_system(edge_plans, system)
 
 
-def _made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints]:
+def made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints]:
+    """A plan that was made before capture, with its waypoints; BadInput for one without."""
     cloud_plan, edge_plans = load_plan(path)
     waypoints = load_plan_waypoints(path)
     if waypoints is None:

@@ -5,6 +5,7 @@
     position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54], or neither: placed among the cameras
     uplink_mbit_per_s = 100.0
     aggregate_s = { constant = 5.0, linear = 0.5 }
+    memory_gb = 4.0                      # what joining may hold: limits the size of its views, else models are cut at their borders
 
     [[edge.device]]
     id = "north-1"
@@ -124,6 +125,7 @@ class _Edge(Strict):
     aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
     aggregate_alone_s: _Curve | None = None
     speed: _Share | None = None
+    memory_gb: _Positive | None = None
     device: list[_Device] = Field(default_factory=list[_Device])
     time_s: _Curve | None = None
     max_cameras: Annotated[int, Field(ge=0)] | None = None
@@ -135,7 +137,8 @@ class _Edge(Strict):
             raise BadInput(
                 f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
             )
-        surplus = self.model_fields_set & {"profile", "costs_from", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed"}
+        own = {"profile", "costs_from", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed", "memory_gb"}
+        surplus = self.model_fields_set & own
         if self.time_s is not None and surplus:
             raise BadInput(f"edge {self.id!r} has time_s, its whole time, and {min(surplus)} too: remove one of them.")
         profile = _profile_of(self, f"edge {self.id!r}", ("aggregate_s", "aggregate_alone_s"), folder)
@@ -158,6 +161,7 @@ class _Edge(Strict):
             costs_from=self.costs_from,
             time_s=None if self.time_s is None else self.time_s.scaled(1.0),
             max_cameras=self.max_cameras,
+            memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
         )
 
 
@@ -234,6 +238,8 @@ def _edge_lines(edge: Edge) -> list[str]:
     lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}", *_speed_lines(edge)]
     if edge.aggregate_alone_s is not None:
         lines.append(f"aggregate_alone_s = {_inline(edge.aggregate_alone_s, 1.0)}")
+    if edge.memory_bytes is not None:
+        lines.append(f"memory_gb = {edge.memory_bytes / _BYTES_PER_GB}")
     lines += _origin_lines(edge)
     return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
 

@@ -163,7 +163,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         return _loaded_scene(request)
     detect_source(request.source)
     config = RunConfig(source=request.source, out=request.out, seed=request.seed, masks=request.masks)
-    scene, images = sfm_stage(config, progress)
+    scene, images = sfm_stage(config, progress, request.memory_bytes)
     return scene, (images, masks_of_scene(request.out))
 
 

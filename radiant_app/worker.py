@@ -41,7 +41,9 @@ def main(arguments: list[str]) -> int:
     threading.Thread(target=_beat, args=(stage, emit), daemon=True).start()
     try:
         from radiant_app.nodes import run_node
+        from radiant_app.task_schema import require_task
 
+        require_task(kind, Path(folder))
         outputs = run_node(kind, Path(folder), stage, emit)
         emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
         seal(Path(folder), key, outputs)

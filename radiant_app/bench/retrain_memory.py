@@ -1,6 +1,7 @@
 """A process of its own that retrains two made-up edge models as the cloud does, and prints by how many bytes its memory grew at most.
 
 python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE        (the constants of `aggregate/cloud_choice.py`)
+python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE BYTES  as an edge does within so many (`join_memory.py`)
 """
 
 from __future__ import annotations
@@ -13,15 +14,17 @@ import numpy as np
 from radiant_app.bench.drone_scene import SceneSize, drone_scene
 from radiant_app.memory import peak_bytes, reset_peak_bytes
 from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.join_memory import join_plan
 from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
 from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import train_preset
 from radiant_core.train.trainer import FitOptions
 
 
-def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int) -> None:
-    """Print the growth of the peak resident memory in bytes; every view is shown once."""
+def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, memory_bytes: int | None = None) -> None:
+    """Print the growth of the peak resident memory in bytes, of a process of `PROCESS_BYTES`; every view is shown once."""
     splats, camera = drone_scene(SceneSize(num_splats=num_splats, width=long_side_px, height=long_side_px * 3 // 4))
     splats = replace(splats, shN=np.zeros((num_splats, SH_BASES[sh_degree] - 1, 3), np.float32))
     half = num_splats // 2
@@ -30,9 +33,15 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int) -> 
     cameras = [_copies(camera, range(half_views.start, half_views.stop)) for half_views in _halves(num_views)]
     aggregate = replace(aggregate_preset("paper"), max_num_steps=num_views)
     model_bytes = sum(model.num_bytes for model in models)
+    options = FitOptions()
+    if memory_bytes is not None:
+        plan = join_plan(models, cameras, long_side_px, memory_bytes)
+        if plan.long_side_px is None:
+            raise BadInput("models would be cut: give more bytes.")
+        long_side_px, options = plan.long_side_px, FitOptions(statistics_bytes=plan.statistics_bytes)
     before = reset_peak_bytes()
     teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
-    retrain_on_synthetic_views(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, FitOptions())
+    retrain_on_synthetic_views(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, options)
     # The models themselves were there before the count began.
     print(peak_bytes() - before + model_bytes)
 
@@ -52,4 +61,4 @@ def _copies(camera: Cameras, numbers: range) -> Cameras:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:5]))
+    main(*map(int, sys.argv[1:6]))

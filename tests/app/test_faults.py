@@ -15,18 +15,23 @@ from radiant_app.events import Event, StageDone, StageStarted, Warned
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
+from radiant_app.field_dealing import DeviceShare, FieldDealer
 from radiant_app.promises import promises_of
 from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.system_file import even_system
 from radiant_app.time_left import LATE_FACTOR, LEAST_S, TimeLeftListener
+from radiant_app.uncaptured import deal_uncaptured
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
-from radiant_core.frames import Frame
+from radiant_core.frames import Frame, geodetic_from_enu
 from radiant_core.io.records import load_plan, save_plan
+from radiant_core.io.waypoints import read_waypoints
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset
 from tests.core.scenes import cameras_above
@@ -52,6 +57,10 @@ def planned(run: Path) -> tuple[SharedDealer, Tree]:
     return dealer, tree_of_plan(cloud, edges)
 
 
+def positions_of(dealer: SharedDealer) -> FloatArray:
+    return dealer.scene.cameras.centers[:, :2]
+
+
 def cameras_by_device(edges: Collection[EdgePlan]) -> dict[str, set[int]]:
     return {device: set(plan.cameras_of(device).tolist()) for plan in edges for device in plan.device_ids}
 
@@ -62,8 +71,9 @@ def test_a_lost_devices_photographs_go_to_those_that_have_not_begun_and_a_resume
     lost, other, *waiting = [node for node in tree if node.tier == "device"]
     before = cameras_by_device(dealer.edge_plans)
     events: list[Event] = []
-    rescue = Rescue(dealer=dealer, tree=tree, first_plan_key=plan_key(*first), listen=events.append)
-    rescue(lost, {lost.id, other.id})
+    rescue = Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key=plan_key(*first), listen=events.append)
+    # As the fold says it: who is lost neither runs nor is done.
+    rescue(lost, {other.id})
     after = cameras_by_device(dealer.edge_plans)
     assert after[lost.name] == set() and after[other.name] == before[other.name]
     assert set().union(*(after[node.name] for node in waiting)) == set(range(40)) - before[other.name]
@@ -81,11 +91,59 @@ def test_where_every_other_device_has_begun_the_plan_stays_and_the_loss_is_named
     dealer, tree = planned(tmp_path)
     plan, (lost, *_) = dealer.cloud_plan, [node for node in tree if node.tier == "device"]
     events: list[Event] = []
-    Rescue(dealer=dealer, tree=tree, first_plan_key="", listen=events.append)(lost, {node.id for node in tree})
+    Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=events.append)(
+        lost, {node.id for node in tree}
+    )
     assert dealer.cloud_plan is plan and not (tmp_path / "replanned").exists()
     (warning,) = events
     assert isinstance(warning, Warned) and "are in no model: every other device has begun or is full; --resume" in warning.message
     assert set(dealer.missing()) == set(cameras_by_device(dealer.edge_plans)), "nothing of this run is done"
+
+
+def test_photographs_in_one_folder_follow_the_new_plan_where_devices_fetch_them(tmp_path: Path) -> None:
+    shared, tree = planned(tmp_path)
+
+    def shares(plans: Collection[EdgePlan]) -> dict[str, DeviceShare]:
+        own = cameras_by_device(plans).items()
+        return {
+            device: DeviceShare(source=tmp_path, names=tuple(f"{row}.jpg" for row in sorted(rows)), held_out=(), copy=True)
+            for device, rows in own
+            if rows
+        }
+
+    settings = {name: getattr(shared, name) for name in ("run", "system", "cloud_plan", "edge_plans", "train", "aggregate", "backend")}
+    field = FieldDealer(**settings, frames="known", shares=shares(shared.edge_plans), origin=None, poses=None, sfm={}, deal=shares)
+    lost, other, *_ = [node for node in tree if node.tier == "device"]
+    kept = field.shares[other.name]
+    Rescue(dealer=field, positions=positions_of(shared), tree=tree, first_plan_key="", listen=lambda event: None)(lost, {other.id})
+    assert lost.name not in field.shares and field.shares[other.name] == kept
+    assert sorted(name for share in field.shares.values() for name in share.names) == sorted(f"{row}.jpg" for row in range(40))
+
+
+def test_planned_positions_of_a_device_without_photographs_are_dealt_to_the_others_for_a_new_flight(tmp_path: Path) -> None:
+    positions = np.random.default_rng(0).uniform(-200, 200, (60, 2))
+    waypoints = Waypoints(
+        names=tuple(f"w{row}" for row in range(60)),
+        lat_lon_alt=geodetic_from_enu(np.column_stack([positions, np.full(60, 50.0)]), np.array([47.0, 8.0, 400.0])),
+    )
+    positions = waypoints.positions_m[:, :2]
+    system = place_edges(even_system(2, 2), positions, None, 0)
+    cloud = plan_regions(positions, system)
+    assert isinstance(cloud, CloudPlan)
+    plan = (cloud, split_edges(positions, cloud, system), waypoints)
+    ids = [device.id for device in system.devices]
+    assert deal_uncaptured(tmp_path, plan, system, ids) is None
+    told = deal_uncaptured(tmp_path, plan, system, ids[1:])
+    lost = cameras_by_device(plan[1])[ids[0]]
+    assert told is not None and told.startswith(f"{len(lost)} planned positions of {ids[0]} were not captured")
+    listed = {name: read_waypoints(tmp_path / "uncaptured" / f"{name}.csv").waypoints.names for name in ids[1:] if name in told}
+    assert sorted(name for names in listed.values() for name in names) == sorted(f"w{row}" for row in lost)
+    _, after = load_plan(tmp_path / "uncaptured" / "plan.json")
+    before = cameras_by_device(plan[1])
+    assert all(before[name] <= rows for name, rows in cameras_by_device(after).items() if name != ids[0]), (
+        "who has captured keeps what it has"
+    )
+    assert deal_uncaptured(tmp_path, plan, system, ids) is None and not (tmp_path / "uncaptured").exists()
 
 
 def test_a_node_is_late_by_the_plan_only_once_another_of_its_tier_was_measured(tmp_path: Path) -> None:

@@ -171,7 +171,9 @@ def test_fifty_kills_of_a_stage_are_survived_with_the_same_bytes(
     assert num_kills == NUM_KILLS
 
 
-def test_a_run_whose_main_process_is_killed_again_and_again_resumes_with_the_same_bytes(whole: tuple[Path, dict[str, float]]) -> None:
+def test_a_run_whose_main_process_is_killed_again_and_again_resumes_with_the_same_bytes(
+    whole: tuple[Path, dict[str, float]], capsys: pytest.CaptureFixture[str]
+) -> None:
     undisturbed, _ = whole
     out = undisturbed.parent / "main"
     shutil.copytree(undisturbed, out)
@@ -197,6 +199,8 @@ def test_a_run_whose_main_process_is_killed_again_and_again_resumes_with_the_sam
 
     stages = [stage for stage in AFTER for _ in range(NUM_MAIN_KILLS // len(AFTER))]
     story = run_killed(command, command, [some_time_into(stage, 2.0) for stage in stages])
+    with capsys.disabled():
+        print(f"main process: {story.num_kills} kills of {NUM_MAIN_KILLS}, {story.num_runs} runs")
     assert story.num_kills >= 1, story
     assert differing_files(undisturbed, out, RESULTS) == []
     assert worker_in(out / "cloud") is None

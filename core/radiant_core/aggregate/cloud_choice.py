@@ -45,20 +45,33 @@ def retrain_memory_bytes(num_splats: int, bytes_per_splat: float, pixels_per_vie
     return PROCESS_BYTES + models + VIEW_BYTES_PER_PX * pixels + statistics + STEP_BYTES_PER_PX * max(pixels_per_view, default=0)
 
 
+def models_bytes(models: Sequence[Splats]) -> float:
+    """The part of `retrain_memory_bytes` that no view changes."""
+    return retrain_memory_bytes(sum(map(len, models)), _bytes_per_splat(models), ())
+
+
+def pixels_of(cameras: Sequence[Cameras], long_side_px: int) -> list[int]:
+    """Pixels of every view at that long side."""
+    return [int(width * height) for views in cameras for width, height in views.scaled(long_side_px).sizes_wh]
+
+
+def _bytes_per_splat(models: Sequence[Splats]) -> float:
+    return max((model.num_bytes / len(model) for model in models if len(model)), default=0.0)
+
+
 def cloud_needs(
     models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, edge_times_s: Sequence[float] | None
 ) -> CloudNeeds:
     """Needs of retraining edge models at their virtual cameras, whose pictures are reduced to `long_side_px`; times (E,) of the edges."""
     counts = [len(model) for model in models]
     total = sum(counts)
-    pixels = [int(width * height) for views in cameras for width, height in views.scaled(long_side_px).sizes_wh]
-    bytes_per_splat = max((model.num_bytes / len(model) for model in models if len(model)), default=0.0)
+    pixels = pixels_of(cameras, long_side_px)
     time_s = None
     if edge_times_s is not None:
         if len(edge_times_s) != len(models):
             raise BadInput(f"{len(edge_times_s)} times for {len(models)} edges: give one per edge.")
         time_s = sum(seconds * total / max(1, count) for seconds, count in zip(edge_times_s, counts, strict=True))
-    return CloudNeeds(num_cameras=len(pixels), memory_bytes=retrain_memory_bytes(total, bytes_per_splat, pixels), time_s=time_s)
+    return CloudNeeds(num_cameras=len(pixels), memory_bytes=retrain_memory_bytes(total, _bytes_per_splat(models), pixels), time_s=time_s)
 
 
 def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str) -> tuple[bool, Decision]:

@@ -96,23 +96,38 @@ def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate:
     return Joined(trained=trained, num_given=len(merged), num_views=len(views), num_shown=len(views))
 
 
+def cut_at_borders(teachers: Sequence[Teacher], claims: Claims | None = None) -> Joined:
+    """The teachers' models without what lies in places that another one owns; nothing is rendered or retrained."""
+    return _cut(teachers, _owned(teachers, claims))
+
+
+def _owned(teachers: Sequence[Teacher], claims: Claims | None) -> list[Ownership]:
+    cameras = [teacher.cameras for teacher in teachers]
+    return [ownership(teacher.splats.means, cameras, claims) for teacher in teachers]
+
+
+def _cut(teachers: Sequence[Teacher], owned: Sequence[Ownership]) -> Joined:
+    kept = [teacher.splats.select(places.owner == index) for index, (teacher, places) in enumerate(zip(teachers, owned, strict=True))]
+    num_contested = sum(int(places.contested.sum()) for places in owned)
+    num_given = sum(len(teacher.splats) for teacher in teachers)
+    return Joined(
+        trained=_untrained(concatenate_splats(kept)),
+        num_given=num_given,
+        num_views=sum(len(teacher.cameras) for teacher in teachers),
+        contested_share=num_contested / num_given if num_given else 0.0,
+    )
+
+
 def _join(
     teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None
 ) -> Joined:
-    models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
-    owned = [ownership(model.means, cameras, claims) for model in models]
+    owned = _owned(teachers, claims)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
     contested = np.concatenate([places.contested for places in owned])
-    merged = faded(models, owned, aggregate.foreign_opacity)
-    shown = [touched_cameras(own, merged.means, contested) for own in cameras]
+    merged = faded([teacher.splats for teacher in teachers], owned, aggregate.foreign_opacity)
+    shown = [touched_cameras(teacher.cameras, merged.means, contested) for teacher in teachers]
     num_shown = int(sum(rows.sum() for rows in shown))
-    plainly_cut = Joined(
-        trained=_untrained(concatenate_splats(models).select(owns)),
-        num_given=len(merged),
-        num_views=sum(map(len, cameras)),
-        num_shown=num_shown,
-        contested_share=float(contested.mean()) if len(contested) else 0.0,
-    )
+    plainly_cut = replace(_cut(teachers, owned), num_shown=num_shown)
     if not num_shown:
         return plainly_cut
     views = teacher_views([_at(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()], train.long_side_px)

@@ -7,6 +7,8 @@
 A region is what one sender is to deliver: a set of cameras. At every time each camera is in exactly one region that is open or accepted,
 since only the receiver closes regions and accepts uploads; a camera of an accepted region is never planned again. A sender repeats its
 upload until it is acknowledged or rejected; repeating does no harm. Signatures and hashes are checked before: `delivery.py`.
+
+What goes down has the other law (`LastTask`): a task replaces the one before, so the newest attempt wins and no older one comes back.
 """
 
 from __future__ import annotations
@@ -91,10 +93,8 @@ class Acceptance:
 
     def _refusal(self, offer: Offer) -> str:
         """Why an upload could not be taken even if it were the first; empty where it could."""
-        if offer.run != self.run:
-            return f"it belongs to run {offer.run[:40]!r}, this is {self.run!r}."
-        if offer.receiver != self.receiver:
-            return f"it is addressed to {offer.receiver[:80]!r}, this is {self.receiver!r}."
+        if stray := _stray(offer, self.run, self.receiver):
+            return stray
         region = self.regions.get(offer.region)
         if region is None:
             return f"region {offer.region[:80]!r} is none of this run's."
@@ -134,6 +134,41 @@ class Acceptance:
         regions = {name: {**vars(region), "cameras": sorted(region.cameras)} for name, region in self.regions.items()}
         accepted = {name: dict(vars(offer)) for name, offer in self.accepted.items()}
         return {"run": self.run, "receiver": self.receiver, "regions": regions, "accepted": accepted, "closed": sorted(self.closed)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LastTask:
+    """The newest task that a node took from the one above it; attempt 0: none yet."""
+
+    run: str
+    receiver: str
+    sender: str
+    attempt: int = 0
+    digest: str = ""
+
+    def offer(self, offer: Offer) -> tuple[LastTask, Verdict]:
+        """The state after a task came, and what became of it; the same one again is a duplicate, which a restarted node works on."""
+        reason = _stray(offer, self.run, self.receiver)
+        if not reason and offer.sender != self.sender:
+            reason = f"it comes from {offer.sender[:80]!r}, tasks for {self.receiver!r} come from {self.sender!r}."
+        if not reason and offer.attempt < self.attempt:
+            reason = f"attempt {offer.attempt} is old, attempt {self.attempt} was taken."
+        if not reason and offer.attempt == self.attempt and offer.digest != self.digest:
+            reason = f"other files were taken as attempt {self.attempt}."
+        if reason:
+            return self, Verdict(status="rejected", reason=reason)
+        if offer.attempt == self.attempt:
+            return self, Verdict(status="duplicate", reason=f"these files were taken as attempt {self.attempt}.")
+        return replace(self, attempt=offer.attempt, digest=offer.digest), Verdict(status="accepted")
+
+
+def _stray(offer: Offer, run: str, receiver: str) -> str:
+    """Why something is of another run or meant for somebody else; empty where it is neither."""
+    if offer.run != run:
+        return f"it belongs to run {offer.run[:40]!r}, this is {run!r}."
+    if offer.receiver != receiver:
+        return f"it is addressed to {offer.receiver[:80]!r}, this is {receiver!r}."
+    return ""
 
 
 def acceptance_of(record: Mapping[str, Any]) -> Acceptance:

@@ -3,13 +3,18 @@
     delivery.json   schema, version, run, sender, receiver, kind, attempt; files: name → bytes, sha256
     delivery.sig    64 bytes: Ed25519 of "radiant.delivery 1\\0" and the bytes of delivery.json
 
-| kind         | files (those in brackets may be absent)                                | way              |
-|--------------|------------------------------------------------------------------------|------------------|
-| device_model | model.safetensors, cameras.safetensors, (frame.json)                    | device to edge   |
-| edge_model   | model.safetensors, (virtual_cameras.safetensors), (frame.json)          | edge to cloud    |
+| kind         | files (those in brackets may be absent)                        | way            |
+|--------------|----------------------------------------------------------------|----------------|
+| device_model | model.safetensors, cameras.safetensors, (frame.json)           | device to edge |
+| edge_model   | model.safetensors, (virtual_cameras.safetensors), (frame.json) | edge to cloud  |
+| edge_task    | task.json                                                      | cloud to edge  |
+| device_task  | task.json, scene.safetensors, photos/, (masks/)                | edge to device |
+| field_task   | task.json, (poses.safetensors), (poses/)                       | edge to device |
+| score_task   | task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)   | edge to device |
 
-The signature covers run, receiver and attempt, so that an upload is worth nothing in another run or elsewhere; which attempt counts
-is decided by `radiant_core.io.acceptance`. Files are safetensors and JSON and go through their own strict readers afterwards.
+The signature covers run, receiver and attempt, so that a delivery is worth nothing in another run or elsewhere; which attempt counts
+is decided by `radiant_core.io.acceptance`. A folder counts as one file: the bytes of all its files, and the hash of their names and
+contents. Files are safetensors and JSON, photographs and PLY, and go through their own strict readers afterwards.
 """
 
 from __future__ import annotations
@@ -26,21 +31,27 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from radiant_core.errors import BadInput
 from radiant_core.io.array_file import naming
-from radiant_core.io.run_store import file_sha256, parse_json, read_bounded, write_atomic, write_json
+from radiant_core.io.run_store import content_key, file_sha256, parse_json, read_bounded, write_atomic, write_json
 from radiant_core.io.signing import SIGNATURE_BYTES, is_signed_by, load_signing_key
 
 RECORD_NAME, SIGNATURE_NAME = "delivery.json", "delivery.sig"
 SCHEMA, VERSION = "radiant.delivery", 1
 MAX_RECORD_BYTES = 16384
-MAX_FILE_BYTES = 2 * 10**9
+MAX_FILE_BYTES, MAX_FOLDER_BYTES = 2 * 10**9, 10**13
 MAX_ATTEMPT = 10**6
 
-Kind = Literal["device_model", "edge_model"]
+Kind = Literal["device_model", "edge_model", "edge_task", "device_task", "field_task", "score_task"]
 FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "device_model": (frozenset({"model.safetensors", "cameras.safetensors"}), frozenset({"frame.json"})),
     "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "frame.json"})),
+    "edge_task": (frozenset({"task.json"}), frozenset()),
+    "device_task": (frozenset({"task.json", "scene.safetensors", "photos"}), frozenset({"masks"})),
+    "field_task": (frozenset({"task.json"}), frozenset({"poses.safetensors", "poses"})),
+    "score_task": (frozenset({"task.json", "inbox/scene.ply", "inbox/plan.json"}), frozenset({"inbox/lpips.safetensors"})),
 }
 """Files that a delivery has to have, and those it may have."""
+FOLDERS = frozenset({"poses", "photos", "masks"})
+"""Those that are folders."""
 _DOMAIN = f"{SCHEMA} {VERSION}\0".encode()
 _RUN = re.compile("[0-9a-f]{32}")
 _HASH = re.compile("[0-9a-f]{64}")
@@ -49,7 +60,7 @@ _NODE = re.compile(r"[^\s/][^\n\0]{0,254}")
 
 @dataclass(frozen=True, kw_only=True)
 class SentFile:
-    """Length and SHA-256 of one file."""
+    """Length and SHA-256 of one file; of a folder the bytes of all its files and its `content_key`."""
 
     bytes: int
     sha256: str
@@ -84,7 +95,8 @@ class Delivery:
             found = ", ".join(sorted(self.files))[:200]
             raise BadInput(f"a delivery of kind {self.kind} has the files {found}, expected {', '.join(sorted(needed))}.")
         for name, file in self.files.items():
-            if not (0 <= file.bytes <= MAX_FILE_BYTES and _HASH.fullmatch(file.sha256)):
+            most_bytes = MAX_FOLDER_BYTES if name in FOLDERS else MAX_FILE_BYTES
+            if not (0 <= file.bytes <= most_bytes and _HASH.fullmatch(file.sha256)):
                 raise BadInput(f"a delivery's {name} has {file.bytes} bytes and hash {file.sha256[:64]!r}: send it again.")
 
     @property
@@ -95,8 +107,8 @@ class Delivery:
 
 
 def sent_files(paths: Mapping[str, Path]) -> dict[str, SentFile]:
-    """Name under which each file is sent → its length and hash; StoreDamaged where one cannot be read."""
-    return {name: SentFile(bytes=path.stat().st_size, sha256=file_sha256(path)) for name, path in paths.items()}
+    """Name under which each file or folder is sent → its length and hash; StoreDamaged where one cannot be read."""
+    return {name: SentFile(bytes=_length(path), sha256=_hash(path)) for name, path in paths.items()}
 
 
 def save_delivery(folder: Path, delivery: Delivery, identity: Path) -> list[str]:
@@ -130,13 +142,30 @@ def check_files(delivery: Delivery, folder: Path) -> None:
     for name, file in delivery.files.items():
         path = folder / name
         try:
-            status = path.lstat()
+            is_right_kind = (stat.S_ISDIR if name in FOLDERS else stat.S_ISREG)(path.lstat().st_mode)
+            length = _length(path)
         except OSError as error:
             raise BadInput(f"{path} of the delivery is missing: send it again.") from error
-        if not stat.S_ISREG(status.st_mode) or status.st_size != file.bytes:
-            raise BadInput(f"{path} has {status.st_size} bytes, its sender signed {file.bytes}: send it again.")
-        if file_sha256(path) != file.sha256:
+        if not is_right_kind or length != file.bytes:
+            raise BadInput(f"{path} has {length} bytes, its sender signed {file.bytes}: send it again.")
+        if _hash(path) != file.sha256:
             raise BadInput(f"{path} has other bytes than its sender signed: send it again.")
+
+
+def require_nothing_else(delivery: Delivery, folder: Path) -> None:
+    """Raise BadInput where a file that such a delivery may have lies in `folder` and was not sent: its receiver would take it for sent."""
+    for name in sorted(FILES[delivery.kind][1] - set(delivery.files)):
+        if (folder / name).exists():
+            raise BadInput(f"{folder / name} was not sent with the {delivery.kind}: remove it.")
+
+
+def _length(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder; a link counts as what it leads to."""
+    return sum(inner.stat().st_size for inner in path.rglob("*") if not inner.is_dir()) if path.is_dir() else path.stat().st_size
+
+
+def _hash(path: Path) -> str:
+    return content_key(path) if path.is_dir() else file_sha256(path)
 
 
 def _parsed(record: Any) -> Delivery:

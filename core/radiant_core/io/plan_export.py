@@ -40,26 +40,34 @@ def save_device_waypoints(
     edge_plans: Sequence[EdgePlan],
     waypoints: Waypoints,
     buffers: Sequence[EdgeBuffer] = (),
+    *,
+    only: NDArray[np.bool_] | None = None,
 ) -> tuple[Path, ...]:
     """One `<device>.csv` per device in the existing `folder`, its waypoints in the order they came in; without any, the header alone.
 
     Of an edge that deals its waypoints itself, later, `edges/<edge>.csv` for a plan of its own.
     Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where they are known. With `buffers` a last column `role` says
-    own or buffer, in the same order. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
+    own or buffer, in the same order. With `only` (P,) waypoints where that is false are in no list. Raises BadInput when the plan is not of
+    these waypoints, or as `write_atomic`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
+    wanted = np.ones(len(waypoints), bool) if only is None else only
     written: list[Path] = []
     of_edge = {buffer.edge_id: buffer for buffer in buffers}
     for plan in edge_plans:
         for device_id in plan.device_ids:
             written.append(folder / f"{device_id}.csv")
             extra = None if plan.edge_id not in of_edge else of_edge[plan.edge_id].cameras_of(device_id)
-            write_atomic(written[-1], _device_csv(waypoints, plan.cameras_of(device_id), extra).encode())
+            write_atomic(written[-1], _device_csv(waypoints, _among(plan.cameras_of(device_id), wanted), extra).encode())
         if not plan.dealt:
             (folder / "edges").mkdir(exist_ok=True)
             written.append(folder / "edges" / f"{plan.edge_id}.csv")
-            write_atomic(written[-1], _device_csv(waypoints, plan.camera_indices, None).encode())
+            write_atomic(written[-1], _device_csv(waypoints, _among(plan.camera_indices, wanted), None).encode())
     return tuple(written)
+
+
+def _among(rows: NDArray[np.int64], wanted: NDArray[np.bool_]) -> NDArray[np.int64]:
+    return rows[wanted[rows]]
 
 
 def save_regions_geojson(

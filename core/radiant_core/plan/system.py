@@ -50,8 +50,7 @@ class Device:
         _require_bandwidth(f"device {self.id!r}", self.uplink_bytes_per_s)
         if self.max_cameras is not None and self.max_cameras < 0:
             raise BadInput(f"device {self.id!r}: max_cameras is {self.max_cameras}, expected at least 0.")
-        if self.memory_bytes is not None and not 0 < self.memory_bytes < np.inf:
-            raise BadInput(f"device {self.id!r}: memory_bytes is {self.memory_bytes}, expected a positive number.")
+        _require_memory(f"device {self.id!r}", self.memory_bytes)
         _require_speed(f"device {self.id!r}", self.speed)
 
 
@@ -88,9 +87,12 @@ class Edge:
     """T^m, seconds against cameras from the first photograph to the model sent, instead of devices."""
     max_cameras: int | None = None
     """How many cameras its devices can hold together; only with `time_s`."""
+    memory_bytes: float | None = None
+    """What joining may hold, which limits the size of its views; None without a limit."""
 
     def __post_init__(self) -> None:
         _require_id("edge", self.id)
+        _require_memory(f"edge {self.id!r}", self.memory_bytes)
         _require_bandwidth(f"edge {self.id!r}", self.uplink_bytes_per_s)
         _require_speed(f"edge {self.id!r}", self.speed)
         for pair in (self.position, self.lat_lon_deg):
@@ -203,6 +205,11 @@ def _require_id(kind: str, name: str) -> None:
 def _require_bandwidth(owner: str, value: float) -> None:
     if not np.isfinite(value) or value <= 0:
         raise BadInput(f"{owner}: uplink_bytes_per_s is {value}, expected a positive number of bytes per second.")
+
+
+def _require_memory(owner: str, value: float | None) -> None:
+    if value is not None and not 0 < value < np.inf:
+        raise BadInput(f"{owner}: memory_bytes is {value}, expected a positive number.")
 
 
 def _require_speed(owner: str, value: float | None) -> None:

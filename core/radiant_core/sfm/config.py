@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,8 +40,12 @@ class SfmConfig:
     """Threads, 0 for all cores."""
     seed: int = 0
     """Seed of every random choice; with more than one thread results still differ in the last digits."""
+    memory_bytes: float | None = None
+    """What finding features may hold: fewer threads, then smaller photographs; None without a limit."""
 
     def __post_init__(self) -> None:
+        if self.memory_bytes is not None and not 0 < self.memory_bytes < math.inf:
+            raise BadInput(f"sfm.memory_bytes is {self.memory_bytes!r}, expected a positive number of bytes.")
         for name, least in (
             ("max_image_size_px", 64),
             ("max_num_features", 64),

@@ -24,10 +24,12 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
+from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
+from radiant_core.sfm.memory import within_memory
 from radiant_core.sfm.pairs import neighbor_pairs
 from radiant_core.sfm.undistort import undistort
-from radiant_core.sfm.workspace import listed, start_clean
+from radiant_core.sfm.workspace import listed
 from radiant_core.sfm.world import cameras_of
 
 DEFAULT_CONFIG = SfmConfig()
@@ -89,17 +91,17 @@ def scene_from_poses(
     Raises BadInput when a photograph is missing, has another size than its camera, or when no point can be triangulated.
     """
     photographs = _photographs_of(cameras, listed(photo_folder, report, cameras.names).photographs)
-    start_clean(work_folder)
-    database = work_folder / "database.db"
-    given = take_masks(masks, photographs, work_folder)
-    extract_features(database, photo_folder, photographs, config, report, given)
-    keep_masks(given, work_folder)
-    model_folder = work_folder / "sparse"
-    posed = _posed_model(cameras, database, model_folder)
-    match_pairs(database, neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors), config, report)
-    report(SfmProgress(phase="triangulating", done=0, total=len(cameras)))
-    triangulate(posed, database, photo_folder, model_folder, config)
-    report(SfmProgress(phase="triangulating", done=len(cameras), total=len(cameras)))
+    config, _ = within_memory(config, [photo.size_wh for photo in photographs])
+    with kept_database(work_folder, database_key(photographs, config, masks)) as database:
+        given = take_masks(masks, photographs, work_folder)
+        extract_features(database, photo_folder, photographs, config, report, given)
+        keep_masks(given, work_folder)
+        model_folder = work_folder / "sparse"
+        posed = _posed_model(cameras, database, model_folder)
+        match_pairs(database, neighbor_pairs(list(cameras.names), cameras.centers, config.num_neighbors), config, report)
+        report(SfmProgress(phase="triangulating", done=0, total=len(cameras)))
+        triangulate(posed, database, photo_folder, model_folder, config)
+        report(SfmProgress(phase="triangulating", done=len(cameras), total=len(cameras)))
     model = read_model(model_folder)
     if not len(model.points.ids):
         raise BadInput(f"no point can be triangulated in {photo_folder}: check that the poses belong to these photographs.")

@@ -13,9 +13,11 @@ from radiant_core.io.colmap import ColmapModel, read_model, write_model
 from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.database import extract_features, match_pairs
+from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
 from radiant_core.sfm.mapping import MappingJob, map_photographs
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
+from radiant_core.sfm.memory import within_memory
 from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.refine import refine
 from radiant_core.sfm.undistort import undistort
@@ -39,30 +41,31 @@ __all__ = [
 def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None) -> SfmResult:
     """Cameras, points and undistorted photographs of the usable photographs in `photo_folder`.
 
-    `work_folder` gets undistorted/, sparse/ and, where a folder of `masks` is given, masks/; what an interrupted attempt left there is
-    removed first. Raises BadInput when fewer than two photographs can be used or they do not overlap, or for masks that do not fit.
+    `work_folder` gets undistorted/, sparse/ and, where a folder of `masks` is given, masks/; of what an interrupted attempt left there
+    features and matches of the same photographs, masks and settings are used, all else is removed first. Raises BadInput when fewer than
+    two photographs can be used or they do not overlap, or for masks that do not fit.
     """
     listing = listed(photo_folder, report)
     photographs = listing.photographs
-    start_clean(work_folder)
-    given = take_masks(masks, photographs, work_folder)
-    pairs, matching = choose_pairs(photographs, config)
-    database = work_folder / "database.db"
-    extract_features(database, photo_folder, photographs, config, report, given)
-    match_pairs(database, pairs, config, report)
-    job = MappingJob(
-        photo_folder=photo_folder,
-        photographs=photographs,
-        database=database,
-        pairs=pairs,
-        work_folder=work_folder / "models",
-        config=config,
-        report=report,
-    )
-    mapped = map_photographs(job)
-    (work_folder / "sparse").mkdir()
-    if config.two_view_points:
-        triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
+    config, limited = within_memory(config, [photo.size_wh for photo in photographs])
+    with kept_database(work_folder, database_key(photographs, config, masks)) as database:
+        given = take_masks(masks, photographs, work_folder)
+        pairs, matching = choose_pairs(photographs, config)
+        extract_features(database, photo_folder, photographs, config, report, given)
+        match_pairs(database, pairs, config, report)
+        job = MappingJob(
+            photo_folder=photo_folder,
+            photographs=photographs,
+            database=database,
+            pairs=pairs,
+            work_folder=work_folder / "models",
+            config=config,
+            report=report,
+        )
+        mapped = map_photographs(job)
+        (work_folder / "sparse").mkdir()
+        if config.two_view_points:
+            triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
     refine(mapped.model, config, report).write_binary(work_folder / "sparse")
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
@@ -71,7 +74,7 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
-        decisions=(matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
+        decisions=(*limited, matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
         warnings=(*_skip_warnings(listing), *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
         masks_folder=masks,
     )

@@ -8,7 +8,8 @@ from pathlib import Path
 from radiant_core.io.photos import PhotoListing, list_photographs
 from radiant_core.sfm.config import Report, SfmProgress
 
-WORK_FILES = ("database.db", "database.db-shm", "database.db-wal", "pairs.txt")
+DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json", "names.json")
+WORK_FILES = ("pairs.txt",)
 WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", "masks.part", "masks.given")
 """All that structure from motion puts into its work folder, and all that it removes there when it starts."""
 
@@ -18,10 +19,10 @@ def listed(folder: Path, report: Report, names: tuple[str, ...] | None = None) -
     return list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
 
 
-def start_clean(work_folder: Path) -> None:
-    """Make the work folder and remove what an earlier attempt left of ours in it."""
+def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:
+    """Make the work folder and remove what an earlier attempt left of ours in it, except its database where that is to be kept."""
     work_folder.mkdir(parents=True, exist_ok=True)
-    for name in WORK_FILES:
+    for name in (*WORK_FILES, *(() if keep_database else DATABASE_FILES)):
         (work_folder / name).unlink(missing_ok=True)
     for name in WORK_FOLDERS:
         shutil.rmtree(work_folder / name, ignore_errors=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import random
 from dataclasses import replace
 
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.acceptance import Acceptance, Offer, acceptance_of
+from radiant_core.io.acceptance import Acceptance, LastTask, Offer, acceptance_of
 from tests.core.io.protocol_world import REASONS, played
 
 RUN, EDGE = "1" * 32, "edges/north"
@@ -84,3 +85,21 @@ def test_seeded_schedules_leave_every_camera_in_one_accepted_upload() -> None:
     counts = played(range(200))
     assert min(counts[status] for status in ("accepted", "duplicate", "rejected")) > 100
     assert min(counts[reason] for reason in REASONS) > 10
+
+
+def test_of_tasks_the_newest_counts_in_every_order() -> None:
+    first = Offer(run=RUN, receiver="devices/a", region="", sender="edges/e", attempt=1, digest="1")
+    sent = [replace(first, attempt=attempt, digest=f"{attempt}") for attempt in range(1, 7)]
+    strays = [{"run": "2" * 32}, {"receiver": "devices/b"}, {"sender": "edges/f"}]
+    for seed in range(100):
+        rng = random.Random(seed)
+        state, newest = LastTask(run=RUN, receiver="devices/a", sender="edges/e"), 0
+        for offer in rng.choices(sent, k=20):
+            for stray in strays:
+                assert state.offer(replace(offer, **stray))[1].status == "rejected"
+            after, verdict = state.offer(offer)
+            expected = "accepted" if offer.attempt > newest else "duplicate" if offer.attempt == newest else "rejected"
+            assert verdict.status == expected and (after is state) == (expected != "accepted")
+            state, newest = after, max(newest, offer.attempt)
+            assert (state.attempt, state.digest) == (newest, f"{newest}")
+            assert state.offer(replace(offer, attempt=newest, digest="other"))[1].reason == f"other files were taken as attempt {newest}."

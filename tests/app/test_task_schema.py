@@ -1,0 +1,274 @@
+"""Tasks that come down: the newest one that was signed by the node above is taken, and nothing else, however near it comes."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from radiant_app.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, give_task, introduce, introduce_scoring, take_task
+from radiant_app.task_schema import SCHEMAS, require_schema, require_task
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.errors import BadInput
+from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
+from radiant_core.io.run_store import write_json
+from radiant_core.io.signing import KEY_NAME, PUBLIC_NAME
+from radiant_core.train.config import train_preset
+from tests.memory_folder import memory_folder
+
+DEVICE, EDGE = "devices/a-1", "edges/a"
+SHARED = ("task.json", "scene.safetensors", "photos")
+TRAINED = {"train": asdict(train_preset("draft")), "backend": "native", "checkpoint_every_s": 10.0}
+SENDING = {**TRAINED, "upload": "float32", "sends": ["cameras.safetensors"]}
+DEVICE_TASK = {**SENDING, "memory_bytes": None}
+TASKS: dict[str, dict[str, Any]] = {
+    "device": DEVICE_TASK,
+    "field": {
+        **DEVICE_TASK,
+        "frames": "gps",
+        "source": "/photos",
+        "names": ["a.jpg"],
+        "held_out": ["b/c.jpg"],
+        "copy": True,
+        "changed": [[10, 20]],
+        "origin": [45.0, 7.5, 300.0],
+        "sfm": {"matching": "auto", "seed": 0, "two_view_points": True, "memory_bytes": None},
+        "model": None,
+    },
+    "teacher": {"long_side_px": 64, "backend": "native", "signed": True, "checkpoint_every_s": 10.0},
+    "edge": {
+        **SENDING,
+        "devices": ["a-1"],
+        "strips": [[[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]],
+        "aggregate": asdict(AggregateConfig()),
+        "memory_bytes": None,
+        "signed": True,
+        "teachers": [],
+    },
+    "cloud": {
+        **TRAINED,
+        "edges": ["a"],
+        "sites": [[0.0, 1.0]],
+        "weights": [0.0],
+        "aggregate": asdict(AggregateConfig()),
+        "signed": True,
+    },
+    "score": {
+        "corrections": [{"scale": 1.0, "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0.0, 0.0, 0.0]}],
+        "long_side_px": 64,
+        "backend": "native",
+        "lpips": None,
+    },
+}
+
+
+def run_with(folder: Path, *devices: str) -> Path:
+    """A run of one edge whose devices were introduced."""
+    introduce(folder, "cloud", None, [EDGE])
+    introduce(folder, EDGE, "cloud", devices)
+    for device in devices:
+        introduce(folder, device, EDGE)
+    return folder
+
+
+def given(run: Path, device: str = DEVICE, seed: int = 0) -> Path:
+    """A device's folder with a signed task of this seed and two photographs."""
+    folder = run / device
+    (folder / "photos").mkdir(exist_ok=True)
+    for name in ("one.jpg", "two.jpg"):
+        (folder / "photos" / name).write_bytes(name.encode() * 20)
+    (folder / "scene.safetensors").write_bytes(b"scene")
+    write_json(folder / "task.json", {**DEVICE_TASK, "train": asdict(train_preset("draft")) | {"seed": seed}})
+    give_task(run, EDGE, device, "device_task", folder, SHARED)
+    return folder
+
+
+def refusal(folder: Path, kind: Any = "device_task") -> str:
+    """Why a task is not taken; what was taken before stays what it was."""
+    taken = folder / IDENTITY / TAKEN_NAME
+    before = taken.read_bytes() if taken.is_file() else None
+    with pytest.raises(BadInput) as caught:
+        take_task(folder, kind)
+    assert (taken.read_bytes() if taken.is_file() else None) == before
+    return str(caught.value)
+
+
+def test_a_task_is_taken_as_often_as_its_process_begins_and_a_newer_one_replaces_it(tmp_path: Path) -> None:
+    run = run_with(tmp_path, DEVICE)
+    folder = given(run)
+    take_task(folder, "device_task")
+    take_task(folder, "device_task")
+    assert json.loads((folder / IDENTITY / TAKEN_NAME).read_text())["attempt"] == 1
+    take_task(given(run), "device_task")
+    assert json.loads((folder / IDENTITY / TAKEN_NAME).read_text())["attempt"] == 1, "the same files are the same attempt"
+    take_task(given(run, seed=1), "device_task")
+    assert json.loads((folder / IDENTITY / TAKEN_NAME).read_text())["attempt"] == 2
+
+
+def test_an_older_task_does_not_come_back(tmp_path: Path) -> None:
+    run = run_with(tmp_path, DEVICE)
+    old = shutil.copytree(given(run), tmp_path / "old")
+    folder = given(run, seed=1)
+    take_task(folder, "device_task")
+    for name in ("task.json", f"{GIVEN}/{RECORD_NAME}", f"{GIVEN}/{SIGNATURE_NAME}"):
+        shutil.copyfile(old / name, folder / name)
+    assert "attempt 1 is old, attempt 2 was taken" in refusal(folder)
+
+
+def test_a_task_for_somebody_else_of_another_run_or_kind_is_refused(tmp_path: Path) -> None:
+    run = run_with(tmp_path / "run", DEVICE, "devices/a-2")
+    folder, other = given(run), given(run, "devices/a-2")
+    shutil.copytree(other / GIVEN, folder / GIVEN, dirs_exist_ok=True)
+    assert "it is addressed to 'devices/a-2'" in refusal(folder)
+    folder = given(run)
+    assert "has a device_task, expected a field_task" in refusal(folder, "field_task")
+    (run / "run.json").unlink()
+    # The same keys, another number: a run that was copied and begun anew.
+    introduce(run, DEVICE, EDGE)
+    assert "it belongs to run" in refusal(folder)
+
+
+def test_only_the_key_that_was_registered_counts_until_it_is_renewed(tmp_path: Path) -> None:
+    run = run_with(tmp_path, DEVICE, "devices/a-2")
+    take_task(given(run), "device_task")
+    take_task(given(run, seed=1), "device_task")
+    # Somebody changes the edge's key; then a device gives itself a task.
+    shutil.copytree(run / EDGE / IDENTITY, tmp_path / "kept")
+    for name in (KEY_NAME, PUBLIC_NAME):
+        shutil.copyfile(run / "devices/a-2" / IDENTITY / name, run / EDGE / IDENTITY / name)
+    run_with(run, DEVICE, "devices/a-2")
+    assert "is not signed by the key that is registered" in refusal(given(run, seed=2))
+    # Its owner removes it on purpose: a new one is registered, and counting begins anew.
+    shutil.rmtree(run / EDGE / IDENTITY)
+    run_with(run, DEVICE, "devices/a-2")
+    for device in (DEVICE, "devices/a-2"):
+        take_task(given(run, device), "device_task")
+    assert (run / DEVICE / IDENTITY / ABOVE_NAME).read_bytes() != (tmp_path / "kept" / PUBLIC_NAME).read_bytes()
+
+
+def test_a_scoring_takes_what_is_addressed_to_its_device(tmp_path: Path) -> None:
+    run = run_with(tmp_path, DEVICE)
+    folder = run / DEVICE / "score"
+    (folder / "inbox").mkdir(parents=True)
+    for name in ("task.json", "inbox/scene.ply", "inbox/plan.json"):
+        (folder / name).write_bytes(name.encode())
+    introduce_scoring(run, f"{DEVICE}/score", DEVICE, EDGE)
+    give_task(run, EDGE, DEVICE, "score_task", folder, ["task.json", "inbox/scene.ply", "inbox/plan.json"])
+    take_task(folder, "score_task")
+    (folder / "inbox" / "lpips.safetensors").write_bytes(b"not sent")
+    assert "was not sent with the score_task" in refusal(folder, "score_task")
+
+
+def test_no_tampered_task_is_taken() -> None:
+    # `make stress` tries a hundred thousand.
+    with memory_folder() as folder:
+        assert tampered_tasks(folder, count=300, seed=1) == []
+
+
+def tampered_tasks(folder: Path, count: int, seed: int) -> list[str]:
+    """Change a device's task in `count` ways that need no key of its edge; those that were taken."""
+    run = run_with(folder / "run", DEVICE, "devices/a-2")
+    signed = (f"{GIVEN}/{RECORD_NAME}", f"{GIVEN}/{SIGNATURE_NAME}")
+    kept = {
+        name: shutil.copytree(given(run, device, number), folder / name)
+        for name, device, number in (("older", DEVICE, 1), ("other", "devices/a-2", 2), ("right", DEVICE, 3))
+    }
+    # All of it right, but signed by another device.
+    shutil.copytree(run / "devices/a-2" / IDENTITY, folder / "forger" / "edges/x" / IDENTITY)
+    shutil.copyfile(run / "run.json", folder / "forger" / "run.json")
+    give_task(folder / "forger", "edges/x", DEVICE, "device_task", shutil.copytree(kept["right"], folder / "forged"), SHARED)
+    place = run / DEVICE
+    names = ["task.json", "scene.safetensors", "photos/one.jpg", "photos/two.jpg", *signed]
+    whole = {name: (place / name).read_bytes() for name in names}
+    rng = random.Random(seed)
+
+    def flipped(data: bytes) -> bytes:
+        edited = bytearray(data)
+        edited[rng.randrange(len(edited))] ^= 1 << rng.randrange(8)
+        return bytes(edited)
+
+    def one(edit: Callable[[bytes], bytes]) -> dict[str, bytes]:
+        name = rng.choice(names)
+        return {name: edit(whole[name])}
+
+    def of(source: str, *chosen: str) -> dict[str, bytes]:
+        return {name: (folder / source / name).read_bytes() for name in chosen}
+
+    attacks: list[Callable[[], dict[str, bytes]]] = [
+        lambda: one(flipped),
+        lambda: one(lambda data: data[: rng.randrange(len(data))]),
+        lambda: one(lambda data: data + rng.randbytes(rng.randrange(1, 9))),
+        lambda: {f"photos/{rng.randrange(99)}.jpg": rng.randbytes(9)},
+        lambda: {"masks/one.jpg.png": rng.randbytes(9)},
+        lambda: {"photos/one.jpg": whole["photos/two.jpg"], "photos/two.jpg": whole["photos/one.jpg"]},
+        lambda: of("older", *signed),
+        lambda: of("older", "task.json"),
+        lambda: of("older", *names),
+        lambda: of("other", *signed),
+        lambda: of("other", *names),
+        lambda: of("forged", *signed),
+    ]
+    take_task(place, "device_task")
+    taken = []
+    for number in range(count):
+        attack = rng.randrange(len(attacks))
+        changed = attacks[attack]()
+        for name, data in changed.items():
+            (place / name).parent.mkdir(exist_ok=True)
+            (place / name).write_bytes(data)
+        try:
+            take_task(place, "device_task")
+            taken.append(f"task {number}, attack {attack}")
+        except BadInput:
+            pass
+        for name in changed:
+            (place / name).unlink()
+        shutil.rmtree(place / "masks", ignore_errors=True)
+        for name in changed.keys() & whole.keys():
+            (place / name).write_bytes(whole[name])
+    # Nothing of it was refused because the receiver was broken.
+    take_task(place, "device_task")
+    return taken
+
+
+@pytest.mark.parametrize("kind", SCHEMAS)
+def test_a_task_has_exactly_the_fields_of_its_kind(kind: str, tmp_path: Path) -> None:
+    path, right = tmp_path / "task.json", TASKS[kind]
+    write_json(path, right)
+    require_schema(kind, path)
+    wrongs = [{key: value for key, value in right.items() if key != left_out} for left_out in right]
+    wrongs += [{**right, "more": 1}, {**right, "backend": "cuda; rm"}]
+    wrongs += [{**right, key: "1"} for key, value in right.items() if isinstance(value, int | float | dict)]
+    wrongs += [{**right, "train": {**right["train"], "num_steps": 0}}] if "train" in right else []
+    wrongs += [{**right, key: ["../x"]} for key in ("names", "devices", "edges", "sends") if key in right]
+    for wrong in wrongs:
+        write_json(path, wrong)
+        with pytest.raises(BadInput, match=r"task\.json: "):
+            require_schema(kind, path)
+    path.write_text('{"a": 1, "a": 2}')
+    with pytest.raises(BadInput, match="is not valid JSON"):
+        require_schema(kind, path)
+
+
+def test_what_is_no_node_of_a_run_is_not_asked_for_a_signature(tmp_path: Path) -> None:
+    write_json(tmp_path / "task.json", {"train": {}})
+    require_task("device", tmp_path)
+    require_task("sfm", run_with(tmp_path / "run", DEVICE) / DEVICE)
+
+
+def test_a_worker_refuses_a_changed_task_before_it_works(tmp_path: Path) -> None:
+    folder = given(run_with(tmp_path, DEVICE))
+    text = (folder / "task.json").read_text()
+    (folder / "task.json").write_text(text.replace('"seed": 0', '"seed": 7'))
+    command = [sys.executable, "-m", "radiant_app.worker", "device", str(folder), DEVICE, "key"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, stdin=subprocess.DEVNULL)
+    assert done.returncode == BadInput.exit_code and "has other bytes than its sender signed" in done.stdout
+    assert not (folder / "done.json").exists()
