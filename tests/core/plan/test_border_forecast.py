@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.border_forecast import RiskModel, forecast_borders
+from radiant_core.plan.border_forecast import RiskModel, band_of, forecast_borders
 from radiant_core.plan.borders import outside_by_m, shared_borders
 from radiant_core.plan.buffers import BufferRule, plan_buffers
 from radiant_core.plan.cost_curves import CostCurve
@@ -142,3 +142,11 @@ def test_distances_from_a_polygon_equal_shapelys() -> None:
     points = rng.uniform(-5, 9, (500, 2))
     expected = shapely.distance(shapely.points(points), shapely.Polygon(polygon))
     np.testing.assert_allclose(outside_by_m(points, polygon), expected, atol=1e-12)
+
+
+def test_a_band_is_a_twentieth_of_the_way_between_two_edges() -> None:
+    plan = planned()
+    apart_m = float(np.hypot(*(plan.sites[0] - plan.sites[1])))
+    assert band_of(plan) == pytest.approx(apart_m / 20)
+    alone = plan_regions(grid(), System(edges=system().edges[:1]))
+    assert isinstance(alone, CloudPlan) and band_of(alone) == 1.0
