@@ -201,3 +201,13 @@ def test_the_exif_orientation_does_not_turn_pixels(tmp_path: Path) -> None:
     write(tmp_path / "other.jpg", picture(5))
     assert {photo.size_wh for photo in list_photographs(tmp_path).photographs} == {(96, 64)}
     assert load_photograph(path, (96, 64)).shape == (64, 96, 3)
+
+
+@pytest.mark.parametrize(("kind", "altitude_m"), [(5, 4294967295 - 26527), (10, -26528)])
+def test_an_altitude_is_read_as_signed_where_it_says_so(kind: int, altitude_m: float) -> None:
+    """Some cameras write heights below the sea as signed fractions (kind 10) in place of the reference."""
+    block = exif_block("<", False, False)
+    block = block.replace(struct.pack("<HHI", 6, 5, 1), struct.pack("<HHI", 6, kind, 1))
+    block = block.replace(struct.pack("<2I", 26528, 100), struct.pack("<2i", -26528, 1))
+    position = read_exif(block).lat_lon_alt
+    assert position is not None and position[2] == altitude_m

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import tracemalloc
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.ply import CHUNK_ROWS, load_ply, save_ply
+from radiant_core.io.ply import CHUNK_ROWS, LOG_SCALES, MEANS, QUATS, SH0, load_ply, save_ply
 from radiant_core.splats import SH_BASES, Splats
 
 
@@ -84,6 +85,27 @@ def test_extra_scalar_properties_and_doubles_are_read_over(tmp_path: Path) -> No
     assert splats.logit_opacities.tolist() == [6] * 3
     assert splats.log_scales.tolist() == [[7, 8, 9]] * 3
     assert splats.quats.tolist() == [[10, 11, 12, 13]] * 3
+
+
+@pytest.mark.parametrize(
+    ("names", "layout", "value"),
+    [
+        (("char", "int8"), "b", -7), (("uchar", "uint8"), "B", 200), (("short", "int16"), "<h", -300), (("ushort", "uint16"), "<H", 60_000),
+        (("int", "int32"), "<i", -70_000), (("uint", "uint32"), "<I", 3_000_000_000), (("float", "float32"), "<f", 0.5),
+        (("double", "float64"), "<d", -0.25),
+    ],
+)  # fmt: skip
+def test_every_scalar_type_of_ply_is_read_under_both_of_its_names(
+    tmp_path: Path, names: tuple[str, str], layout: str, value: float
+) -> None:
+    rest = [*MEANS[1:], *SH0, "opacity", *LOG_SCALES, *QUATS]
+    for name in names:
+        header = f"property {name} x\n" + "".join(f"property float {other}\n" for other in rest)
+        text = f"ply\nformat binary_little_endian 1.0\nelement vertex 1\n{header}end_header\n"
+        (tmp_path / "typed.ply").write_bytes(
+            text.encode() + struct.pack(layout, value) + struct.pack(f"<{len(rest)}f", *range(1, len(rest) + 1))
+        )
+        assert load_ply(tmp_path / "typed.ply").means.tolist() == [[value, 1, 2]]
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
