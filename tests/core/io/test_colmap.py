@@ -101,6 +101,14 @@ def test_the_model_is_found_in_a_project(text_model: Path, tmp_path: Path) -> No
     assert find_model(tmp_path) == tmp_path / "sparse" / "0"
     with pytest.raises(BadInput, match="holds no COLMAP model"):
         find_model(tmp_path / "sparse" / "0" / "nowhere")
+    # The nearest first: of the folder itself, its first reconstruction, and sparse.
+    write_model(tmp_path / "sparse", model)
+    assert find_model(tmp_path) == tmp_path / "sparse" / "0"
+    for path in (tmp_path / "sparse" / "0").iterdir():
+        path.unlink()
+    assert find_model(tmp_path) == tmp_path / "sparse"
+    write_model(tmp_path, model)
+    assert find_model(tmp_path) == tmp_path
 
 
 def copied(source: Path, target: Path) -> Path:
