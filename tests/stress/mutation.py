@@ -56,6 +56,8 @@ LIMIT_S, LIMIT_TIMES = 3.0, 10.0
 WALL_LIMIT_S = 600.0
 """A mutant that waits for something: undecided, it does not count."""
 MEMORY_BYTES = 6 << 30
+OWN_FAULT = 99
+"""Exit code of a fork in which something else than a test failed."""
 OPTIONS = ["-q", "-s", "-W", "ignore:Module already imported", "-p", "no:cacheprovider", "--hypothesis-seed=0", "-k", SLOW_TESTS]
 SWAPS: dict[type, type] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -192,6 +194,11 @@ def mutants_of(part: str, path: Path) -> list[Mutant]:
     return [Mutant(part=part, path=where, number=number, **found) for number, found in enumerate(changer.found)]
 
 
+def module_of(path: Path) -> str:
+    """The name under which a file is imported."""
+    return ".".join(path.relative_to(ROOT if path.is_relative_to(APP) else ROOT / "core").with_suffix("").parts)
+
+
 def mutated(path: Path, number: int) -> CodeType:
     """The module's code with its `number`-th change made, -1 for none; every line keeps its number."""
     return compile(ast.fix_missing_locations(_Changer(number).visit(ast.parse(path.read_text()))), str(path), "exec", dont_inherit=True)
@@ -273,10 +280,15 @@ class Reach:
     at_import: dict[str, list[int]] = field(default_factory=dict)
 
     def tests_for(self, mutant: Mutant) -> list[str]:
-        """The tests that reach a mutant's statement, or anything of its file where that runs at import; in the order to run them."""
+        """The tests that reach a mutant's statement, in the order to run them; where it runs at import, all that reach anything of its
+        file or stand in a file that names its module."""
         path, wanted = str(ROOT / mutant.path), set(range(mutant.first, mutant.last + 1))
-        every = not self.is_exchangeable(mutant)
-        found = [test for test, lines in self.lines.items() if path in lines and (every or wanted & set(lines[path]))]
+        if self.is_exchangeable(mutant):
+            found = [test for test, lines in self.lines.items() if wanted & set(lines.get(path, ()))]
+        else:
+            files = {test.split("::")[0] for test in self.lines}
+            naming = {file for file in files if module_of(ROOT / mutant.path) in (ROOT / file).read_text()}
+            found = [test for test, lines in self.lines.items() if path in lines or test.split("::")[0] in naming]
         own = f"test_{Path(mutant.path).stem}.py"
         # By half seconds: what belongs to the module goes first among equally quick ones.
         return sorted(found, key=lambda test: (self.cpu_s[test] // 0.5, own not in test, self.cpu_s[test]))
@@ -360,7 +372,7 @@ def forked(work: Callable[[], Any], wall_limit_s: float = WALL_LIMIT_S) -> Ended
     child = os.fork()
     if child == 0:
         os.setpgid(0, 0)
-        code = 99
+        code = OWN_FAULT
         try:
             os.close(reader)
             resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
@@ -389,6 +401,8 @@ def outcome_of(ended: Ended) -> tuple[str, str]:
     """killed, timeout, survived or undecided, and by what."""
     if ended.code is None:
         return "undecided", "it waits for something"
+    if ended.code == OWN_FAULT:
+        return "undecided", "this script failed"
     if ended.code == -signal.SIGPROF:
         return "timeout", "ten times the processor time"
     if ended.code != 0:
@@ -446,9 +460,7 @@ def exchange_rounds(session: Session, part: str, mutants: list[Mutant], write: C
 def run_fresh(mutant: Mutant, tests: list[str], cpu_s: dict[str, float], folder: str) -> str:
     """Import everything anew with the mutant in place of its file; what fails."""
     path = ROOT / mutant.path
-    package = ROOT if path.is_relative_to(APP) else ROOT / "core"
-    module = ".".join(path.relative_to(package).with_suffix("").parts)
-    sys.meta_path.insert(0, _Replaced(module, path, mutated(path, mutant.number)))
+    sys.meta_path.insert(0, _Replaced(module_of(path), path, mutated(path, mutant.number)))
     # Imports are a part of it: a change may make them endless.
     signal.setitimer(signal.ITIMER_PROF, 60)
     files = sorted({test.split("::")[0] for test in tests})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -150,3 +152,30 @@ def test_a_band_is_a_twentieth_of_the_way_between_two_edges() -> None:
     assert band_of(plan) == pytest.approx(apart_m / 20)
     alone = plan_regions(grid(), System(edges=system().edges[:1]))
     assert isinstance(alone, CloudPlan) and band_of(alone) == 1.0
+
+
+def test_each_side_counts_its_own_half_of_the_band() -> None:
+    """East of the border four times as many photographs: what each side sees is counted by brute force."""
+    north = np.arange(2.5, 100, 5.0)
+    dense = np.stack(np.meshgrid(np.arange(52.5, 100, 5.0), north), axis=-1).reshape(-1, 2)
+    positions = np.concatenate([grid()[grid()[:, 0] < 50], dense])
+    slow = replace(system().edges[0].devices[0], train_s=CostCurve(linear=4.0))
+    plan = plan_regions(positions, System(edges=(replace(system().edges[0], devices=(slow,)), system().edges[1])))
+    assert isinstance(plan, CloudPlan) and plan.counts.tolist() == [50, 200]
+    views = views_before_capture(positions, np.full(250, 10.0), OPTICS)
+    (forecast,) = forecast_borders(plan, views, ground_footprints(views), half_band_m=4.0)
+    shapes = [shapely.Polygon(polygon) for polygon in ground_footprints(views).polygons]
+    middle = (forecast.ends[0] + forecast.ends[1]) / 2
+    for side, sign in enumerate((-1, 1)):
+        spots = [(middle[0] + sign * offset, at) for offset in (1, 3) for at in np.linspace(10, 90, 40)]
+        own = [
+            sum(shape.covers(shapely.Point(spot)) for shape, edge in zip(shapes, plan.edge_of_camera, strict=True) if edge == side)
+            for spot in spots
+        ]
+        assert forecast.support[side] == pytest.approx(np.mean(own), rel=0.15)
+    assert forecast.support[1] > 2 * forecast.support[0]
+
+
+def test_risk_follows_the_images_of_a_spot() -> None:
+    model = RiskModel(high_below=3.0, medium_below=5.0)
+    assert [model.risk(support) for support in (0.0, 2.99, 3.0, 4.99, 5.0, 90.0)] == ["high", "high", "medium", "medium", "low", "low"]

@@ -137,3 +137,11 @@ def test_a_power_term_is_taken_only_where_it_is_worth_it() -> None:
             with_power += 1
             assert fitted.rmse < 0.99 * plain_rmse, seed
     assert with_power > 0
+
+
+def test_a_first_sample_scales_a_curve_however_small() -> None:
+    for scale in (1e-6, 0.5, 1e6):
+        curve = corrected(CostCurve(constant=scale, linear=scale), 4, 20.0)
+        assert float(curve(4)) == pytest.approx(20.0) and float(curve(9)) == pytest.approx(40.0)
+    nothing = CostCurve()
+    assert corrected(nothing, 4, 20.0) == nothing

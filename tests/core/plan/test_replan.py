@@ -348,3 +348,20 @@ def test_limits_of_what_is_said_of_a_machine() -> None:
         Situation(busy_s={"w1": -0.1})
     with pytest.raises(BadInput, match="positions has shape"):
         replan(town().cloud, town().edges, np.zeros((3, 2)), town().system, Situation())
+
+
+@pytest.mark.parametrize(
+    ("curve", "proved"),
+    [
+        (CostCurve(linear=5e5), True),
+        (CostCurve(power_coefficient=5e5, exponent=1.0), True),
+        (CostCurve(linear=2e5, power_coefficient=3e5, exponent=1.0), True),
+        (CostCurve(power_coefficient=5e5, exponent=2.0), False),
+        (CostCurve(constant=1e6, linear=5e5), False),
+    ],
+)
+def test_fewest_moves_are_proved_where_what_is_sent_depends_on_the_sum_alone(curve: CostCurve, proved: bool) -> None:
+    west = edge("west", (20.0, 50.0), *(replace(device(name), model_bytes=curve) for name in ("w1", "w2")))
+    east = edge("east", (80.0, 50.0), *(replace(device(name), model_bytes=curve) for name in ("e1", "e2")))
+    result = solved(made(System(edges=(west, east)), 60).replanned(Situation(slow={"w1": 2.0})))
+    assert result.fewest_proved is proved and result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)

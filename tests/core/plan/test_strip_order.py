@@ -117,3 +117,9 @@ def test_exchanging_any_two_of_many_devices_shortens_nothing(seed: int) -> None:
         changed = order.copy()
         changed[[first, second]] = changed[[second, first]]
         assert seams_m(changed, quotas, chords_m) >= found_m - 1e-5, (first, second)  # lengths are compared to a billionth
+
+
+def test_a_cut_along_a_side_is_as_long_as_the_side() -> None:
+    square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]])
+    assert chords_across(square, np.array([1.0, 0.0]), np.array([-0.1, 0.0, 1.0, 2.0, 2.1])).tolist() == [0, 3, 3, 3, 0]
+    assert chords_across(square, np.array([0.0, 1.0]), np.array([0.0, 3.0])).tolist() == [2, 2]
