@@ -71,7 +71,7 @@ def test_an_empty_inbox_is_no_error(tmp_path: Path) -> None:
     assert save_frames(tmp_path, inbox) == ["corrections.json", "refused.json", "frame.json"]
     assert read_json(tmp_path / "frame.json") == {"status": "missing", "reason": "", "uncertainty": None}
     # What a node that delivers nothing says of itself.
-    assert set(NOTHING.values()) == {0} and all(type(NOTHING[key]) is float for key in ("train_s", "first_loss", "last_loss"))
+    assert NOTHING == {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
 
 
 def test_cameras_are_a_devices_an_edges_virtual_ones_or_none(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ PARTS = {
 }
 PACKAGE_TESTS = {
     "plan": ["tests/core/plan", "tests/app/test_plan_options.py", "tests/app/test_profile_file.py", "tests/app/test_system_file.py"],
-    "io": ["tests/core/io", "tests/core/test_splats.py", "tests/app/test_run_folder.py"],
+    "io": ["tests/core/io", "tests/core/test_splats.py", "tests/app/test_run_folder.py", "tests/app/test_plan_content.py"],
     "upload": ["tests/core/io", "tests/core/aggregate/test_arrival.py", "tests/app/test_delivering.py", "tests/app/test_inbox.py"],
 }
 SLOW_TESTS = "not test_flat_curves_share_a_million"
@@ -464,7 +464,14 @@ def run_fresh(mutant: Mutant, tests: list[str], cpu_s: dict[str, float], folder:
     # Imports are a part of it: a change may make them endless.
     signal.setitimer(signal.ITIMER_PROF, 60)
     files = sorted({test.split("::")[0] for test in tests})
-    session = Session(lambda session: session.failure or session.run_until_failure([t for t in tests if t in session.items], cpu_s), [])
+
+    def run(session: Session) -> None:
+        # Parameters may come from the mutant: tests that only it has are run as well.
+        order = [*(test for test in tests if test in session.items), *(test for test in session.items if test not in cpu_s)]
+        if not session.failure:
+            session.run_until_failure(order, {**dict.fromkeys(session.items, 1.0), **cpu_s})
+
+    session = Session(run, [])
     code = run_session(session, files, folder)
     return session.failure or ("" if code in (0, 5) else f"pytest ended with {code}")
 

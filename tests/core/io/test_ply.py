@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import struct
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -210,3 +211,13 @@ def mutated(good: bytes, header_bytes: int, rng: np.random.Generator) -> bytes:
             case _:
                 del data[int(rng.integers(at, len(data) + 1)) :]
     return bytes(data)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_how_a_model_was_trained_to_be_drawn_stands_in_the_file(tmp_path: Path, antialiased: bool) -> None:
+    path = tmp_path / "a.ply"
+    save_ply(path, replace(random_splats(3, 1), antialiased=antialiased))
+    assert (b"comment antialiased\n" in path.read_bytes()) is antialiased and load_ply(path).antialiased is antialiased
+    # Somebody else's comments say nothing of it.
+    path.write_bytes(path.read_bytes().replace(b"element", b"comment made by us\ncomment\nelement", 1))
+    assert load_ply(path).antialiased is antialiased

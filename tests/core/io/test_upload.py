@@ -160,8 +160,9 @@ def test_float16_holds_the_whole_range_of_float32_where_activation_does(tmp_path
 
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_how_a_model_was_trained_to_be_drawn_comes_back(tmp_path: Path, name: UploadFormat, antialiased: bool) -> None:
-    assert there_and_back(tmp_path, replace(trained_like(5), antialiased=antialiased), name).antialiased is antialiased
+@pytest.mark.parametrize("count", [0, 5])
+def test_how_a_model_was_trained_to_be_drawn_comes_back(tmp_path: Path, name: UploadFormat, antialiased: bool, count: int) -> None:
+    assert there_and_back(tmp_path, replace(trained_like(count), antialiased=antialiased), name).antialiased is antialiased
 
 
 def test_a_model_of_any_size_is_brought_to_the_steps_of_spz(tmp_path: Path) -> None:

@@ -134,6 +134,9 @@ def test_bad_rules_are_refused() -> None:
         with pytest.raises(BadInput, match="buffer capture"):
             BufferRule(**bad)
     plan = planned()
+    others = region_shares(ground_footprints(views_before_capture(grid()[:50], np.full(50, 10.0), OPTICS)), plan.borders)
+    with pytest.raises(BadInput, match="shares of 100 footprints in 2 regions are needed"):
+        plan_buffers(grid(), others, plan, split_edges(grid(), plan, system()), system(), BufferRule(min_share=0.5))
     with pytest.raises(BadInput, match="region_shares"):
         plan_buffers(grid(), None, plan, split_edges(grid(), plan, system()), system(), BufferRule(min_share=0.5))
 
