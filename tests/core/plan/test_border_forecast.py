@@ -182,3 +182,24 @@ def test_each_side_counts_its_own_half_of_the_band() -> None:
 def test_risk_follows_the_images_of_a_spot() -> None:
     model = RiskModel(high_below=3.0, medium_below=5.0)
     assert [model.risk(support) for support in (0.0, 2.99, 3.0, 4.99, 5.0, 90.0)] == ["high", "high", "medium", "medium", "low", "low"]
+
+
+@pytest.mark.parametrize(("heading", "forward", "side"), [(90.0, 0.6, 0.5), (0.0, 0.0, 0.8)])
+def test_forward_is_along_the_flight_whatever_its_direction(heading: float, forward: float, side: float) -> None:
+    """Pictures of 20 m across and 10 m along the flight, every 4 m to the east and every 10 m to the north."""
+    east, north = np.meshgrid(np.arange(2, 100, 4.0), np.arange(5, 100, 10.0))
+    positions = np.column_stack([east.ravel(), north.ravel()])
+    plan = plan_regions(positions, system())
+    assert isinstance(plan, CloudPlan)
+    angles = np.tile([heading, -90.0], (len(positions), 1))
+    views = views_before_capture(positions, np.full(len(positions), 10.0), Optics(field_of_view_deg=90, aspect=0.5), angles)
+    (forecast,) = forecast_borders(plan, views, ground_footprints(views))
+    assert forecast.forward_overlap == pytest.approx(forward, abs=1e-6) and forecast.side_overlap == pytest.approx(side, abs=1e-6)
+
+
+def test_a_region_of_three_corners_has_borders() -> None:
+    plan = planned()
+    (whole,) = shared_borders(plan)
+    west = np.array([*whole.ends, [0.0, 50.0]])
+    (border,) = shared_borders(replace(plan, borders=(west, plan.borders[1])))
+    np.testing.assert_array_equal(border.ends, whole.ends)
