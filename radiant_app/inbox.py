@@ -28,6 +28,8 @@ Emit = Callable[[Event], None]
 NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
 """The summary of a node that delivers no model."""
 MAX_FRAME_BYTES = 1 << 12
+MAX_UNCERTAINTY = 1e6
+"""In m, rad or as a share: more is no frame."""
 REFUSED_NAME = "refused.json"
 """Senders that a node refused → why. It stays there."""
 VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
@@ -103,7 +105,8 @@ def _arrived(place: Path) -> tuple[Splats, Cameras] | str:
 
     try:
         own = _cameras_in(place)
-        _uncertainty_in(place)
+        if _uncertainty_in(place) is not None and not len(own):
+            return "it says how unsure its frame is, but sends no cameras to refine it by."
     except BadInput as error:
         return str(error)
     model = load_arrived(place / "model.safetensors", own)
@@ -123,9 +126,9 @@ def _uncertainty_in(place: Path) -> dict[str, float] | None:
     if (
         not isinstance(found, dict)
         or found.keys() != names
-        or not all(type(value) in (int, float) and value >= 0 for value in found.values())
+        or not all(type(value) in (int, float) and 0 < value <= MAX_UNCERTAINTY for value in found.values())
     ):
-        raise BadInput(f"{place / 'frame.json'} says an uncertainty that is none, expected {', '.join(sorted(names))} of 0 or more.")
+        raise BadInput(f"{place / 'frame.json'} says an uncertainty that is none, expected {', '.join(sorted(names))} of more than 0.")
     return {name: float(value) for name, value in found.items()}
 
 

@@ -142,7 +142,7 @@ def _load_spz(path: Path) -> Splats:
         if hashlib.sha256(data).hexdigest() != about["sha256"]:
             raise StoreDamaged(f"{path} has other bytes than were sent: send the model again.")
         if not count:
-            return _no_splats(degree)
+            return replace(_no_splats(degree), antialiased=about.get("antialiased") is True)
         stored = splats_from_spz(data, count, degree)
         means = stored.means.astype(np.float64) / 2.0**exponent + middle
         log_scales = stored.log_scales - exponent * np.log(2)

@@ -166,7 +166,7 @@ def _of_devices(situation: Situation, system: System) -> Situation:
             raise BadInput(f"there is no device or edge {name!r}: there are {', '.join(sorted(devices))}, of {', '.join(members)}.")
 
     def spread(names: frozenset[str]) -> frozenset[str]:
-        return frozenset(name for name in names if name in devices).union(*(members[name] for name in names if name not in devices), names)
+        return names.union(*(members[name] for name in names if name not in devices))
 
     busy_s = {device: seconds for name, seconds in situation.busy_s.items() for device in ({name} & devices or members[name])}
     made = {name: spread(getattr(situation, name)) for name in ("dead", "done", "closed")}

@@ -91,3 +91,21 @@ def test_no_bytes_end_a_run(data: bytes) -> None:
         path = Path(folder) / "model.safetensors"
         path.write_bytes(data)
         assert isinstance(load_arrived(path, CAMERAS), str)
+
+
+@pytest.mark.parametrize(("name", "limit"), [("means", 1e6), ("sh0", 50.0), ("shN", 50.0), ("log_scales", 12.0)])
+def test_what_is_expected_at_most_is_allowed(name: str, limit: float) -> None:
+    with_bases = replace(GROUND, shN=np.zeros((len(GROUND), 3, 3)))
+    for value, passes in ((limit, True), (np.nextafter(np.float32(limit), np.float32(np.inf)), False)):
+        array = getattr(with_bases, name).copy()
+        array.flat[7] = value
+        found = check_splats(replace(with_bases, **{name: array}), CAMERAS)
+        assert (found is None) is passes, found
+
+
+def test_one_gaussian_in_twenty_in_sight_is_enough() -> None:
+    for seen, passes in ((15, True), (14, False)):
+        means = GROUND.means.copy()
+        means[: len(GROUND) - seen] += np.float32(500)
+        means[len(GROUND) - seen :] = [0.0, 0.0, 0.0]
+        assert (check_splats(replace(GROUND, means=means), CAMERAS) is None) is passes

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import random
 from dataclasses import replace
+from itertools import combinations
 
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.acceptance import Acceptance, LastTask, Offer, acceptance_of
+from radiant_core.io.acceptance import Acceptance, LastTask, Offer, Region, acceptance_of
 from tests.core.io.protocol_world import REASONS, played
 
 RUN, EDGE = "1" * 32, "edges/north"
@@ -65,6 +66,17 @@ def test_no_camera_is_lost_or_won_by_planning_again(pieces: list[str]) -> None:
         WAITING.planned("d", "devices/d", ["c3"])
     with pytest.raises(BadInput, match="was planned before"):
         WAITING.planned("a", "devices/d", ["c9"])
+
+
+@pytest.mark.parametrize(("first", "second"), list(combinations(range(5), 2)))
+def test_no_two_of_many_regions_share_a_camera(first: int, second: int) -> None:
+    cameras = [{f"c{index}"} for index in range(5)]
+    cameras[first].add("shared")
+    cameras[second].add("shared")
+    regions = {f"r{index}": Region(sender="devices/a", cameras=frozenset(own)) for index, own in enumerate(cameras)}
+    with pytest.raises(BadInput, match="'shared' is in two regions"):
+        Acceptance(run=RUN, receiver=EDGE, regions=regions)
+    assert Acceptance(run=RUN, receiver=EDGE, regions=regions, closed=frozenset({f"r{first}"})).waiting
 
 
 def test_a_stored_state_comes_back_and_a_damaged_one_is_refused() -> None:

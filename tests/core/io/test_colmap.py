@@ -13,6 +13,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import ColmapModel, find_model, read_model, write_model
+from radiant_core.io.colmap_records import PARAM_COUNTS
 
 STEMS = ("cameras", "images", "points3D")
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "known"
@@ -100,6 +101,14 @@ def test_the_model_is_found_in_a_project(text_model: Path, tmp_path: Path) -> No
     assert find_model(tmp_path) == tmp_path / "sparse" / "0"
     with pytest.raises(BadInput, match="holds no COLMAP model"):
         find_model(tmp_path / "sparse" / "0" / "nowhere")
+    # The nearest first: of the folder itself, its first reconstruction, and sparse.
+    write_model(tmp_path / "sparse", model)
+    assert find_model(tmp_path) == tmp_path / "sparse" / "0"
+    for path in (tmp_path / "sparse" / "0").iterdir():
+        path.unlink()
+    assert find_model(tmp_path) == tmp_path / "sparse"
+    write_model(tmp_path, model)
+    assert find_model(tmp_path) == tmp_path
 
 
 def copied(source: Path, target: Path) -> Path:
@@ -207,3 +216,33 @@ def test_each_fault_is_named(file: str, old: str, new: str, told: str, text_mode
     (folder / file).write_text(content.replace(old, new, 1))
     with pytest.raises(BadInput, match=told):
         read_model(folder)
+
+
+@pytest.mark.parametrize("model", list(PARAM_COUNTS))
+def test_every_camera_model_has_as_many_parameters_as_in_colmap(model: str) -> None:
+    camera = pycolmap.Camera.create_from_model_name(1, model, 500.0, 640, 480)
+    assert PARAM_COUNTS[model] == len(camera.params) and list(PARAM_COUNTS).index(model) == camera.model.value
+
+
+def test_a_focal_length_is_positive_and_a_centre_may_lie_anywhere(text_model: Path, tmp_path: Path) -> None:
+    """Cropped pictures have their principal point outside; which parameters are focal lengths depends on the model."""
+    folder = copied(text_model, tmp_path / "cropped")
+    cameras = folder / "cameras.txt"
+    whole = cameras.read_text()
+    cameras.write_text(whole.replace("500 501 320", "500 501 -320").replace("300 160 120", "300 -160 0"))
+    assert read_model(folder).cameras[4].params == (300, -160, 0, -0.01)
+    for old, new in (("500 501", "500 0"), ("300 160", "0 160")):
+        cameras.write_text(whole.replace(old, new))
+        with pytest.raises(BadInput, match="positive focal length"):
+            read_model(folder)
+
+
+def test_a_model_without_points_comes_back(text_model: Path, tmp_path: Path) -> None:
+    folder = copied(text_model, tmp_path / "poses")
+    (folder / "points3D.txt").write_text("# none\n")
+    (folder / "images.txt").write_text("2 1 0 0 0 1 2 3 4 b.jpg\n\n")
+    model = read_model(folder)
+    assert model.points.tracks.shape == (0, 3) and model.points.xyz.shape == (0, 3) and len(model.images) == 1
+    write_model(tmp_path / "again", model)
+    assert same(model, read_model(tmp_path / "again"))
+    assert len(pycolmap.Reconstruction(tmp_path / "again").points3D) == 0

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import random
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.io.acceptance import Acceptance, Offer
 from radiant_core.io.delivery import (
+    MAX_ATTEMPT,
     MAX_RECORD_BYTES,
     RECORD_NAME,
     SIGNATURE_NAME,
@@ -21,6 +24,7 @@ from radiant_core.io.delivery import (
     load_delivery,
     save_delivery,
     sent_files,
+    verified_delivery,
 )
 from radiant_core.io.signing import KEY_NAME, PUBLIC_NAME, load_public_key, load_signing_key, make_signing_key
 from tests.memory_folder import memory_folder
@@ -127,6 +131,88 @@ def test_a_record_that_says_something_else_is_refused_even_when_signed(tmp_path:
     more = {**right.files, "../scene.ply": right.files[FILES[0]]}
     with pytest.raises(BadInput, match="has the files"):
         replace(right, files=more)
+
+
+def test_record_and_signature_are_what_the_format_says(tmp_path: Path) -> None:
+    """Written out here, so that another program can be checked against it."""
+    place = sent(tmp_path)
+    record, signature = (place / RECORD_NAME).read_bytes(), (place / SIGNATURE_NAME).read_bytes()
+    load_public_key(tmp_path / "north-1-identity" / PUBLIC_NAME).verify(signature, b"radiant.delivery 1\0" + record)
+    files = {file: {"bytes": 5 + len(file), "sha256": hashlib.sha256(b"model" + file.encode()).hexdigest()} for file in FILES}
+    whole = {"schema": "radiant.delivery", "version": 1, "run": RUN, "kind": "device_model", "attempt": 1, "files": files}
+    assert json.loads(record) == {**whole, "sender": "devices/north-1", "receiver": "edges/north"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"schema": "radiant.run"}, "no record of radiant.delivery 1"),
+        ({"version": 2}, "no record of radiant.delivery 1"),
+        ({"more": 1}, "no record of radiant.delivery 1"),
+        ({"run": ...}, "no record of radiant.delivery 1"),
+        ({"run": 1}, "has another type"),
+        ({"sender": None}, "has another type"),
+        ({"receiver": ["cloud"]}, "has another type"),
+        ({"kind": 2}, "has another type"),
+        ({"attempt": True}, "has another type"),
+        ({"attempt": 1.0}, "has another type"),
+        ({"attempt": 0}, "is attempt 0, expected 1 to 1000000"),
+        ({"attempt": MAX_ATTEMPT + 1}, "is attempt 1000001"),
+        ({"files": [{"bytes": 1, "sha256": "a" * 64}]}, "has another type"),
+        ({"files": {"model.safetensors": 1}}, "not described by bytes and sha256"),
+        ({"files": {"model.safetensors": {"bytes": 1}}}, "not described by bytes and sha256"),
+        ({"files": {"model.safetensors": {"bytes": "1", "sha256": "a" * 64}}}, "not described by bytes and sha256"),
+        ({"files": {"model.safetensors": {"bytes": 1, "sha256": 5}}}, "not described by bytes and sha256"),
+    ],
+)
+def test_a_signed_record_that_is_none_is_refused_by_the_first_thing_wrong(tmp_path: Path, changed: dict[str, Any], told: str) -> None:
+    """The holder of a key may send anything."""
+    place = sent(tmp_path)
+    key = load_signing_key(tmp_path / "north-1-identity")
+    fields = {**json.loads((place / RECORD_NAME).read_bytes()), **changed}
+    record = json.dumps({name: value for name, value in fields.items() if value is not ...}).encode()
+    with pytest.raises(BadInput, match=told):
+        verified_delivery(record, key.sign(b"radiant.delivery 1\0" + record), key.public_key())
+
+
+@pytest.mark.parametrize("record", [b"[]", b"null", b"7", b"{}", b"{", b""])
+def test_signed_bytes_that_are_no_record_are_refused(tmp_path: Path, record: bytes) -> None:
+    make_signing_key(tmp_path)
+    key = load_signing_key(tmp_path)
+    with pytest.raises(BadInput):
+        verified_delivery(record, key.sign(b"radiant.delivery 1\0" + record), key.public_key())
+
+
+def test_limits_of_a_delivery_are_where_they_are_said_to_be(tmp_path: Path) -> None:
+    place = sent(tmp_path)
+    right = load_delivery(place, load_public_key(tmp_path / "north-1-identity" / PUBLIC_NAME))
+    model, other = (right.files[file] for file in FILES)
+    for size, passes in ((0, True), (2 * 10**9, True), (-1, False), (2 * 10**9 + 1, False)):
+        files = {FILES[0]: replace(model, bytes=size), FILES[1]: other}
+        if passes:
+            assert replace(right, files=files).files[FILES[0]].bytes == size
+        else:
+            with pytest.raises(BadInput, match="send it again"):
+                replace(right, files=files)
+    for attempt in (1, MAX_ATTEMPT):
+        assert replace(right, attempt=attempt).attempt == attempt
+    for digest in ("a" * 63, "a" * 65, "g" * 64, "A" * 64, "a" * 64 + "\n"):
+        with pytest.raises(BadInput, match="hash"):
+            replace(right, files={FILES[0]: replace(model, sha256=digest), FILES[1]: other})
+    assert replace(right, sender="d" * 255).sender == "d" * 255
+    for name in ("d" * 256, " d", "d/../e", "d\0", "d\n"):
+        with pytest.raises(BadInput, match="names the node"):
+            replace(right, sender=name)
+    # What may be there, may be missing; an edge sends no cameras but virtual ones.
+    frame = {**right.files, "frame.json": model}
+    assert replace(right, files=frame).digest != right.digest
+    edge = {"model.safetensors": model, "virtual_cameras.safetensors": other, "frame.json": model}
+    for name in ("virtual_cameras.safetensors", "frame.json"):
+        replace(right, kind="edge_model", files={other: file for other, file in edge.items() if other != name})
+    with pytest.raises(BadInput, match="has the files"):
+        replace(right, kind="edge_model", files={name: file for name, file in edge.items() if name != "model.safetensors"})
+    with pytest.raises(BadInput, match="has the files"):
+        replace(right, kind="edge_model", files={**edge, FILES[1]: other})
 
 
 def test_no_tampered_or_replayed_upload_is_accepted() -> None:

@@ -119,3 +119,10 @@ def test_missing_and_damaged_files_are_named(folder: Path, tmp_path: Path) -> No
     (folder / "coordinates.pt").unlink()
     with pytest.raises(BadInput, match=r"coordinates\.pt does not exist"):
         read_mill19(folder)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan")])
+def test_a_scale_is_positive(folder: Path, scale: float) -> None:
+    save({"origin_drb": torch.zeros(3), "pose_scale_factor": scale}, folder / "coordinates.pt")
+    with pytest.raises(BadInput, match="pose_scale_factor"):
+        read_mill19(folder)

@@ -201,3 +201,44 @@ def test_the_exif_orientation_does_not_turn_pixels(tmp_path: Path) -> None:
     write(tmp_path / "other.jpg", picture(5))
     assert {photo.size_wh for photo in list_photographs(tmp_path).photographs} == {(96, 64)}
     assert load_photograph(path, (96, 64)).shape == (64, 96, 3)
+
+
+@pytest.mark.parametrize(("kind", "altitude_m"), [(5, 4294967295 - 26527), (10, -26528)])
+def test_an_altitude_is_read_as_signed_where_it_says_so(kind: int, altitude_m: float) -> None:
+    """Some cameras write heights below the sea as signed fractions (kind 10) in place of the reference."""
+    block = exif_block("<", False, False)
+    block = block.replace(struct.pack("<HHI", 6, 5, 1), struct.pack("<HHI", 6, kind, 1))
+    block = block.replace(struct.pack("<2I", 26528, 100), struct.pack("<2i", -26528, 1))
+    position = read_exif(block).lat_lon_alt
+    assert position is not None and position[2] == altitude_m
+
+
+def with_degrees(lat: int, lon: int) -> bytes:
+    """The block by hand with whole degrees in place of its position."""
+    block = exif_block("<", False, False)
+    for old, new in (((41, 1, 24, 1, 162, 100), lat), ((81, 1, 53, 1, 2801, 100), lon)):
+        assert block.count(struct.pack("<6I", *old)) == 1
+        block = block.replace(struct.pack("<6I", *old), struct.pack("<6I", new, 1, 0, 1, 0, 1))
+    return block
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon", "is_on_globe"),
+    [(90, 180, True), (91, 8, False), (47, 181, False), (0, 8, True), (47, 0, True), (0, 0, False)],
+)
+def test_a_position_is_on_the_globe_and_not_where_receivers_without_a_fix_are(lat: int, lon: int, is_on_globe: bool) -> None:
+    position = read_exif(with_degrees(lat, lon)).lat_lon_alt
+    assert (position is not None) is is_on_globe
+    assert position is None or position == pytest.approx((lat, lon, 265.28))
+
+
+def test_the_shortest_frame_header_says_its_size_and_a_scan_has_to_end() -> None:
+    start, frame = b"\xff\xd8", b"\xff\xc0\x00\x07\x08\x00\x10\x00\x20"
+    assert read_jpeg_facts(start + frame).size_wh == (32, 16)
+    assert read_jpeg_facts(start + b"\xff\xc0\x00\x06\x08\x00\x10\x00").size_wh is None
+    assert read_jpeg_facts(start + frame[:5] + b"\x00\x00\x00\x20").size_wh is None, "no picture is 0 px high"
+    assert read_jpeg_facts(start + b"\xff" + frame).size_wh == (32, 16), "segments may be padded by FF"
+    scan = b"\xff\xda\x00\x02"
+    assert read_jpeg_facts(start + frame + scan + b"\x12\xff\xd9").whole
+    assert not read_jpeg_facts(start + frame + scan + b"\x12\xff\x00").whole
+    assert not read_jpeg_facts(start + frame + b"\xff\xd9").whole, "no scan, no picture"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
-from radiant_core.io.plan_export import CSV_HEADER, save_device_waypoints, save_regions_geojson
+from radiant_core.io.plan_export import CSV_HEADER, land_features, save_device_waypoints, save_regions_geojson
 from radiant_core.io.waypoints import read_waypoints
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
@@ -144,3 +145,12 @@ def test_other_waypoints_than_the_plans_are_refused_and_nothing_is_written(tmp_p
         with pytest.raises(BadInput, match="plan is of 30 cameras, there are 29"):
             write()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_triangle_is_land_and_less_is_none() -> None:
+    _, cloud, edges = planned()
+    triangle = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]])
+    for border, has_land in ((triangle, True), (triangle[:2], False)):
+        own = replace(cloud, borders=(border, *cloud.borders[1:]))
+        names = [feature["properties"]["name"] for feature in land_features(own, edges, np.array([47.0, 8.0, 400.0]))]
+        assert (cloud.edge_ids[0] in names) is has_land

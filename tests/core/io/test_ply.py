@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+import struct
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.ply import CHUNK_ROWS, load_ply, save_ply
+from radiant_core.io.ply import CHUNK_ROWS, LOG_SCALES, MEANS, QUATS, SH0, load_ply, save_ply
 from radiant_core.splats import SH_BASES, Splats
 
 
@@ -84,6 +86,30 @@ def test_extra_scalar_properties_and_doubles_are_read_over(tmp_path: Path) -> No
     assert splats.logit_opacities.tolist() == [6] * 3
     assert splats.log_scales.tolist() == [[7, 8, 9]] * 3
     assert splats.quats.tolist() == [[10, 11, 12, 13]] * 3
+
+
+@pytest.mark.parametrize(
+    ("names", "layout"),
+    [
+        (("char", "int8"), "b"), (("uchar", "uint8"), "B"), (("short", "int16"), "<h"), (("ushort", "uint16"), "<H"),
+        (("int", "int32"), "<i"), (("uint", "uint32"), "<I"), (("float", "float32"), "<f"), (("double", "float64"), "<d"),
+    ],
+)  # fmt: skip
+def test_a_scalar_has_its_width_under_both_names_of_its_type_and_a_coordinate_is_a_float(
+    tmp_path: Path, names: tuple[str, str], layout: str
+) -> None:
+    wanted = [*MEANS, *SH0, "opacity", *LOG_SCALES, *QUATS]
+    for name in names:
+        for first in ("skipped", "x"):
+            header = f"property {name} {first}\n" + "".join(f"property float {other}\n" for other in wanted if other != first)
+            text = f"ply\nformat binary_little_endian 1.0\nelement vertex 1\n{header}end_header\n"
+            numbers = [value for value, other in enumerate(wanted) if other != first]
+            (tmp_path / "a.ply").write_bytes(text.encode() + struct.pack(layout, 0) + struct.pack(f"<{len(numbers)}f", *numbers))
+            if first == "skipped" or layout in ("<f", "<d"):
+                assert load_ply(tmp_path / "a.ply").means.tolist() == [[0, 1, 2]]
+            else:
+                with pytest.raises(BadInput, match="no property 'x' of a floating type"):
+                    load_ply(tmp_path / "a.ply")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -185,3 +211,13 @@ def mutated(good: bytes, header_bytes: int, rng: np.random.Generator) -> bytes:
             case _:
                 del data[int(rng.integers(at, len(data) + 1)) :]
     return bytes(data)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_how_a_model_was_trained_to_be_drawn_stands_in_the_file(tmp_path: Path, antialiased: bool) -> None:
+    path = tmp_path / "a.ply"
+    save_ply(path, replace(random_splats(3, 1), antialiased=antialiased))
+    assert (b"comment antialiased\n" in path.read_bytes()) is antialiased and load_ply(path).antialiased is antialiased
+    # Somebody else's comments say nothing of it.
+    path.write_bytes(path.read_bytes().replace(b"element", b"comment made by us\ncomment\nelement", 1))
+    assert load_ply(path).antialiased is antialiased

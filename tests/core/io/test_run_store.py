@@ -288,3 +288,17 @@ def test_a_lock_can_be_taken_again_after_its_block(tmp_path: Path) -> None:
 def test_a_folder_that_is_not_there_cannot_be_locked(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="cannot lock"), RunLock(tmp_path / "absent"):
         pytest.fail("locked nothing")
+
+
+def test_the_key_of_a_folder_is_that_of_the_names_and_bytes_of_its_files(tmp_path: Path) -> None:
+    def made(name: str, **files: str) -> str:
+        for path, text in files.items():
+            place = tmp_path / name / path.replace("__", "/")
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_text(text)
+        return content_key(tmp_path / name)
+
+    first = made("first", a="1", sub__b="2")
+    assert made("same", sub__b="2", a="1") == first, "where it lies and which file came first does not matter"
+    others = [made("bytes", a="1", sub__b="3"), made("name", a="1", sub__c="2"), made("place", a="1", b="2"), made("less", a="1")]
+    assert len({first, *others}) == 5

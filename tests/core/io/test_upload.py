@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save_file
 
 from radiant_core.errors import BadInput, RadiantError, StoreDamaged
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.io.array_file import header_of, save_arrays
 from radiant_core.io.open3d_formats import splats_from_spz
 from radiant_core.io.records import save_cameras
 from radiant_core.io.upload import BYTES_FACTORS, UploadFormat, load_upload, save_upload, upload_problem
@@ -157,6 +158,38 @@ def test_float16_holds_the_whole_range_of_float32_where_activation_does(tmp_path
     assert np.abs(after.sh0 - splats.sh0).max() <= 2.0**-25, "half a step of float16's denormals"
 
 
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("count", [0, 5])
+def test_how_a_model_was_trained_to_be_drawn_comes_back(tmp_path: Path, name: UploadFormat, antialiased: bool, count: int) -> None:
+    assert there_and_back(tmp_path, replace(trained_like(count), antialiased=antialiased), name).antialiased is antialiased
+
+
+def test_a_model_of_any_size_is_brought_to_the_steps_of_spz(tmp_path: Path) -> None:
+    """Ten orders of magnitude about a far centre, as float32 allows; beyond 2^±40 the steps stay and the file says so."""
+    splats, errors = trained_like(50), []
+    for factor in (1e-3, 1.0, 1e3, 1e6):
+        scaled = replace(splats, means=(splats.means - splats.means.mean(axis=0)) * factor, log_scales=splats.log_scales + np.log(factor))
+        after = there_and_back(tmp_path, scaled, "spz")
+        errors.append(float(np.abs(after.means - scaled.means).max()) / factor)
+    assert max(errors) < 2e-4, "half a step of 1/4096 over 4 or 2, at every size"
+
+
+def test_the_exponent_of_spz_ends_at_40(tmp_path: Path) -> None:
+    path = tmp_path / "upload.safetensors"
+    point = replace(trained_like(1), means=np.zeros((1, 3)), log_scales=np.full((1, 3), -25.0))
+    save_upload(path, point, "spz")
+    data, (record, _) = load_file(path), header_of(path)
+    assert record["about"]["exponent"] == 40
+    for exponent, passes in ((40, True), (-40, True), (41, False), (-41, False)):
+        save_arrays(path, "radiant.splats.spz", data, {**record["about"], "exponent": exponent})
+        if passes:
+            assert len(load_upload(path)) == 1
+        else:
+            with pytest.raises(BadInput, match=f"exponent {exponent}"):
+                load_upload(path)
+
+
 def test_what_a_format_cannot_hold_is_named_and_nothing_is_written(tmp_path: Path) -> None:
     bright = replace(trained_like(5), sh0=np.full((5, 1, 3), 7e4))
     far = trained_like(50)
@@ -173,6 +206,7 @@ def test_what_a_format_cannot_hold_is_named_and_nothing_is_written(tmp_path: Pat
         with pytest.raises(BadInput, match=told):
             save_upload(tmp_path / "upload.safetensors", splats, name)
     assert list(tmp_path.iterdir()) == []
+    assert upload_problem(replace(far, sh0=np.full((50, 1, 3), -65504.0)), "float16") is None
     assert upload_problem(far, "spz") is None and upload_problem(replace(far, means=means), "float16") is None
 
 

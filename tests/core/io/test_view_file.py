@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput, RadiantError, StoreDamaged
-from radiant_core.io.view_file import load_view, save_view
+from radiant_core.io.array_file import save_arrays
+from radiant_core.io.view_file import SCHEMA, load_view, save_view
 
 
 def view(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,3 +56,10 @@ def test_mutated_bytes_give_typed_errors_or_a_view_of_that_size(tmp_path: Path) 
         except RadiantError:
             refused += 1
     assert refused > 60
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n" + b"\0" * 15, b"\x88PNG\r\n\x1a\n" + b"\0" * 8 + b"\0\0\0\x08\0\0\0\x06"])
+def test_what_is_no_picture_is_told_before_it_is_decoded(tmp_path: Path, content: bytes) -> None:
+    save_arrays(tmp_path / "v", SCHEMA, {"png": np.frombuffer(content, np.uint8)}, {"size_wh": [8, 6]})
+    with pytest.raises(BadInput, match="a view of 0 × 0 px, expected 8 × 6"):
+        load_view(tmp_path / "v", 8, 6)

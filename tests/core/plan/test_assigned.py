@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,9 @@ from radiant_app.system_file import even_system
 from radiant_core.errors import BadInput
 from radiant_core.plan.assigned import assigned_plan
 from radiant_core.plan.power_diagram import assign
+from radiant_core.plan.region_plan import regions_around
+from radiant_core.plan.system import System
+from radiant_core.plan.wide_deadline import fastest_edge_counts
 
 SYSTEM = even_system(2, 2)
 OWNERS = [device.id for device in SYSTEM.devices]
@@ -27,6 +32,18 @@ def test_counts_times_and_regions_follow_the_owners() -> None:
             assert 0 < _area(plan.strips[index]) < 300
     assert (assign(positions, cloud.sites, cloud.weights) == cloud.edge_of_camera).all()
     assert cloud.makespan_s >= cloud.lower_bound_s > 0
+
+
+def test_the_bound_is_that_of_free_dealing_and_0_where_memory_forbids_it() -> None:
+    positions = np.random.default_rng(1).random((30, 2)) * 100
+    owners = np.repeat([0, 1], [20, 10])
+    assert regions_around(positions, owners, SYSTEM).lower_bound_s == pytest.approx(
+        float(fastest_edge_counts(SYSTEM, 30).edge_time_s.max())
+    )
+    for most, has_bound in ((7, False), (8, True)):
+        edges = [replace(e, devices=tuple(replace(d, max_cameras=most) for d in e.devices)) for e in SYSTEM.edges]
+        found = regions_around(positions, owners, System(edges=tuple(edges)))
+        assert (found.lower_bound_s > 0) is has_bound and found.counts.tolist() == [20, 10]
 
 
 def _area(polygon: np.ndarray) -> float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.border_forecast import RiskModel, forecast_borders
+from radiant_core.plan.border_forecast import RiskModel, band_of, forecast_borders
 from radiant_core.plan.borders import outside_by_m, shared_borders
 from radiant_core.plan.buffers import BufferRule, plan_buffers
 from radiant_core.plan.cost_curves import CostCurve
@@ -132,6 +134,9 @@ def test_bad_rules_are_refused() -> None:
         with pytest.raises(BadInput, match="buffer capture"):
             BufferRule(**bad)
     plan = planned()
+    others = region_shares(ground_footprints(views_before_capture(grid()[:50], np.full(50, 10.0), OPTICS)), plan.borders)
+    with pytest.raises(BadInput, match="shares of 100 footprints in 2 regions are needed"):
+        plan_buffers(grid(), others, plan, split_edges(grid(), plan, system()), system(), BufferRule(min_share=0.5))
     with pytest.raises(BadInput, match="region_shares"):
         plan_buffers(grid(), None, plan, split_edges(grid(), plan, system()), system(), BufferRule(min_share=0.5))
 
@@ -142,3 +147,59 @@ def test_distances_from_a_polygon_equal_shapelys() -> None:
     points = rng.uniform(-5, 9, (500, 2))
     expected = shapely.distance(shapely.points(points), shapely.Polygon(polygon))
     np.testing.assert_allclose(outside_by_m(points, polygon), expected, atol=1e-12)
+
+
+def test_a_band_is_a_twentieth_of_the_way_between_two_edges() -> None:
+    plan = planned()
+    apart_m = float(np.hypot(*(plan.sites[0] - plan.sites[1])))
+    assert band_of(plan) == pytest.approx(apart_m / 20)
+    alone = plan_regions(grid(), System(edges=system().edges[:1]))
+    assert isinstance(alone, CloudPlan) and band_of(alone) == 1.0
+
+
+def test_each_side_counts_its_own_half_of_the_band() -> None:
+    """East of the border four times as many photographs: what each side sees is counted by brute force."""
+    north = np.arange(2.5, 100, 5.0)
+    dense = np.stack(np.meshgrid(np.arange(52.5, 100, 5.0), north), axis=-1).reshape(-1, 2)
+    positions = np.concatenate([grid()[grid()[:, 0] < 50], dense])
+    slow = replace(system().edges[0].devices[0], train_s=CostCurve(linear=4.0))
+    plan = plan_regions(positions, System(edges=(replace(system().edges[0], devices=(slow,)), system().edges[1])))
+    assert isinstance(plan, CloudPlan) and plan.counts.tolist() == [50, 200]
+    views = views_before_capture(positions, np.full(250, 10.0), OPTICS)
+    (forecast,) = forecast_borders(plan, views, ground_footprints(views), half_band_m=4.0)
+    shapes = [shapely.Polygon(polygon) for polygon in ground_footprints(views).polygons]
+    middle = (forecast.ends[0] + forecast.ends[1]) / 2
+    for side, sign in enumerate((-1, 1)):
+        spots = [(middle[0] + sign * offset, at) for offset in (1, 3) for at in np.linspace(10, 90, 40)]
+        own = [
+            sum(shape.covers(shapely.Point(spot)) for shape, edge in zip(shapes, plan.edge_of_camera, strict=True) if edge == side)
+            for spot in spots
+        ]
+        assert forecast.support[side] == pytest.approx(np.mean(own), rel=0.15)
+    assert forecast.support[1] > 2 * forecast.support[0]
+
+
+def test_risk_follows_the_images_of_a_spot() -> None:
+    model = RiskModel(high_below=3.0, medium_below=5.0)
+    assert [model.risk(support) for support in (0.0, 2.99, 3.0, 4.99, 5.0, 90.0)] == ["high", "high", "medium", "medium", "low", "low"]
+
+
+@pytest.mark.parametrize(("heading", "forward", "side"), [(90.0, 0.6, 0.5), (0.0, 0.0, 0.8)])
+def test_forward_is_along_the_flight_whatever_its_direction(heading: float, forward: float, side: float) -> None:
+    """Pictures of 20 m across and 10 m along the flight, every 4 m to the east and every 10 m to the north."""
+    east, north = np.meshgrid(np.arange(2, 100, 4.0), np.arange(5, 100, 10.0))
+    positions = np.column_stack([east.ravel(), north.ravel()])
+    plan = plan_regions(positions, system())
+    assert isinstance(plan, CloudPlan)
+    angles = np.tile([heading, -90.0], (len(positions), 1))
+    views = views_before_capture(positions, np.full(len(positions), 10.0), Optics(field_of_view_deg=90, aspect=0.5), angles)
+    (forecast,) = forecast_borders(plan, views, ground_footprints(views))
+    assert forecast.forward_overlap == pytest.approx(forward, abs=1e-6) and forecast.side_overlap == pytest.approx(side, abs=1e-6)
+
+
+def test_a_region_of_three_corners_has_borders() -> None:
+    plan = planned()
+    (whole,) = shared_borders(plan)
+    west = np.array([*whole.ends, [0.0, 50.0]])
+    (border,) = shared_borders(replace(plan, borders=(west, plan.borders[1])))
+    np.testing.assert_array_equal(border.ends, whole.ends)

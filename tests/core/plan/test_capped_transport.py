@@ -78,3 +78,15 @@ def test_capacities_that_are_negative_or_too_few_are_refused() -> None:
     for capacities in ([1, 1], [-1, 5]):
         with pytest.raises(BadInput, match="capacities sum to"):
             deal_within(positions, sites, np.array(capacities))
+
+
+def test_the_guess_leaves_only_few_cameras_to_move_along_chains() -> None:
+    """A chain costs as much as all of the guess; without one, hundreds would be taken."""
+    chains = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        positions, sites = rng.random((2000, 2)) * 500 - 250, (rng.random((8, 2)) - 0.5) * 400
+        capacities = rng.integers(150, 400, 8)
+        capacities[0] += max(0, 2000 - int(capacities.sum()))
+        chains.append(deal_within(positions, sites, capacities).num_paths)
+    assert max(chains) <= 10, chains

@@ -9,6 +9,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.captured import plan_of_captured, taken_for_others
+from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import device_time_s
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -129,3 +130,17 @@ def test_photographs_in_the_folder_of_another_edge_are_told() -> None:
     np.testing.assert_array_equal(taken_for_others(edges, positions, exchanged, positions), cloud.edge_of_camera == 0)
     with pytest.raises(BadInput, match="use the plan of this site"):
         taken_for_others(edges, positions, own, positions + 5000.0)
+
+
+def test_where_one_device_captured_all_of_an_edge_nothing_is_joined() -> None:
+    positions, system = site(60)
+    edges = tuple(replace(edge, aggregate_s=CostCurve(constant=1000.0), aggregate_alone_s=CostCurve(constant=1.0)) for edge in system.edges)
+    system = System(edges=edges)
+    cloud, plans = planned(positions, system)
+    edge = next(index for index, plan in enumerate(plans) if len(plan.device_ids) > 1 and len(plan.camera_indices))
+    plan = plans[edge]
+    first = plan.camera_indices[plan.device_of_camera == plan.device_of_camera[0]]
+    alone, _ = plan_of_captured(cloud, plans, positions, positions[first], system=system)
+    device = system.edges[edge].devices[int(plan.device_of_camera[0])]
+    sent_s = float(device.model_bytes(len(first))) / system.edges[edge].uplink_bytes_per_s
+    assert alone.edge_time_s[edge] == pytest.approx(float(device_time_s(device, len(first))) + 1.0 + sent_s)

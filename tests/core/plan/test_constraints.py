@@ -127,3 +127,21 @@ def test_what_cannot_be_meant_is_refused() -> None:
     ):
         with pytest.raises(BadInput, match=message):
             build()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_locked_where_nothing_changed_the_weights_still_prove_every_cell(seed: int) -> None:
+    """The start itself has such weights; those found anew, edge by edge, are others and as good."""
+    rng = np.random.default_rng(seed)
+    positions, system = LAYOUTS["uniform"](rng, 200), random_system(rng, 6)
+    start = planned(positions, system)
+    for locked in (("e0",), ("e1", "e4")):
+        plan = planned(positions, system, constraints=PlanConstraints(locked=locked), start=start)
+        centre = (positions.min(axis=0) + positions.max(axis=0)) / 2
+        cells = assign(positions - centre, plan.sites - centre, plan.weights)
+        assert (cells != plan.edge_of_camera).sum() == plan.num_outside
+        for name in locked:
+            edge = int(name[1:])
+            np.testing.assert_array_equal(plan.edge_of_camera == edge, start.edge_of_camera == edge)
+        if (plan.edge_of_camera == start.edge_of_camera).all():
+            assert plan.num_outside == 0 and plan.certified, locked

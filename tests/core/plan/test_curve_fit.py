@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
@@ -120,3 +121,27 @@ def test_a_curve_that_its_samples_belie_is_refused(fields: dict, message: str) -
     right = {"curve": CostCurve(linear=1), "smallest_count": 10, "largest_count": 40, "samples": ((10, 10.0), (40, 40.0))}
     with pytest.raises(BadInput, match=message):
         FittedCurve(**{**right, "rmse": 0.0, "worst_error": 0.0, **fields})
+
+
+def test_a_power_term_is_taken_only_where_it_is_worth_it() -> None:
+    """Against the fit without one: it is never worse, and with one better by a hundredth."""
+    with_power = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        values = (10 + 0.5 * COUNTS) * rng.normal(1, 0.05, len(COUNTS))
+        fitted = fit_curve(COUNTS, values)
+        plain, _ = nnls(np.stack([np.ones(len(COUNTS)), COUNTS], axis=1) / values[:, None], np.ones(len(COUNTS)))
+        plain_rmse = float(np.sqrt(np.mean(((plain[0] + plain[1] * COUNTS) / values - 1) ** 2)))
+        assert fitted.rmse is not None and fitted.rmse <= plain_rmse * (1 + 1e-9)
+        if fitted.curve.power_coefficient:
+            with_power += 1
+            assert fitted.rmse < 0.99 * plain_rmse, seed
+    assert with_power > 0
+
+
+def test_a_first_sample_scales_a_curve_however_small() -> None:
+    for scale in (1e-6, 0.5, 1e6):
+        curve = corrected(CostCurve(constant=scale, linear=scale), 4, 20.0)
+        assert float(curve(4)) == pytest.approx(20.0) and float(curve(9)) == pytest.approx(40.0)
+    nothing = CostCurve()
+    assert corrected(nothing, 4, 20.0) == nothing

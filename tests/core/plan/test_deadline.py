@@ -152,3 +152,23 @@ def test_tables_beyond_memory_are_refused_before_they_are_made(monkeypatch: pyte
     monkeypatch.setattr(deadline, "MAX_TABLE_ENTRIES", 99)
     with pytest.raises(BadInput, match="at most 99"):
         edge_tables(linear_system(np.zeros((2, 2)), np.ones(2)), 50)
+
+
+@pytest.mark.parametrize(
+    ("terms", "told"),
+    [
+        ({"exponent": 4.0}, None),
+        ({"exponent": 0.0}, None),
+        ({"exponent": 4.01}, "exponent is 4.01, expected at most 4"),
+        ({"exponent": -0.01}, "exponent is -0.01"),
+        ({"constant": -1.0}, "constant is -1.0"),
+        ({"linear": float("inf")}, "linear is inf"),
+        ({"power_coefficient": float("nan")}, "power_coefficient is nan"),
+    ],
+)
+def test_terms_of_a_curve_are_costs(terms: dict[str, float], told: str | None) -> None:
+    if told is None:
+        assert float(CostCurve(power_coefficient=3.0, **terms)(1)) == 3.0
+    else:
+        with pytest.raises(BadInput, match=told):
+            CostCurve(**terms)

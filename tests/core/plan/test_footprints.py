@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.footprints import Optics, RegionShares, Views, ground_footprints, region_shares, views_before_capture
+from radiant_core.frames import Frame
+from radiant_core.plan.footprints import (
+    Optics,
+    RegionShares,
+    Views,
+    ground_footprints,
+    observed_shares,
+    region_shares,
+    views_before_capture,
+    views_of_cameras,
+)
+from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.power_diagram import cell_polygons, rectangle
+from radiant_core.plan.region_plan import plan_regions
+from radiant_core.scene import SfmScene
+from tests.core.scenes import cameras_above
+
+from .instances import linear_system
 
 
 def test_a_camera_straight_down_sees_a_rectangle() -> None:
@@ -102,3 +120,51 @@ def test_huge_and_empty_inputs() -> None:
     far = ground_footprints(views_before_capture([[1e8, -1e8]], [1e5], Optics()))
     inside = region_shares(far, [rectangle(np.array([0.0, -2e8]), np.array([2e8, 0.0]))])
     np.testing.assert_allclose(inside.shares, 1.0)
+
+
+@pytest.mark.parametrize("heading", [0.0, 30.0])
+def test_a_wide_view_straight_down_ends_at_the_horizon_on_all_sides(heading: float) -> None:
+    # tan 75° = 3.7 heights, the horizon is at 2.
+    made = ground_footprints(
+        views_before_capture([[0.0, 0.0]], [10.0], Optics(field_of_view_deg=150, aspect=1.0), [[heading, -90.0]]), horizon=2.0
+    )
+    inside = shapely.Polygon(made.polygons[0])
+    if not heading:
+        np.testing.assert_allclose(inside.bounds, [-20, -20, 20, 20], atol=1e-9)
+    assert made.areas_m2[0] == pytest.approx(inside.area) == pytest.approx(40 * 40)
+
+
+def test_posed_cameras_see_what_their_pixels_see() -> None:
+    """From 6 m with a focal length of 0.9 widths: 1/0.9 of the height wide, in the frame's own place, and higher ground is nearer."""
+    cameras = cameras_above([(1.0, -2.0), (3.0, 4.0)], height_m=6.0, size_wh=(48, 36))
+    for ground_m, height_m in ((0.0, 6.0), (-3.0, 9.0)):
+        made = ground_footprints(views_of_cameras(cameras, ground_m))
+        width_m, length_m = height_m / 0.9, height_m / 0.9 * 36 / 48
+        np.testing.assert_allclose(made.areas_m2, [width_m * length_m] * 2)
+        for polygon, (x, y) in zip(made.polygons, [(1.0, -2.0), (3.0, 4.0)], strict=True):
+            np.testing.assert_allclose(
+                [polygon.min(axis=0), polygon.max(axis=0)], np.add([x, y], np.outer([-0.5, 0.5], [width_m, length_m]))
+            )
+    above = replace(cameras, cam_from_world=np.array([pose @ moved(np.array([0, 0, 7.0])) for pose in cameras.cam_from_world]))
+    assert not ground_footprints(views_of_cameras(above, 0.0)).areas_m2.any(), "below the ground"
+
+
+def moved(step: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, 3] = step
+    return pose
+
+
+def test_shares_of_what_cameras_observe_are_those_counted_by_hand() -> None:
+    plan = plan_regions(np.array([[0.0, 0.0], [10.0, 0.0]]), linear_system(np.array([[0.0, 0.0], [10.0, 0.0]]), np.ones(2)))
+    assert isinstance(plan, CloudPlan)
+    points = np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 1, 5], [9.0, 0, 0]])
+    observations = np.array([[0, 0], [1, 0], [3, 0], [2, 1], [3, 2]])
+    scene = SfmScene(
+        cameras=cameras_above([(0.0, 0.0), (1.0, 0.0), (9.0, 0.0), (5.0, 0.0)]),
+        points=points,
+        colors=np.zeros((4, 3), np.uint8),
+        observations=observations,
+        frame=Frame(kind="metric", origin_lat_lon_alt=np.zeros(3)),
+    )
+    np.testing.assert_allclose(observed_shares(scene, plan).dense(), [[2 / 3, 1 / 3], [1, 0], [0, 1], [0, 0]])

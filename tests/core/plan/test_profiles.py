@@ -120,3 +120,10 @@ def test_what_is_no_training_is_refused() -> None:
 def test_a_curve_that_was_never_measured_knows_its_range() -> None:
     curve = FittedCurve(curve=CostCurve(), smallest_count=109, largest_count=169)
     assert not curve.extrapolates(338) and curve.extrapolates(339)
+
+
+@pytest.mark.parametrize("name", ["num_steps", "long_side_px", "max_num_splats"])
+def test_a_training_has_one_of_everything_at_least(name: str) -> None:
+    assert getattr(replace(KEY, **{name: 1}), name) == 1
+    with pytest.raises(BadInput, match=f"{name} is 0, expected at least 1"):
+        replace(KEY, **{name: 0})

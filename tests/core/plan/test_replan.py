@@ -11,6 +11,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.assigned import hull_of
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import device_time_s
 from radiant_core.plan.device_split import split_edges
@@ -322,3 +323,45 @@ def test_an_edge_that_need_not_join_is_counted_so_and_stays_within_the_deadline(
         # As in `radiant plan`: quotas of the fastest devices, with what they then need to join.
         assert result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)
         assert not result.fewest_proved or num_positions == 0
+
+
+def test_an_edge_of_which_nothing_changed_keeps_its_strips_and_another_gets_hulls() -> None:
+    plan = town()
+    same = solved(plan.replanned(Situation()))
+    for old, new in zip(plan.edges, same.edges, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(old.strips, new.strips, strict=True))
+    # e2 gives to e1 alone: the west is as before.
+    result = solved(plan.replanned(Situation(dead=frozenset({"e2"}), closed=frozenset({"w1", "w2"}))))
+    west, east = result.edges
+    assert all(np.array_equal(a, b) for a, b in zip(plan.edges[0].strips, west.strips, strict=True))
+    np.testing.assert_array_equal(east.strips[0], hull_of(plan.positions[result.device_after == 2]))
+    assert len(east.strips[1]) == 0
+
+
+def test_limits_of_what_is_said_of_a_machine() -> None:
+    for factor in (1e-9, 1e6):
+        assert Situation(slow={"w1": factor}).slow["w1"] == factor
+    with pytest.raises(BadInput, match="slow by 1000001"):
+        Situation(slow={"w1": 1_000_001.0})
+    assert Situation(busy_s={"w1": 0.0}).busy_s["w1"] == 0
+    with pytest.raises(BadInput, match=r"busy for -0\.1 s"):
+        Situation(busy_s={"w1": -0.1})
+    with pytest.raises(BadInput, match="positions has shape"):
+        replan(town().cloud, town().edges, np.zeros((3, 2)), town().system, Situation())
+
+
+@pytest.mark.parametrize(
+    ("curve", "proved"),
+    [
+        (CostCurve(linear=5e5), True),
+        (CostCurve(power_coefficient=5e5, exponent=1.0), True),
+        (CostCurve(linear=2e5, power_coefficient=3e5, exponent=1.0), True),
+        (CostCurve(power_coefficient=5e5, exponent=2.0), False),
+        (CostCurve(constant=1e6, linear=5e5), False),
+    ],
+)
+def test_fewest_moves_are_proved_where_what_is_sent_depends_on_the_sum_alone(curve: CostCurve, proved: bool) -> None:
+    west = edge("west", (20.0, 50.0), *(replace(device(name), model_bytes=curve) for name in ("w1", "w2")))
+    east = edge("east", (80.0, 50.0), *(replace(device(name), model_bytes=curve) for name in ("e1", "e2")))
+    result = solved(made(System(edges=(west, east)), 60).replanned(Situation(slow={"w1": 2.0})))
+    assert result.fewest_proved is proved and result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 import pytest
@@ -104,3 +104,22 @@ def test_strips_of_a_plan_have_the_shortest_seams_of_all_orders(seed: int) -> No
     cuts = np.concatenate([sorted_along[:1], (sorted_along[:-1] + sorted_along[1:]) / 2, sorted_along[-1:]])
     chords_m = chords_across(border - inside.mean(axis=0), long_axis(inside), cuts)
     assert seams_m(order, quotas, chords_m) == pytest.approx(shortest_of_all(quotas, chords_m), abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_exchanging_any_two_of_many_devices_shortens_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    quotas = rng.choice(np.arange(5, 500), 16, replace=False)
+    chords_m = rng.random(int(quotas.sum()) + 1) * 100.0
+    order = shortest_order(quotas, names(16), chords_m)
+    found_m = seams_m(order, quotas, chords_m)
+    for first, second in combinations(range(16), 2):
+        changed = order.copy()
+        changed[[first, second]] = changed[[second, first]]
+        assert seams_m(changed, quotas, chords_m) >= found_m - 1e-5, (first, second)  # lengths are compared to a billionth
+
+
+def test_a_cut_along_a_side_is_as_long_as_the_side() -> None:
+    square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]])
+    assert chords_across(square, np.array([1.0, 0.0]), np.array([-0.1, 0.0, 1.0, 2.0, 2.1])).tolist() == [0, 3, 3, 3, 0]
+    assert chords_across(square, np.array([0.0, 1.0]), np.array([0.0, 3.0])).tolist() == [2, 2]

@@ -157,3 +157,26 @@ def test_a_hundred_thousand_equal_names_take_linear_time() -> None:
     waypoints, _ = cleaned_waypoints(["x"] * 100_000, grid(100_000))
     assert len(set(waypoints.names)) == 100_000
     assert time.process_time() - start_s < 10  # 0.4 s where it was measured; quadratic would be hours
+
+
+@pytest.mark.parametrize(
+    ("angles", "told"),
+    [
+        ([[720.0, 90.0], [-720.0, -90.0]], None),
+        ([[np.nan, -45.0], [90.0, np.nan]], None),
+        ([[0.0, -90.0], [721.0, 0.0]], "1 of 2 waypoints? .*'b'.* heading 721° and pitch 0°"),
+        ([[0.0, -91.0], [0.0, 91.0]], "2 of 2 waypoints? .*'a'.* heading 0° and pitch -91°"),
+        ([[np.inf, 0.0], [0.0, 0.0]], "'a' .* first with heading inf°"),
+        ([[0.0, -np.inf], [0.0, 0.0]], "pitch -inf°"),
+        ([[0.0, 0.0]], r"heading_pitch_deg has shape \(1, 2\), expected \(2, 2\)"),
+    ],
+)
+def test_angles_are_headings_and_pitches_or_refused(angles: list[list[float]], told: str | None) -> None:
+    def build() -> Waypoints:
+        return Waypoints(names=("a", "b"), lat_lon_alt=[[47.0, 8.0, 400.0], [47.001, 8.0, 400.0]], heading_pitch_deg=angles)
+
+    if told is None:
+        np.testing.assert_array_equal(build().heading_pitch_deg, angles)
+    else:
+        with pytest.raises(BadInput, match=told):
+            build()

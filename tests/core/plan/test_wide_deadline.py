@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,3 +74,33 @@ def test_curves_that_overflow_are_refused() -> None:
     system = linear_system(np.eye(2), np.array([1e308, 1.0]))
     with pytest.raises(BadInput, match="not finite"):
         fastest_edge_counts(system, 1000)
+
+
+def test_the_guess_is_so_near_that_the_first_window_proves_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Any guess leads to the optimum, a bad one over windows three times as wide each."""
+    windows: list[int] = []
+    solved = wide_deadline._Fleet.solved
+
+    def counted(fleet: Any, low: np.ndarray, high: np.ndarray) -> Any:
+        windows[-1] += 1
+        return solved(fleet, low, high)
+
+    monkeypatch.setattr(wide_deadline._Fleet, "solved", counted)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        system = random_system(rng, int(rng.integers(3, 12)))
+        windows.append(0)
+        fastest_edge_counts(system, int(np.exp(rng.uniform(np.log(500), np.log(20_000)))))
+    assert windows.count(1) >= 35, windows  # where curves are flat a deadline says little
+
+
+def test_devices_that_time_does_not_tell_apart_are_refused_before_memory_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    system = linear_system(np.random.default_rng(0).random((4, 2)), np.array([1.0, 1.5, 2.0, 3.0]))
+    # Each window is 2 % of the quota and 4 cameras wide, rounded up.
+    for entries, passes in ((70, True), (40, False)):
+        monkeypatch.setattr(wide_deadline, "MAX_TABLE_ENTRIES", entries)
+        if passes:
+            assert fastest_edge_counts(system, 2000).counts.sum() == 2000
+        else:
+            with pytest.raises(BadInput, match="2000 cameras on 4 devices cannot be told apart by time: use fewer"):
+                fastest_edge_counts(system, 2000)
