@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.bench.method_cells import Layout, layout_of
+from radiant_app.bench.method_cells import Layout, layout_of, random_sites
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
 from radiant_app.bench.runner import BenchOptions, run_bench
 from radiant_app.commands import sfm
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.progress import ProgressDisplay
 from radiant_core.errors import BadInput
+from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.region_plan import plan_regions
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +65,21 @@ def test_a_layout_is_edges_times_devices() -> None:
     for wrong in ("", "2", "2x", "0x2", "2x2x2", "axb", "-1x2"):
         with pytest.raises(BadInput, match="layout"):
             layout_of(wrong)
+
+
+def test_random_sites_are_apart_inside_the_hull_and_make_other_plans() -> None:
+    grid = np.stack(np.meshgrid(np.arange(8.0), np.arange(6.0)), axis=-1).reshape(-1, 2) * 10
+    dealt = set()
+    for placement in range(1, 6):
+        sites = random_sites(grid, 2, placement)
+        assert np.array_equal(sites, random_sites(grid, 2, placement))
+        assert (sites >= -1).all() and (sites <= [71, 51]).all() and np.hypot(*(sites[0] - sites[1])) > 25
+        plan = plan_regions(grid, place_edges(Layout(num_edges=2, num_devices=2).system(sites=sites), grid, None, 0), method="exact")
+        assert isinstance(plan, CloudPlan)
+        dealt.add(frozenset(tuple(np.flatnonzero(plan.edge_of_camera == edge)) for edge in (0, 1)))
+    assert len(dealt) == 5
+    for crowded in (np.zeros((3, 2)), np.arange(10.0)[:, None] * [[3.0, 1.0]]):
+        assert random_sites(crowded, 4, 1).shape == (4, 2)
 
 
 def test_unknown_methods_are_named(tmp_path: Path) -> None:
