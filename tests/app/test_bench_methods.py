@@ -52,6 +52,17 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     assert stamps == {path: path.stat().st_mtime_ns for path in (bench.out / "rows").iterdir()}
 
 
+def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:
+    every, _ = bench_methods(replace(bench, methods=("crop", "ours")))
+    most = min(row.num_gaussians for row in every)
+    equal, _ = bench_methods(replace(bench, methods=("crop", "ours"), max_gaussians=most))
+    assert [row.num_gaussians for row in equal] == [most] * 3
+    # The smallest is the same; what shows least costs the others little, but something.
+    losses_db = [np.mean(row.psnr_db) - np.mean(less.psnr_db) for row, less in zip(every, equal, strict=True)]
+    assert min(losses_db) == 0 and 0.01 < max(losses_db) < 5
+    assert [row.cpu_s for row in equal] == [row.cpu_s for row in every]  # nothing was joined again
+
+
 def test_rivals_train_and_join_on_the_same_work(bench: MethodBench) -> None:
     rows, _ = bench_methods(replace(bench, methods=("even", "vastgaussian")))
     made = {row.method: row for row in rows}
@@ -97,8 +108,11 @@ def test_the_command_prints_a_table_and_draws_a_picture(bench: MethodBench, tmp_
     for options, told in (
         ({"scene": bench.scene}, "needs --scene"),
         ({"scene": bench.scene, "out": tmp_path, "presets": ("default",)}, "--preset"),
+        ({"scene": bench.scene, "out": tmp_path, "max_gaussians": 0}, "expected at least 1"),
     ):
         with pytest.raises(BadInput, match=told):
             run_bench("methods", None, BenchOptions(**options))
+    with pytest.raises(BadInput, match="--max-gaussians is for"):
+        run_bench("plan", None, BenchOptions(max_gaussians=5))
     with pytest.raises(BadInput, match="--out are for the benchmarks methods"):
         run_bench("plan", None, BenchOptions(out=tmp_path))
