@@ -30,7 +30,9 @@ NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "f
 MAX_FRAME_BYTES = 1 << 12
 REFUSED_NAME = "refused.json"
 """Senders that a node refused → why. It stays there."""
-VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
+VIRTUAL_CAMERAS, VIRTUAL_VIEWS = "virtual_cameras.safetensors", "virtual_views.safetensors"
+"""Where the cloud looks at an edge's model from, and the pictures there of the models that it was made of, none where the edge retrained.
+"""
 NO_CAMERAS = concatenate_cameras([])
 _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 

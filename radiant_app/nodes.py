@@ -5,8 +5,8 @@
 | sfm      | task.json, the source it names                      | scene.safetensors, result.json, undistorted/ |
 | device   | task.json, scene.safetensors, photos/, masks/       | model.safetensors, upload.safetensors (unless float32), summary.json |
 | teacher  | task.json, inbox/{model,cameras}.safetensors        | views/<number>.safetensors               |
-| edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_cameras.safetensors |
-| cloud    | task.json, inbox/<edge>/{model,virtual_cameras}.safetensors | scene.ply, summary.json          |
+| edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_{cameras,views}.safetensors |
+| cloud    | task.json, inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors | scene.ply, summary.json |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
 | run      | task.json, a whole run's source                     | that run's folder: a job of a batch      |
 """
@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.cloud_task import join_decisions, retrained_at_cloud, virtual_cameras_of
+from radiant_app.cloud_task import edge_pools, join_decisions, retrained_at_cloud, virtual_cameras_of
 from radiant_app.delivering import refusals, signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
+from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, VIRTUAL_VIEWS, Inbox, read_inbox, save_frames
 from radiant_app.memory import base_bytes_in, resident_bytes
 from radiant_app.node_decisions import (
     blind_spots_decision,
@@ -262,10 +262,12 @@ def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
 
 def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Join the devices' models by retraining on what each shows at its own cameras."""
+    """Join the devices' models by retraining on what each shows at its own cameras, or leave that to the cloud."""
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.ownership import claims_of_polygons
+    from radiant_core.aggregate.pooling import pictures_of, pooled
     from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+    from radiant_core.io.view_file import save_views
     from radiant_core.train.config import TrainConfig
 
     task = read_json(folder / "task.json")
@@ -273,29 +275,37 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     if not inbox.models:
         return _nothing_placed(folder, inbox)
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
+    left = edge_pools(task, inbox, stage)
     # A device's model shows the same at its own cameras wherever both were moved to.
     rendered = [
         load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if name in task["teachers"] else {}
         for name, own in zip(inbox.senders, inbox.cameras, strict=True)
     ]
-    if len(inbox.models) > 1:
+    if len(inbox.models) > 1 and left is None:
         emit(Decided(decision=teachers_decision(stage, rendered, inbox.cameras)))
     checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
     options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
     strips = [np.array(task["strips"][task["devices"].index(name)]).reshape(-1, 2) for name in inbox.senders]
     asked = zip(inbox.models, inbox.cameras, rendered, strict=True)
     teachers = [Teacher(splats=model, cameras=own, rendered=ready) for model, own, ready in asked]
-    joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims_of_polygons(strips))
+    claims = claims_of_polygons(strips)
+    if left is None:
+        joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims)
+    else:
+        joined = pooled(teachers, aggregate, claims)
     result = joined.trained
-    for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
+    for decision in join_decisions(stage, aggregate, len(inbox.models), joined) if left is None else [left]:
         emit(Decided(decision=decision))
     # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
     splats = result.splats.select(morton_order(result.splats.means))
     save_splats(folder / "model.safetensors", splats)
     write_json(folder / "summary.json", {**training_summary(result), "num_models": len(inbox.models)})
-    save_cameras(folder / VIRTUAL_CAMERAS, virtual_cameras_of(folder, inbox.cameras, splats))
+    virtual, near = virtual_cameras_of(folder, inbox.cameras, splats)
+    save_cameras(folder / VIRTUAL_CAMERAS, virtual)
+    shown = {} if left is None else pictures_of(teachers, virtual, near, train.long_side_px, task["backend"])
+    save_views(folder / VIRTUAL_VIEWS, [shown[index] for index in sorted(shown)])
     uploaded = _save_upload(folder, splats, task["upload"], stage, emit)
-    outputs = ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox), *uploaded]
+    outputs = ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, VIRTUAL_VIEWS, *save_frames(folder, inbox), *uploaded]
     checkpoints.remove()
     return [*outputs, *signed_upload(folder, task)]
 
@@ -314,7 +324,7 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     if aggregate.cloud == "retrain":
         checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
         options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
-        joined = retrained_at_cloud(task, inbox, stage, emit, options)
+        joined = retrained_at_cloud(folder, task, inbox, emit, options)
         if joined is not None:
             for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
                 emit(Decided(decision=decision))

@@ -34,10 +34,11 @@ from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
+from radiant_core.aggregate.pooling import pictures_of, pooled
 from radiant_core.aggregate.retrain import Joined, Teacher, retrain_on_synthetic_views
 from radiant_core.aggregate.rivals.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.rivals.vast_gaussian import vast_gaussian
-from radiant_core.aggregate.virtual_cameras import virtual_cameras
+from radiant_core.aggregate.virtual_cameras import drawn_cameras
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
@@ -236,6 +237,8 @@ def _crop(cell: Cell) -> Made:
 def join_cell(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tuple[EdgePlan, ...]], devices: list[list[Trained]]) -> Made:
     """Models of the devices (per edge, of those with cameras) joined at the edges and at the cloud as `aggregate` says."""
     cloud_plan, edge_plans = plans
+    # Photographs are read here, not in the seconds of a joining that looks at none.
+    _ = cell.scene.views
 
     def joined(teachers: list[Teacher], claims: Any) -> Joined:
         config = replace(cell.train, seed=cell.seed)
@@ -248,9 +251,13 @@ def join_cell(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tu
                 continue
             cameras = [cell.cameras_of(rows) for rows in device_rows(plan)]
             teachers = [Teacher(splats=model.splats, cameras=own) for model, own in zip(models, cameras, strict=True)]
-            edge = joined(teachers, claims_of_polygons([strip for strip in plan.strips if len(strip)]))
-            virtual = virtual_cameras(concatenate_cameras(cameras), edge.splats.means, np.random.default_rng([cell.seed, index]))
-            edges.append((index, Teacher(splats=edge.splats, cameras=virtual)))
+            claims = claims_of_polygons([strip for strip in plan.strips if len(strip)])
+            pools = aggregate.edges_pool and len(teachers) > 1
+            edge = pooled(teachers, aggregate, claims) if pools else joined(teachers, claims)
+            rng = np.random.default_rng([cell.seed, index])
+            virtual, near = drawn_cameras(concatenate_cameras(cameras), edge.splats.means, rng)
+            shown = pictures_of(teachers, virtual, near, cell.train.long_side_px) if pools else {}
+            edges.append((index, Teacher(splats=edge.splats, cameras=virtual, rendered=shown, pooled=pools)))
             pixels += _pixels(teachers, edge)
         rows = [index for index, _ in edges]
         sites, weights = cloud_plan.sites[rows], cloud_plan.weights[rows]

@@ -28,10 +28,8 @@ from radiant_core.train.shapes import without_dead
 from radiant_core.train.trainer import FitOptions, Steps, TrainResult, fit_splats
 from radiant_core.train.views import TrainingViews, concatenate_views
 
-MEANS_RATE = 0.3
-"""Rate of the centres as a share of training's."""
 RATES_END = 0.3
-"""Share of the other rates that is left at the end of a retraining by `default`."""
+"""Share of the rates that is left at the end of a retraining by `default`; the centres' fall as in training."""
 TOUCHED_SHARE = 0.02
 """A view is shown where at least this share of the Gaussians before it is contested."""
 NUM_COMPARED = 8
@@ -47,6 +45,8 @@ class Teacher:
     splats: Splats
     cameras: Cameras
     rendered: Rendered = field(default_factory=dict)
+    pooled: bool = False
+    """Whether the model is several that nobody has joined yet (`pooling`): then all of it is contested."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,12 +76,12 @@ def retrain_on_synthetic_views(
 ) -> Joined:
     """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a place lies in.
 
-    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single`. Raises BadInput without any.
+    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single` or pooled. Raises BadInput without any.
     """
     if not teachers:
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
-    if len(teachers) == 1 and not aggregate.retrain_single:
-        return Joined(trained=_untrained(teachers[0].splats), num_given=len(teachers[0].splats))
+    if len(teachers) == 1 and not (aggregate.retrain_single or teachers[0].pooled):
+        return Joined(trained=untrained(teachers[0].splats), num_given=len(teachers[0].splats))
     if aggregate.preset == "paper":
         return _as_in_the_paper(teachers, train, aggregate, options)
     return _join(teachers, train, aggregate, options, claims)
@@ -102,12 +102,12 @@ def _join(
     models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
     owned = [ownership(model.means, cameras, claims) for model in models]
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
-    contested = np.concatenate([places.contested for places in owned])
+    contested = np.concatenate([places.contested | teacher.pooled for teacher, places in zip(teachers, owned, strict=True)])
     merged = faded(models, owned, aggregate.foreign_opacity)
     shown = [touched_cameras(own, merged.means, contested) for own in cameras]
     num_shown = int(sum(rows.sum() for rows in shown))
     plainly_cut = Joined(
-        trained=_untrained(concatenate_splats(models).select(owns)),
+        trained=untrained(concatenate_splats(models).select(owns)),
         num_given=len(merged),
         num_views=sum(map(len, cameras)),
         num_shown=num_shown,
@@ -124,7 +124,7 @@ def _join(
     # What no shown view can show is not held while the rest is fitted.
     before = reached_by(merged, views.cameras)
     config = retraining_config(train, aggregate, merged, len(views))
-    trained = fit_splats(merged.select(before), views, config, replace(options, steps=Steps(means=MEANS_RATE, end=RATES_END)))
+    trained = fit_splats(merged.select(before), views, config, replace(options, steps=Steps(end=RATES_END)))
     whole = concatenate_splats([without_dead(trained.splats)[0], merged.select(~before & owns)])
     return replace(plainly_cut, trained=replace(trained, splats=whole))
 
@@ -143,13 +143,15 @@ def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -
 def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
     """Which Gaussians (N,) may show in an image: whose sphere of three standard deviations reaches into the pyramid of a camera."""
     radii = 3 * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
+    means = splats.means.T.astype(np.float64)
     reached = np.zeros(len(splats), bool)
     for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
-        in_camera = splats.means @ pose[:3, :3].T + pose[:3, 3]
+        left = np.flatnonzero(~reached)
         # The sides of the pyramid, pointing inwards: columns 0 and width, rows 0 and height.
         sides = np.array([K[0] * [1, 0, 1], [-K[0, 0], 0, width - K[0, 2]], K[1] * [0, 1, 1], [0, -K[1, 1], height - K[1, 2]], [0, 0, 1]])
-        heights = in_camera @ (sides / np.linalg.norm(sides, axis=1, keepdims=True)).T
-        reached |= (heights.min(axis=1) + radii) > 0
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        heights = (sides @ pose[:3, :3]) @ means[:, left] + (sides @ pose[:3, 3])[:, None]
+        reached[left] = heights.min(axis=0) + radii[left] > 0
     return reached
 
 
@@ -162,7 +164,7 @@ def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
     """The teacher at some of its cameras."""
     rows = np.flatnonzero(chosen).tolist()
     rendered = {place: teacher.rendered[row] for place, row in enumerate(rows) if row in teacher.rendered}
-    return Teacher(splats=teacher.splats, cameras=teacher.cameras.select(rows), rendered=rendered)
+    return replace(teacher, cameras=teacher.cameras.select(rows), rendered=rendered)
 
 
 def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -192,5 +194,6 @@ def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Sp
     return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still)
 
 
-def _untrained(splats: Splats) -> TrainResult:
+def untrained(splats: Splats) -> TrainResult:
+    """A model as it is, as the result of no step."""
     return TrainResult(splats=splats, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)

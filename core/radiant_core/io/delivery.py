@@ -6,7 +6,7 @@
 | kind         | files (those in brackets may be absent)                                | way              |
 |--------------|------------------------------------------------------------------------|------------------|
 | device_model | model.safetensors, cameras.safetensors, (frame.json)                    | device to edge   |
-| edge_model   | model.safetensors, (virtual_cameras.safetensors), (frame.json)          | edge to cloud    |
+| edge_model   | model.safetensors, (virtual_{cameras,views}.safetensors), (frame.json)  | edge to cloud    |
 
 The signature covers run, receiver and attempt, so that an upload is worth nothing in another run or elsewhere; which attempt counts
 is decided by `radiant_core.io.acceptance`. Files are safetensors and JSON and go through their own strict readers afterwards.
@@ -38,7 +38,7 @@ MAX_ATTEMPT = 10**6
 Kind = Literal["device_model", "edge_model"]
 FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "device_model": (frozenset({"model.safetensors", "cameras.safetensors"}), frozenset({"frame.json"})),
-    "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "frame.json"})),
+    "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "virtual_views.safetensors", "frame.json"})),
 }
 """Files that a delivery has to have, and those it may have."""
 _DOMAIN = f"{SCHEMA} {VERSION}\0".encode()
