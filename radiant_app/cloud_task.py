@@ -26,6 +26,7 @@ from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 
 if TYPE_CHECKING:
+    from radiant_core.aggregate.balance import Balance
     from radiant_core.aggregate.retrain import Joined
     from radiant_core.aggregate.synthetic_views import Rendered
 
@@ -107,7 +108,8 @@ def retrained_at_cloud(folder: Path, task: dict[str, Any], inbox: Inbox, emit: C
     """`Joined` of retraining at the cloud in `folder`, or None where its limits forbid it; the choice is emitted as a decision."""
     from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
     from radiant_core.aggregate.ownership import claims_of_cells
-    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.synthetic_views import Teacher
 
     stage = folder.name
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
@@ -138,19 +140,33 @@ def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, join
         return Decision(stage=stage, topic="retraining", choice=choice, figure=figure, unit=unit, reason=reason, forced=forced)
 
     steps = joined.trained.num_steps
-    if num_models == 1 and not aggregate.retrain_single:
+    if num_models == 1 and not steps:
         return [decided("skipped", 1.0, "models", "a single model would only learn from its own pictures")]
     if aggregate.preset == "paper":
         return [decided(f"{steps:,} steps on all Gaussians and whole pictures", float(steps), "steps", BY_PRESET)]
+    exposures = [] if joined.balance is None else [exposures_decision(stage, joined.balance)]
     if not joined.num_shown:
-        return [decided("skipped", 0.0, "% contested", "no view shows enough that a second model knows: models are cut at their borders")]
+        reason = "no view shows enough that a second model knows: models are cut at their borders"
+        return [*exposures, decided("skipped", 0.0, "% contested", reason)]
     if not steps:
         reason = f"models that agree to {aggregate.agreement_db:g} dB have no seam that could be seen: they are cut at their borders"
-        return [decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
+        return [*exposures, decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
     shown = f"{joined.num_shown} of {joined.num_views} views"
     share = 100 * joined.contested_share
     left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
-    return [decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", "only what a second model knows too can be joined better")]
+    reason = "only what a second model knows too can be joined better"
+    return [*exposures, decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", reason)]
+
+
+def exposures_decision(stage: str, balance: Balance) -> Decision:
+    """Whether models were balanced, with how far the one that differs most is off."""
+    choice = "models are balanced by a gain and an offset per channel" if balance.needed else "left as they are"
+    if not balance.num_pairs:
+        reason = "no two models show the same place"
+    else:
+        reason = f"{'more' if balance.needed else 'no more'} than models of one exposure differ by"
+    unit = "of 255 from the mean of all models, at mid grey"
+    return Decision(stage=stage, topic="exposures of the models", choice=choice, figure=balance.levels, unit=unit, reason=reason)
 
 
 def _edge_time_s(run: Path, edge: str, plan: CloudPlan, system: System) -> float:

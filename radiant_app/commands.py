@@ -47,10 +47,12 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay, masks:
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
     """Join the device models of a finished run with other settings; writes a PLY. No system file is read: the cloud has no limit."""
+    from radiant_core.aggregate.balance import balanced, exposure_balance
     from radiant_core.aggregate.crop_merge import crop_merge
     from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
     from radiant_core.aggregate.pooling import pictures_of, pooled
-    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.trainer import FitOptions
 
@@ -76,6 +78,8 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
             claims = claims_of_polygons([edge_plan.strips[edge_plan.device_ids.index(device)] for device in task["devices"]])
             teachers = [Teacher(splats=model, cameras=own) for model, own in zip(device_models, device_cameras, strict=True)]
             pools = config.edges_pool and len(teachers) > 1
+            if pools:
+                teachers = balanced(teachers, exposure_balance(teachers))
             joined = pooled(teachers, config, claims) if pools else retrain_on_synthetic_views(teachers, train, config, options, claims)
         virtual, near = virtual_cameras_of(run / "edges" / edge, device_cameras, joined.splats)
         shown = pictures_of(teachers, virtual, near, train.long_side_px) if pools else {}

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.cloud_task import edge_pools, join_decisions, retrained_at_cloud, virtual_cameras_of
+from radiant_app.cloud_task import edge_pools, exposures_decision, join_decisions, retrained_at_cloud, virtual_cameras_of
 from radiant_app.delivering import refusals, signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, VIRTUAL_VIEWS, Inbox, read_inbox, save_frames
@@ -263,10 +263,12 @@ def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
 def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Join the devices' models by retraining on what each shows at its own cameras, or leave that to the cloud."""
+    from radiant_core.aggregate.balance import balanced, exposure_balance
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.ownership import claims_of_polygons
     from radiant_core.aggregate.pooling import pictures_of, pooled
-    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.io.view_file import save_views
     from radiant_core.train.config import TrainConfig
 
@@ -292,7 +294,10 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     if left is None:
         joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims)
     else:
+        balance = exposure_balance(teachers, task["backend"])
+        teachers = balanced(teachers, balance)
         joined = pooled(teachers, aggregate, claims)
+        emit(Decided(decision=exposures_decision(stage, balance)))
     result = joined.trained
     for decision in join_decisions(stage, aggregate, len(inbox.models), joined) if left is None else [left]:
         emit(Decided(decision=decision))

@@ -31,13 +31,15 @@ from radiant_app.bench.method_cells import BenchScene, Cell, Layout, ModelCache,
 from radiant_app.evaluation import region_width
 from radiant_app.progress import tracked
 from radiant_core import __version__
+from radiant_core.aggregate.balance import balanced, exposure_balance
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
 from radiant_core.aggregate.pooling import pictures_of, pooled
-from radiant_core.aggregate.retrain import Joined, Teacher, retrain_on_synthetic_views
+from radiant_core.aggregate.retrain import Joined, retrain_on_synthetic_views
 from radiant_core.aggregate.rivals.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.rivals.vast_gaussian import vast_gaussian
+from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import drawn_cameras
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
@@ -253,6 +255,8 @@ def join_cell(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tu
             teachers = [Teacher(splats=model.splats, cameras=own) for model, own in zip(models, cameras, strict=True)]
             claims = claims_of_polygons([strip for strip in plan.strips if len(strip)])
             pools = aggregate.edges_pool and len(teachers) > 1
+            if pools:
+                teachers = balanced(teachers, exposure_balance(teachers))
             edge = pooled(teachers, aggregate, claims) if pools else joined(teachers, claims)
             rng = np.random.default_rng([cell.seed, index])
             virtual, near = drawn_cameras(concatenate_cameras(cameras), edge.splats.means, rng)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.ownership import Claims, ownership
-from radiant_core.aggregate.retrain import Joined, Teacher, faded, untrained
-from radiant_core.aggregate.synthetic_views import ViewBytes, views_in_bytes
+from radiant_core.aggregate.retrain import Joined, faded, untrained
+from radiant_core.aggregate.synthetic_views import Teacher, ViewBytes, views_in_bytes
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.render.contract import Backend

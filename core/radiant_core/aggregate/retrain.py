@@ -9,14 +9,15 @@ Gaussians are neither added nor densified: the paper densifies on devices, from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_core.aggregate.balance import Balance, balanced, exposure_balance
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.ownership import Claims, Ownership, ownership
-from radiant_core.aggregate.synthetic_views import Rendered, synthetic_views
+from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
@@ -39,17 +40,6 @@ NUM_ASKED = 10_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Teacher:
-    """A model, the cameras that it is asked at, and by index of the camera the views that need not be rendered any more."""
-
-    splats: Splats
-    cameras: Cameras
-    rendered: Rendered = field(default_factory=dict)
-    pooled: bool = False
-    """Whether the model is several that nobody has joined yet (`pooling`): then all of it is contested."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Joined:
     """A joined model and what was done and skipped on the way."""
 
@@ -64,6 +54,8 @@ class Joined:
     """Of all Gaussians, those in places that a second model knows too."""
     agreement_db: float | None = None
     """PSNR between the models' own pictures and those of all models cut at their borders, in the worst view; None where nobody looked."""
+    balance: Balance | None = None
+    """How exposures of the models differ; None where nobody looked."""
 
     @property
     def splats(self) -> Splats:
@@ -99,6 +91,8 @@ def _as_in_the_paper(teachers: Sequence[Teacher], train: TrainConfig, aggregate:
 def _join(
     teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None
 ) -> Joined:
+    balance = exposure_balance(teachers, options.backend)
+    teachers = balanced(teachers, balance)
     models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
     owned = [ownership(model.means, cameras, claims) for model in models]
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
@@ -112,6 +106,7 @@ def _join(
         num_views=sum(map(len, cameras)),
         num_shown=num_shown,
         contested_share=float(contested.mean()) if len(contested) else 0.0,
+        balance=balance,
     )
     if not num_shown:
         return plainly_cut

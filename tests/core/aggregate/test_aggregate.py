@@ -11,8 +11,8 @@ import pytest
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
-from radiant_core.aggregate.retrain import Joined, Teacher, reached_by, retrain_on_synthetic_views, teacher_views
-from radiant_core.aggregate.synthetic_views import synthetic_views
+from radiant_core.aggregate.retrain import Joined, reached_by, retrain_on_synthetic_views, teacher_views
+from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput

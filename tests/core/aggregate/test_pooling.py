@@ -12,8 +12,8 @@ from radiant_core.aggregate.cloud_choice import cloud_needs, pooled_needs
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.pooling import pictures_of, pooled
-from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
-from radiant_core.aggregate.synthetic_views import views_in_bytes
+from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.synthetic_views import Teacher, views_in_bytes
 from radiant_core.aggregate.virtual_cameras import drawn_cameras, virtual_cameras
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
