@@ -365,6 +365,7 @@ def bench(
     method: Annotated[list[str] | None, typer.Option(help="methods: those to compare; paper: parts; train: ablations; else all.")] = None,
     layout: Annotated[str, typer.Option(help="methods: edges x devices per edge.")] = "2x2",
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
+    max_gaussians: Annotated[int | None, typer.Option(min=1, help="methods: reduce every method's model to as many.")] = None,
     out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train: folder of what is made; a later call goes on.")] = None,
 ) -> None:
     """Run time beside error."""
@@ -383,6 +384,7 @@ def bench(
         methods=tuple(method or ()),
         layout=layout,
         num_placements=placements,
+        max_gaussians=max_gaussians,
         out=out,
     )
     run_bench(name, json_file, options)

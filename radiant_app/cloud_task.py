@@ -1,6 +1,6 @@
 """What edges and the cloud decide when they join models, and the cloud's retraining, its task and node (paper Sec. III-D). Once per run.
 
-The cloud gets virtual cameras of each edge and how long its aggregation took, never a device's id, count or pose.
+The cloud gets virtual cameras of each edge with their pictures and how long its aggregation took, never a device's id, count or pose.
 """
 
 from __future__ import annotations
@@ -11,35 +11,70 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from radiant_app.events import Decided, Event
-from radiant_app.inbox import Inbox
+from radiant_app.events import Decided, Event, Warned
+from radiant_app.inbox import VIRTUAL_VIEWS, Inbox
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
 from radiant_core.io.run_store import content_key, read_json
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.system import System
+from radiant_core.plan.system import Cloud, System
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 
 if TYPE_CHECKING:
+    from radiant_core.aggregate.balance import Balance
     from radiant_core.aggregate.retrain import Joined
+    from radiant_core.aggregate.synthetic_views import Rendered
 
 CLOUD_BYTES = 1e9
 """Memory that the default joining may take at a cloud whose system file sets no limit: beyond it a scene is cut, however large it is."""
 BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
-def virtual_cameras_of(folder: Path, cameras: Sequence[Cameras], splats: Splats) -> Cameras:
-    """Virtual cameras of the edge in `folder` for its devices' `cameras` and its own model.
+def virtual_cameras_of(folder: Path, cameras: Sequence[Cameras], splats: Splats) -> tuple[Cameras, NDArray[np.int64]]:
+    """Virtual cameras (C) of the edge in `folder` for its devices' `cameras` and its own model; which camera each stands near (C,).
 
     They are drawn by a seed made of what the edge was sent: the same run gives the same cameras, and the cloud cannot undo the draw.
     """
-    from radiant_core.aggregate.virtual_cameras import virtual_cameras
+    from radiant_core.aggregate.virtual_cameras import drawn_cameras
 
     rng = np.random.default_rng(int(content_key(folder / "inbox")[:32], 16))
-    return virtual_cameras(concatenate_cameras(cameras), splats.means, rng)
+    return drawn_cameras(concatenate_cameras(cameras), splats.means, rng)
+
+
+def pool_settings(edge: str, plan: CloudPlan, system: System, aggregate: AggregateConfig) -> dict[str, Any] | None:
+    """What an edge's task says of the cloud, where edges leave joining to it: its limits, and the edge's share of all cameras."""
+    # A lone edge joins its models as the cloud would.
+    if not aggregate.edges_pool or np.count_nonzero(plan.counts) < 2:
+        return None
+    return {"limits": asdict(system.cloud), "share": float(plan.counts[plan.edge_ids.index(edge)] / plan.counts.sum())}
+
+
+def edge_pools(task: dict[str, Any], inbox: Inbox, stage: str) -> Decision | None:
+    """That an edge leaves joining to the cloud, with the figure; None where it retrains.
+
+    It does where the cloud is expected to retrain: by an edge's own memory, the whole scene taken to be like it. Where frames are
+    uncertain the models are fitted to each other first, and a cloud with a limit of time wants to know what retraining takes.
+    """
+    from radiant_core.aggregate.cloud_choice import choose_at_cloud, pooled_needs
+
+    cloud = task.get("cloud")
+    if cloud is None or len(inbox.models) < 2 or inbox.uncertainty is not None or cloud["limits"]["time_s"] is not None:
+        return None
+    needs = pooled_needs(inbox.models, inbox.cameras, task["train"]["long_side_px"], cloud["share"])
+    retrains, decision = choose_at_cloud(needs, _limits(cloud["limits"], AggregateConfig(**task["aggregate"])), stage)
+    choice = "left to the cloud, with the devices' pictures"
+    return replace(decision, topic="retraining", choice=choice) if retrains else None
+
+
+def _limits(limits: dict[str, Any], aggregate: AggregateConfig) -> Cloud:
+    """The cloud's limits, that of memory set by the default where the system sets none."""
+    cloud = Cloud(**limits)
+    return replace(cloud, memory_bytes=CLOUD_BYTES) if aggregate.preset == "default" and cloud.memory_bytes is None else cloud
 
 
 def retrain_settings(run: Path, edges: Sequence[str], plan: CloudPlan, system: System, aggregate: AggregateConfig) -> dict[str, Any]:
@@ -52,27 +87,48 @@ def retrain_settings(run: Path, edges: Sequence[str], plan: CloudPlan, system: S
     return settings
 
 
-def retrained_at_cloud(task: dict[str, Any], inbox: Inbox, stage: str, emit: Callable[[Event], None], options: Any) -> Any:
-    """`Joined` of retraining at the cloud, or None where its limits forbid it; the choice is emitted as a decision."""
+def sent_pictures(path: Path, model: Splats, cameras: Cameras) -> tuple[Rendered, str | None]:
+    """The pictures at virtual cameras that an edge sent beside its model, by index of the camera; none, and why, where they are broken or
+    show something else than the model does."""
+    from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, shown_alike_db
+    from radiant_core.io.view_file import load_views
+
+    if not path.is_file():
+        return {}, None
+    try:
+        views = load_views(path, [(int(width), int(height)) for width, height in cameras.sizes_wh])
+    except BadInput as error:
+        return {}, str(error)
+    if views and (agreement_db := shown_alike_db(model, cameras, views)) < MIN_AGREEMENT_DB:
+        return {}, f"they differ from what its model shows ({agreement_db:.1f} dB, expected {MIN_AGREEMENT_DB:g} or more)."
+    return dict(enumerate(views)), None
+
+
+def retrained_at_cloud(folder: Path, task: dict[str, Any], inbox: Inbox, emit: Callable[[Event], None], options: Any) -> Any:
+    """`Joined` of retraining at the cloud in `folder`, or None where its limits forbid it; the choice is emitted as a decision."""
     from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
     from radiant_core.aggregate.ownership import claims_of_cells
-    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
-    from radiant_core.plan.system import Cloud
+    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.synthetic_views import Teacher
 
+    stage = folder.name
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
     times_s = task["edge_times_s"]
     own_times_s = None if times_s is None else [times_s[task["edges"].index(name)] for name in inbox.senders]
     needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, own_times_s)
-    limits = Cloud(**task["limits"])
-    if aggregate.preset == "default" and limits.memory_bytes is None:
-        limits = replace(limits, memory_bytes=CLOUD_BYTES)
-    retrains, decision = choose_at_cloud(needs, limits, stage)
+    retrains, decision = choose_at_cloud(needs, _limits(task["limits"], aggregate), stage)
     emit(Decided(decision=decision))
     if not retrains:
         return None
     rows = [task["edges"].index(name) for name in inbox.senders]
     claims = claims_of_cells(np.array(task["sites"])[rows], np.array(task["weights"])[rows])
-    teachers = [Teacher(splats=model, cameras=own) for model, own in zip(inbox.models, inbox.cameras, strict=True)]
+    teachers = []
+    for name, model, own in zip(inbox.senders, inbox.models, inbox.cameras, strict=True):
+        pictures, refusal = sent_pictures(folder / "inbox" / name / VIRTUAL_VIEWS, model, own.scaled(train.long_side_px))
+        pooled = bool(pictures) or refusal is not None
+        if refusal is not None:
+            emit(Warned(stage=stage, message=f"the pictures of {name} are left out, its model's are shown instead: {refusal}"))
+        teachers.append(Teacher(splats=model, cameras=own, rendered=pictures, pooled=pooled))
     return retrain_on_synthetic_views(teachers, train, aggregate, options, claims)
 
 
@@ -84,19 +140,33 @@ def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, join
         return Decision(stage=stage, topic="retraining", choice=choice, figure=figure, unit=unit, reason=reason, forced=forced)
 
     steps = joined.trained.num_steps
-    if num_models == 1 and not aggregate.retrain_single:
+    if num_models == 1 and not steps:
         return [decided("skipped", 1.0, "models", "a single model would only learn from its own pictures")]
     if aggregate.preset == "paper":
         return [decided(f"{steps:,} steps on all Gaussians and whole pictures", float(steps), "steps", BY_PRESET)]
+    exposures = [] if joined.balance is None else [exposures_decision(stage, joined.balance)]
     if not joined.num_shown:
-        return [decided("skipped", 0.0, "% contested", "no view shows enough that a second model knows: models are cut at their borders")]
+        reason = "no view shows enough that a second model knows: models are cut at their borders"
+        return [*exposures, decided("skipped", 0.0, "% contested", reason)]
     if not steps:
         reason = f"models that agree to {aggregate.agreement_db:g} dB have no seam that could be seen: they are cut at their borders"
-        return [decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
+        return [*exposures, decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
     shown = f"{joined.num_shown} of {joined.num_views} views"
     share = 100 * joined.contested_share
     left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
-    return [decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", "only what a second model knows too can be joined better")]
+    reason = "only what a second model knows too can be joined better"
+    return [*exposures, decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", reason)]
+
+
+def exposures_decision(stage: str, balance: Balance) -> Decision:
+    """Whether models were balanced, with how far the one that differs most is off."""
+    choice = "models are balanced by a gain and an offset per channel" if balance.needed else "left as they are"
+    if not balance.num_pairs:
+        reason = "no two models show the same place"
+    else:
+        reason = f"{'more' if balance.needed else 'no more'} than models of one exposure differ by"
+    unit = "of 255 from the mean of all models, at mid grey"
+    return Decision(stage=stage, topic="exposures of the models", choice=choice, figure=balance.levels, unit=unit, reason=reason)
 
 
 def _edge_time_s(run: Path, edge: str, plan: CloudPlan, system: System) -> float:

@@ -47,9 +47,12 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay, masks:
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
     """Join the device models of a finished run with other settings; writes a PLY. No system file is read: the cloud has no limit."""
+    from radiant_core.aggregate.balance import balanced, exposure_balance
     from radiant_core.aggregate.crop_merge import crop_merge
     from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
-    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+    from radiant_core.aggregate.pooling import pictures_of, pooled
+    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.trainer import FitOptions
 
@@ -59,7 +62,8 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     config = aggregate_preset(preset)
     config = config if epochs is None else replace(config, num_epochs=epochs)
     train = TrainConfig()
-    models, views, rows, seconds = [], [], [], 0.0
+    asked: list[Teacher] = []
+    rows, seconds = [], 0.0
     for row, edge_plan in enumerate(edge_plans):
         if not len(edge_plan.camera_indices):
             continue
@@ -73,20 +77,25 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
             device_cameras = [load_cameras(place / "cameras.safetensors") for place in inbox]
             claims = claims_of_polygons([edge_plan.strips[edge_plan.device_ids.index(device)] for device in task["devices"]])
             teachers = [Teacher(splats=model, cameras=own) for model, own in zip(device_models, device_cameras, strict=True)]
-            joined = retrain_on_synthetic_views(teachers, train, config, options, claims)
-        models.append(joined.splats)
-        views.append(virtual_cameras_of(run / "edges" / edge, device_cameras, joined.splats))
+            pools = config.edges_pool and len(teachers) > 1
+            if pools:
+                teachers = balanced(teachers, exposure_balance(teachers))
+            joined = pooled(teachers, config, claims) if pools else retrain_on_synthetic_views(teachers, train, config, options, claims)
+        virtual, near = virtual_cameras_of(run / "edges" / edge, device_cameras, joined.splats)
+        shown = pictures_of(teachers, virtual, near, train.long_side_px) if pools else {}
+        asked.append(Teacher(splats=joined.splats, cameras=virtual, rendered=shown, pooled=pools))
         rows.append(row)
         seconds += joined.trained.seconds
-    if config.cloud == "retrain" and models:
+    if config.cloud == "retrain" and asked:
         with stage_bar(display, "cloud") as report:
             options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
             claims = claims_of_cells(cloud_plan.sites[rows], cloud_plan.weights[rows])
-            teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, views, strict=True)]
-            joined = retrain_on_synthetic_views(teachers, train, config, options, claims)
+            joined = retrain_on_synthetic_views(asked, train, config, options, claims)
         save_ply(out, joined.splats)
         return {"gaussians": len(joined.splats), "retrain_s": round(seconds + joined.trained.seconds, 2), "model": str(out)}
-    merged = crop_merge(models, cloud_plan.sites[rows], cloud_plan.weights[rows], fill_blind_spots=config.fill_blind_spots)
+    merged = crop_merge(
+        [edge.splats for edge in asked], cloud_plan.sites[rows], cloud_plan.weights[rows], fill_blind_spots=config.fill_blind_spots
+    )
     save_ply(out, merged.splats)
     return {"gaussians": len(merged.splats), "retrain_s": round(seconds, 2), "filled": merged.num_filled, "model": str(out)}
 

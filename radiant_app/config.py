@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from radiant_core.aggregate.config import AggregatePreset
+from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import LpipsNetwork
 from radiant_core.io.upload import UploadFormat
@@ -99,8 +99,10 @@ class RunConfig:
 
     @property
     def early_teachers(self) -> bool:
-        """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own speed."""
-        return self.teachers == "early" and not self.emulated
+        """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own speed, and one that leaves joining to
+        the cloud needs other views."""
+        pools = self.frames == "shared" and aggregate_preset(self.aggregate_preset).edges_pool
+        return self.teachers == "early" and not (self.emulated or pools)
 
     @property
     def cell_m(self) -> float | None:

@@ -11,11 +11,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from radiant_app.cloud_task import retrain_settings
+from radiant_app.cloud_task import pool_settings, retrain_settings
 from radiant_app.delivering import DELIVERIES, give_task, introduce, introduce_teacher
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.inbox import REFUSED_NAME, VIRTUAL_CAMERAS
+from radiant_app.inbox import REFUSED_NAME, VIRTUAL_CAMERAS, VIRTUAL_VIEWS
 from radiant_app.nodes import MASKS
 from radiant_app.sources import masks_of_scene
 from radiant_app.task_schema import SIGNED
@@ -126,7 +126,7 @@ class Dealer:
         """Files that a device or edge sends beside its model."""
         if tier == "device":
             return ["cameras.safetensors"]
-        return [VIRTUAL_CAMERAS] if self.aggregate.cloud == "retrain" else []
+        return [VIRTUAL_CAMERAS, VIRTUAL_VIEWS] if self.aggregate.cloud == "retrain" else []
 
     def deal_record(self, sender: str, receiver: Path) -> None:
         """The signed record of what a device or edge sends."""
@@ -186,6 +186,7 @@ class Dealer:
             "backend": self.backend,
             "upload": self.upload,
             "memory_bytes": next(edge.memory_bytes for edge in self.system.edges if edge.id == node.name),
+            "cloud": pool_settings(node.name, self.cloud_plan, self.system, self.aggregate),
         }
         return task, [folder / "inbox"]
 
@@ -215,7 +216,7 @@ class Dealer:
         return task, [folder / "inbox"]
 
     def deal_edge(self, edge: str, place: Path) -> None:
-        """What the cloud gets of an edge: its model as it was uploaded, and virtual cameras where it retrains."""
+        """What the cloud gets of an edge: its model as it was uploaded, and virtual cameras with their pictures where it retrains."""
         self.deal_upload(self.run / "edges" / edge, place)
         deal_files(self.run / "edges" / edge, self.sends("edge"), place)
 

@@ -47,7 +47,7 @@ class ExtendRequest:
 def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Write the extended scene as a PLY and return its figures; BadInput where the two runs have no frame in common."""
     from radiant_core.aggregate.extend import NewRegion, extend_scene
-    from radiant_core.aggregate.retrain import Teacher
+    from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.train.trainer import FitOptions
 
     require_file_to_be(request.out)

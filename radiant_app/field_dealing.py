@@ -18,7 +18,7 @@ from radiant_app.dealing import ENDED, Dealer, Filled, deal_files, received
 from radiant_app.delivering import give_task, introduce_scoring
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.inbox import VIRTUAL_CAMERAS
+from radiant_app.inbox import VIRTUAL_CAMERAS, VIRTUAL_VIEWS
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
 from radiant_core.io.records import load_plan, save_plan
@@ -100,8 +100,8 @@ class FieldDealer(Dealer):
         return task, [folder / ("poses" if task["model"] else "poses.safetensors")]
 
     def sends(self, tier: str) -> list[str]:
-        """Beside their models: cameras (virtual ones of an edge), and how sure the frame is."""
-        return ["cameras.safetensors" if tier == "device" else VIRTUAL_CAMERAS, "frame.json"]
+        """Beside their models: cameras (virtual ones of an edge, with their pictures), and how sure the frame is."""
+        return [*(["cameras.safetensors"] if tier == "device" else [VIRTUAL_CAMERAS, VIRTUAL_VIEWS]), "frame.json"]
 
     def deal_device(self, device: str, place: Path) -> None:
         """Its upload, its poses under numbers, and how sure its frame is."""

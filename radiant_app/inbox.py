@@ -32,7 +32,9 @@ MAX_UNCERTAINTY = 1e6
 """In m, rad or as a share: more is no frame."""
 REFUSED_NAME = "refused.json"
 """Senders that a node refused → why. It stays there."""
-VIRTUAL_CAMERAS = "virtual_cameras.safetensors"
+VIRTUAL_CAMERAS, VIRTUAL_VIEWS = "virtual_cameras.safetensors", "virtual_views.safetensors"
+"""Where the cloud looks at an edge's model from, and the pictures there of the models that it was made of, none where the edge retrained.
+"""
 NO_CAMERAS = concatenate_cameras([])
 _UNMOVED = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 

@@ -5,8 +5,8 @@
 | sfm      | task.json, the source it names                      | scene.safetensors, result.json, undistorted/ |
 | device   | task.json, scene.safetensors, photos/, masks/       | model.safetensors, upload.safetensors (unless float32), summary.json |
 | teacher  | task.json, inbox/{model,cameras}.safetensors        | views/<number>.safetensors               |
-| edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_cameras.safetensors |
-| cloud    | task.json, inbox/<edge>/{model,virtual_cameras}.safetensors | scene.ply, summary.json          |
+| edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_{cameras,views}.safetensors |
+| cloud    | task.json, inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors | scene.ply, summary.json |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
 | run      | task.json, a whole run's source                     | that run's folder: a job of a batch      |
 """
@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.cloud_task import join_decisions, retrained_at_cloud, virtual_cameras_of
+from radiant_app.cloud_task import edge_pools, exposures_decision, join_decisions, retrained_at_cloud, virtual_cameras_of
 from radiant_app.delivering import refusals, signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, Inbox, read_inbox, save_frames
+from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, VIRTUAL_VIEWS, Inbox, read_inbox, save_frames
 from radiant_app.memory import base_bytes_in, resident_bytes
 from radiant_app.node_decisions import (
     blind_spots_decision,
@@ -264,10 +264,14 @@ def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
 
 def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Join the devices' models by retraining on what each shows at its own cameras."""
+    """Join the devices' models by retraining on what each shows at its own cameras, or leave that to the cloud."""
+    from radiant_core.aggregate.balance import balanced, exposure_balance
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.ownership import claims_of_polygons
-    from radiant_core.aggregate.retrain import Teacher, cut_at_borders, retrain_on_synthetic_views
+    from radiant_core.aggregate.pooling import pictures_of, pooled
+    from radiant_core.aggregate.retrain import cut_at_borders, retrain_on_synthetic_views
+    from radiant_core.aggregate.synthetic_views import Teacher
+    from radiant_core.io.view_file import save_views
     from radiant_core.train.config import TrainConfig
 
     task = read_json(folder / "task.json")
@@ -275,36 +279,47 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     if not inbox.models:
         return _nothing_placed(folder, inbox)
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
-    limited = _join_plan(inbox, train, task.get("memory_bytes"), (stage, emit))
+    left = edge_pools(task, inbox, stage)
+    limited = None if left is not None else _join_plan(inbox, train, task.get("memory_bytes"), (stage, emit))
     # A device's model shows the same at its own cameras wherever both were moved to. Smaller views than asked for are rendered anew.
     as_asked = limited is None or limited.long_side_px == train.long_side_px
     rendered = [
         load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if as_asked and name in task["teachers"] else {}
         for name, own in zip(inbox.senders, inbox.cameras, strict=True)
     ]
-    if len(inbox.models) > 1:
+    if len(inbox.models) > 1 and left is None:
         emit(Decided(decision=teachers_decision(stage, rendered, inbox.cameras)))
     checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
     options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
     strips = [np.array(task["strips"][task["devices"].index(name)]).reshape(-1, 2) for name in inbox.senders]
     asked = zip(inbox.models, inbox.cameras, rendered, strict=True)
     teachers = [Teacher(splats=model, cameras=own, rendered=ready) for model, own, ready in asked]
-    if limited is not None and limited.long_side_px is None:
-        joined = cut_at_borders(teachers, claims_of_polygons(strips))
+    claims = claims_of_polygons(strips)
+    if left is not None:
+        balance = exposure_balance(teachers, task["backend"])
+        teachers = balanced(teachers, balance)
+        joined = pooled(teachers, aggregate, claims)
+        decisions = [exposures_decision(stage, balance), left]
+    elif limited is not None and limited.long_side_px is None:
+        joined, decisions = cut_at_borders(teachers, claims), []
     else:
         if limited is not None:
             train, options = replace(train, long_side_px=limited.long_side_px), replace(options, statistics_bytes=limited.statistics_bytes)
-        joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims_of_polygons(strips))
-        for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
-            emit(Decided(decision=decision))
+        joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims)
+        decisions = join_decisions(stage, aggregate, len(inbox.models), joined)
+    for decision in decisions:
+        emit(Decided(decision=decision))
     result = joined.trained
     # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
     splats = result.splats.select(morton_order(result.splats.means))
     save_splats(folder / "model.safetensors", splats)
     write_json(folder / "summary.json", {**training_summary(result), "num_models": len(inbox.models)})
-    save_cameras(folder / VIRTUAL_CAMERAS, virtual_cameras_of(folder, inbox.cameras, splats))
+    virtual, near = virtual_cameras_of(folder, inbox.cameras, splats)
+    save_cameras(folder / VIRTUAL_CAMERAS, virtual)
+    shown = {} if left is None else pictures_of(teachers, virtual, near, train.long_side_px, task["backend"])
+    save_views(folder / VIRTUAL_VIEWS, [shown[index] for index in sorted(shown)])
     uploaded = _save_upload(folder, splats, task["upload"], stage, emit)
-    outputs = ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, *save_frames(folder, inbox), *uploaded]
+    outputs = ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, VIRTUAL_VIEWS, *save_frames(folder, inbox), *uploaded]
     checkpoints.remove()
     return [*outputs, *signed_upload(folder, task)]
 
@@ -335,7 +350,7 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     if aggregate.cloud == "retrain":
         checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
         options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
-        joined = retrained_at_cloud(task, inbox, stage, emit, options)
+        joined = retrained_at_cloud(folder, task, inbox, emit, options)
         if joined is not None:
             for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
                 emit(Decided(decision=decision))

@@ -58,7 +58,7 @@ class _Trained(Strict):
 
 class _Sending(_Trained):
     upload: UploadFormat
-    sends: list[Literal["cameras.safetensors", "virtual_cameras.safetensors", "frame.json"]]
+    sends: list[Literal["cameras.safetensors", "virtual_cameras.safetensors", "virtual_views.safetensors", "frame.json"]]
 
 
 class DeviceTask(_Sending):
@@ -99,6 +99,13 @@ class TeacherTask(Strict):
     checkpoint_every_s: Positive
 
 
+class CloudLimits(Strict):
+    """What the cloud can spend, and an edge's share of all cameras, by which it foresees whether the cloud will retrain."""
+
+    limits: Cloud
+    share: Annotated[float, Field(gt=0, le=1)]
+
+
 class EdgeTask(_Sending):
     """Join the models of `devices`, whose regions are `strips`."""
 
@@ -106,6 +113,7 @@ class EdgeTask(_Sending):
     strips: list[list[Pair]]
     aggregate: AggregateConfig
     memory_bytes: Positive | None
+    cloud: CloudLimits | None
     signed: Literal[True]
     teachers: list[Id]
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely import MultiPoint, Point
 
 from radiant_app.nodes import load_images
 from radiant_app.sources import images_of_scene, load_scene_of
@@ -23,6 +24,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
@@ -53,8 +55,8 @@ class Layout:
     def __str__(self) -> str:
         return f"{self.num_edges}x{self.num_devices}"
 
-    def system(self, speeds: Sequence[float] = DEVICE_SPEEDS) -> System:
-        """Edges of devices whose seconds per camera are 1 over their speed."""
+    def system(self, speeds: Sequence[float] = DEVICE_SPEEDS, sites: FloatArray | None = None) -> System:
+        """Edges of devices whose seconds per camera are 1 over their speed; at sites (E,2) m, without them where the plan puts them."""
 
         def device(edge: int, index: int) -> Device:
             speed = speeds[index % len(speeds)]
@@ -70,7 +72,7 @@ class Layout:
             edges=tuple(
                 Edge(
                     id=f"e{edge}",
-                    position=None,
+                    position=None if sites is None else (float(sites[edge, 0]), float(sites[edge, 1])),
                     aggregate_s=CostCurve(linear=0.1),
                     uplink_bytes_per_s=1e6,
                     devices=tuple(device(edge, index) for index in range(self.num_devices)),
@@ -78,6 +80,27 @@ class Layout:
                 for edge in range(self.num_edges)
             )
         )
+
+
+def random_sites(positions: FloatArray, count: int, placement: int) -> FloatArray:
+    """Sites (count,2) m of edges, evenly at random over the hull of cameras (C,2) m and not close to each other; another placement, others.
+
+    Nearer than the root of half an edge's share of the hull's area counts as close, a tenth less after each hundred draws in vain. k-means
+    would be no choice of placements: from most seeds it ends at the same sites.
+    """
+    # Some breadth, for cameras that stand in a line.
+    hull = MultiPoint(positions).convex_hull.buffer(max(0.01 * float(np.ptp(positions, axis=0).max()), 1e-3))
+    low, high = np.reshape(hull.bounds, (2, 2))
+    apart_m, rng = float(np.sqrt(hull.area / 2 / count)), np.random.default_rng((placement, 1))
+    sites, num_in_vain = np.zeros((0, 2)), 0
+    while len(sites) < count:
+        site = rng.uniform(low, high)
+        if hull.covers(Point(site)) and np.hypot(*(sites - site).T).min(initial=np.inf) >= apart_m:
+            sites = np.vstack([sites, site])
+        else:
+            num_in_vain += 1
+            apart_m *= 0.9 if num_in_vain % 100 == 0 else 1.0
+    return sites
 
 
 def layout_of(text: str) -> Layout:
@@ -185,6 +208,7 @@ class Cell:
     scene: BenchScene
     layout: Layout
     placement: int
+    """0: the edges stand where a run puts them; others: at random sites."""
     seed: int
     train: TrainConfig
     """Of a device."""
@@ -201,16 +225,17 @@ class Cell:
     @cached_property
     def plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
         """Regions of the edges and the devices' cameras, exactly planned."""
-        return self._planned("exact", self.layout.system(self.speeds))
+        return self._planned("exact", self.speeds)
 
     @cached_property
     def even_plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
         """The same with as many cameras for each device."""
-        return self._planned("even", self.layout.system(speeds=(1.0,)))
+        return self._planned("even", (1.0,))
 
-    def _planned(self, method: PlanMethod, system: System) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    def _planned(self, method: PlanMethod, speeds: Sequence[float]) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
         positions = self.scene.training.cameras.centers[:, :2]
-        placed = place_edges(system, positions, None, self.placement)
+        sites = random_sites(positions, self.layout.num_edges, self.placement) if self.placement else None
+        placed = place_edges(self.layout.system(speeds, sites), positions, None, 0)
         plan = plan_regions(positions, placed, method=method)
         if isinstance(plan, PlanInfeasible):
             raise BadInput(f"{self.name}: {plan.reason}")

@@ -11,7 +11,9 @@
     fed3dgs         its sequential server on our device models
 
 A row's CPU seconds and training pixels count what comes after the device models, and for methods that train models of their own those too.
-Rows are kept by cell and method in the output folder: a run that was stopped goes on where it was.
+Models and rows are kept by cell and method in the output folder: a run that was stopped goes on where it was.
+
+Two budgets: a row tells the pixels that its method trained on; with `max_gaussians` every method's model is reduced to as many.
 """
 
 from __future__ import annotations
@@ -29,13 +31,16 @@ from radiant_app.bench.method_cells import BenchScene, Cell, Layout, ModelCache,
 from radiant_app.evaluation import region_width
 from radiant_app.progress import tracked
 from radiant_core import __version__
+from radiant_core.aggregate.balance import balanced, exposure_balance
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
-from radiant_core.aggregate.retrain import Joined, Teacher, retrain_on_synthetic_views
+from radiant_core.aggregate.pooling import pictures_of, pooled
+from radiant_core.aggregate.retrain import Joined, retrain_on_synthetic_views
 from radiant_core.aggregate.rivals.fed3dgs import Fed3dgsConfig, fed3dgs
 from radiant_core.aggregate.rivals.vast_gaussian import vast_gaussian
-from radiant_core.aggregate.virtual_cameras import virtual_cameras
+from radiant_core.aggregate.synthetic_views import Teacher
+from radiant_core.aggregate.virtual_cameras import drawn_cameras
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
@@ -44,6 +49,8 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.seam_error import SeamMasks, seam_masks
 from radiant_core.evaluate.seam_scores import SeamScores, seam_excess, seam_scores
+from radiant_core.evaluate.shown_pixels import strongest
+from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.render.rendered_view import render_views
@@ -76,11 +83,16 @@ class MethodBench:
     num_seeds: int = 1
     long_side_px: int = 384
     num_steps: int = 500
+    max_gaussians: int | None = None
+    """As many as any method's model may have: of a larger one those are left that show most to the training cameras, and nothing is
+    fitted again. None: as many as a method makes."""
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.methods) - set(METHODS))
         if unknown:
             raise BadInput(f"method {unknown[0]!r} is unknown: use {', '.join(METHODS)}.")
+        if self.max_gaussians is not None and self.max_gaussians < 1:
+            raise BadInput(f"max_gaussians is {self.max_gaussians}, expected at least 1.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +135,7 @@ def bench_methods(bench: MethodBench) -> tuple[list[MethodRow], list[Metric]]:
     rows = []
     scored = _Scored()
     for cell, method in tracked([(cell, method) for cell in cells for method in methods], "bench methods"):
-        rows.append(_row(bench.out, cell, method, scored))
+        rows.append(_row(bench, cell, method, scored))
     return rows, _metrics(scene.name, rows)
 
 
@@ -150,15 +162,19 @@ def _photographs(scene: BenchScene) -> list[NDArray[np.float64]]:
     return [image / 255 for image in scene.held_out_views.images]
 
 
-def _row(out: Path, cell: Cell, method: str, scored: _Scored) -> MethodRow:
+def _row(bench: MethodBench, cell: Cell, method: str, scored: _Scored) -> MethodRow:
     joining = {"paper": "paper", "ours": "default", "ours edges": "default", "even": "default"}
     settings = {"train": asdict(cell.train), "join": asdict(aggregate_preset(joining[method])) if method in joining else None}
     key = content_key(__version__, {"cell": cell.name, "method": method, **settings})[:16]
-    record = out / "rows" / f"{cell.name}-{method.replace(' ', '_')}-{key}.json"
+    name = f"{cell.name}-{method.replace(' ', '_')}-{key}"
+    most = bench.max_gaussians
+    record = bench.out / "rows" / f"{name}{'' if most is None else f'-{most}'}.json"
     if record.is_file():
         fields = read_json(record)
         return MethodRow(**{**fields, "psnr_db": tuple(fields["psnr_db"])})
-    made = METHODS[method](cell)
+    made = _made(bench.out / "made" / name, cell, method)
+    if most is not None:
+        made = replace(made, splats=strongest(made.splats, cell.scene.views.cameras, most))
     masks, reference = scored.reference(cell)
     views = list(render_views(made.splats, cell.scene.held_out_views.cameras))
     photographs = _photographs(cell.scene)
@@ -179,6 +195,17 @@ def _row(out: Path, cell: Cell, method: str, scored: _Scored) -> MethodRow:
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, asdict(row))
     return row
+
+
+def _made(path: Path, cell: Cell, method: str) -> Made:
+    """What a method makes of a cell, kept in two files of that name."""
+    model, record = path.with_suffix(".safetensors"), path.with_suffix(".json")
+    if not (model.is_file() and record.is_file()):
+        made = METHODS[method](cell)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_splats(model, made.splats)
+        write_json(record, {"cpu_s": made.cpu_s, "training_px": made.training_px})
+    return Made(splats=load_splats(model), **read_json(record))
 
 
 def _timed(work: Callable[[], tuple[Splats, float]], more: Sequence[Trained] = ()) -> Made:
@@ -212,6 +239,8 @@ def _crop(cell: Cell) -> Made:
 def join_cell(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tuple[EdgePlan, ...]], devices: list[list[Trained]]) -> Made:
     """Models of the devices (per edge, of those with cameras) joined at the edges and at the cloud as `aggregate` says."""
     cloud_plan, edge_plans = plans
+    # Photographs are read here, not in the seconds of a joining that looks at none.
+    _ = cell.scene.views
 
     def joined(teachers: list[Teacher], claims: Any) -> Joined:
         config = replace(cell.train, seed=cell.seed)
@@ -224,9 +253,15 @@ def join_cell(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tu
                 continue
             cameras = [cell.cameras_of(rows) for rows in device_rows(plan)]
             teachers = [Teacher(splats=model.splats, cameras=own) for model, own in zip(models, cameras, strict=True)]
-            edge = joined(teachers, claims_of_polygons([strip for strip in plan.strips if len(strip)]))
-            virtual = virtual_cameras(concatenate_cameras(cameras), edge.splats.means, np.random.default_rng([cell.seed, index]))
-            edges.append((index, Teacher(splats=edge.splats, cameras=virtual)))
+            claims = claims_of_polygons([strip for strip in plan.strips if len(strip)])
+            pools = aggregate.edges_pool and len(teachers) > 1
+            if pools:
+                teachers = balanced(teachers, exposure_balance(teachers))
+            edge = pooled(teachers, aggregate, claims) if pools else joined(teachers, claims)
+            rng = np.random.default_rng([cell.seed, index])
+            virtual, near = drawn_cameras(concatenate_cameras(cameras), edge.splats.means, rng)
+            shown = pictures_of(teachers, virtual, near, cell.train.long_side_px) if pools else {}
+            edges.append((index, Teacher(splats=edge.splats, cameras=virtual, rendered=shown, pooled=pools)))
             pixels += _pixels(teachers, edge)
         rows = [index for index, _ in edges]
         sites, weights = cloud_plan.sites[rows], cloud_plan.weights[rows]

@@ -15,7 +15,8 @@ from radiant_app.bench.drone_scene import SceneSize, drone_scene
 from radiant_app.memory import peak_bytes, reset_peak_bytes
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.join_memory import join_plan
-from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.splats import SH_BASES

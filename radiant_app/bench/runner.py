@@ -45,6 +45,8 @@ class BenchOptions:
     """Edges x devices per edge (methods)."""
     num_placements: int = 1
     """Placements of the edges (methods)."""
+    max_gaussians: int | None = None
+    """To which every method's model is reduced (methods)."""
     out: Path | None = None
     """Folder of models and rows, which a later call goes on with (methods, paper, train), and of the page (paper)."""
 
@@ -63,6 +65,8 @@ def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
         raise BadInput(f"--method and --out are for the benchmarks methods, paper and train, not for {name}: leave them out.")
     if name != "methods" and options.num_placements > 1:
         raise BadInput(f"--placements is for the benchmark methods, not for {name}: leave it out.")
+    if name != "methods" and options.max_gaussians is not None:
+        raise BadInput(f"--max-gaussians is for the benchmark methods, not for {name}: leave it out.")
     if name in ("methods", "paper") and (options.scene is None or options.out is None):
         raise BadInput(f"the benchmark {name} needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
     if options.plot is not None and name not in ("train", "plan", "methods", "fed3dgs"):
@@ -151,7 +155,7 @@ def _measure_methods(options: BenchOptions, scene: Path, out: Path) -> Sequence[
     from radiant_app.bench.methods import MethodBench, bench_methods, curves_of, methods_table
 
     sizes = {"long_side_px": options.long_side_px or (160 if options.quick else 384), "num_steps": 60 if options.quick else 500}
-    repeats = {"num_placements": options.num_placements, "num_seeds": options.num_seeds or 1}
+    repeats = {"num_placements": options.num_placements, "num_seeds": options.num_seeds or 1, "max_gaussians": options.max_gaussians}
     bench = MethodBench(scene=scene, out=out, layout=layout_of(options.layout), methods=options.methods, **sizes, **repeats)
     rows, metrics = bench_methods(bench)
     typer.echo(methods_table(rows))

@@ -126,7 +126,8 @@ def _held_out_psnr_db(run: Path, edges: Sequence[EdgeOfRun], upload_format: Uplo
     """PSNR of the run's held-out photographs after joining what the edges and the cloud received in this format."""
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.crop_merge import crop_merge
-    from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+    from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+    from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.evaluate.image_error import psnr_db
     from radiant_core.render.rendered_view import render_views
     from radiant_core.train.config import TrainConfig

@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.bench.method_cells import Layout, layout_of
+from radiant_app.bench.method_cells import Layout, layout_of, random_sites
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
 from radiant_app.bench.runner import BenchOptions, run_bench
 from radiant_app.commands import sfm
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.progress import ProgressDisplay
 from radiant_core.errors import BadInput
+from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.region_plan import plan_regions
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +52,17 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     assert stamps == {path: path.stat().st_mtime_ns for path in (bench.out / "rows").iterdir()}
 
 
+def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:
+    every, _ = bench_methods(replace(bench, methods=("crop", "ours")))
+    most = min(row.num_gaussians for row in every)
+    equal, _ = bench_methods(replace(bench, methods=("crop", "ours"), max_gaussians=most))
+    assert [row.num_gaussians for row in equal] == [most] * 3
+    # The smallest is the same; what shows least costs the others little, but something.
+    losses_db = [np.mean(row.psnr_db) - np.mean(less.psnr_db) for row, less in zip(every, equal, strict=True)]
+    assert min(losses_db) == 0 and 0.01 < max(losses_db) < 5
+    assert [row.cpu_s for row in equal] == [row.cpu_s for row in every]  # nothing was joined again
+
+
 def test_rivals_train_and_join_on_the_same_work(bench: MethodBench) -> None:
     rows, _ = bench_methods(replace(bench, methods=("even", "vastgaussian")))
     made = {row.method: row for row in rows}
@@ -62,6 +76,21 @@ def test_a_layout_is_edges_times_devices() -> None:
     for wrong in ("", "2", "2x", "0x2", "2x2x2", "axb", "-1x2"):
         with pytest.raises(BadInput, match="layout"):
             layout_of(wrong)
+
+
+def test_random_sites_are_apart_inside_the_hull_and_make_other_plans() -> None:
+    grid = np.stack(np.meshgrid(np.arange(8.0), np.arange(6.0)), axis=-1).reshape(-1, 2) * 10
+    dealt = set()
+    for placement in range(1, 6):
+        sites = random_sites(grid, 2, placement)
+        assert np.array_equal(sites, random_sites(grid, 2, placement))
+        assert (sites >= -1).all() and (sites <= [71, 51]).all() and np.hypot(*(sites[0] - sites[1])) > 25
+        plan = plan_regions(grid, place_edges(Layout(num_edges=2, num_devices=2).system(sites=sites), grid, None, 0), method="exact")
+        assert isinstance(plan, CloudPlan)
+        dealt.add(frozenset(tuple(np.flatnonzero(plan.edge_of_camera == edge)) for edge in (0, 1)))
+    assert len(dealt) == 5
+    for crowded in (np.zeros((3, 2)), np.arange(10.0)[:, None] * [[3.0, 1.0]]):
+        assert random_sites(crowded, 4, 1).shape == (4, 2)
 
 
 def test_unknown_methods_are_named(tmp_path: Path) -> None:
@@ -79,8 +108,11 @@ def test_the_command_prints_a_table_and_draws_a_picture(bench: MethodBench, tmp_
     for options, told in (
         ({"scene": bench.scene}, "needs --scene"),
         ({"scene": bench.scene, "out": tmp_path, "presets": ("default",)}, "--preset"),
+        ({"scene": bench.scene, "out": tmp_path, "max_gaussians": 0}, "expected at least 1"),
     ):
         with pytest.raises(BadInput, match=told):
             run_bench("methods", None, BenchOptions(**options))
+    with pytest.raises(BadInput, match="--max-gaussians is for"):
+        run_bench("plan", None, BenchOptions(max_gaussians=5))
     with pytest.raises(BadInput, match="--out are for the benchmarks methods"):
         run_bench("plan", None, BenchOptions(out=tmp_path))

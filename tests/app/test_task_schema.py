@@ -49,6 +49,7 @@ TASKS: dict[str, dict[str, Any]] = {
         "devices": ["a-1"],
         "strips": [[[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]],
         "aggregate": asdict(AggregateConfig()),
+        "cloud": {"limits": {"memory_bytes": 1e9, "time_s": None, "max_cameras": None}, "share": 0.5},
         "memory_bytes": None,
         "signed": True,
         "teachers": [],

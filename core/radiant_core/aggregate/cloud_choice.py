@@ -74,6 +74,13 @@ def cloud_needs(
     return CloudNeeds(num_cameras=len(pixels), memory_bytes=retrain_memory_bytes(total, _bytes_per_splat(models), pixels), time_s=time_s)
 
 
+def pooled_needs(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, share: float) -> CloudNeeds:
+    """The same, foreseen by an edge from its devices' models: those of the whole scene, of whose cameras it has a share (0 to 1]."""
+    own = cloud_needs(models, cameras, long_side_px, None)
+    scene_bytes = (own.memory_bytes - PROCESS_BYTES) / share
+    return CloudNeeds(num_cameras=round(own.num_cameras / share), memory_bytes=PROCESS_BYTES + scene_bytes, time_s=None)
+
+
 def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str) -> tuple[bool, Decision]:
     """Whether the cloud retrains (else it crop-merges), and the decision with the figure that came nearest to its limit or beyond."""
     figures = [

@@ -18,8 +18,11 @@ class AggregateConfig:
 
     preset: AggregatePreset = "default"
     """default: models fade where others own the place and are fitted together; paper: they are concatenated and retrained."""
-    num_epochs: int = 2
+    num_epochs: int = 4
     """How often each synthetic view is shown (paper Sec. IV-B: 10)."""
+    edges: Literal["pool", "retrain"] = "pool"
+    """pool: an edge whose cloud retrains sends its devices' models as one, each fainter where another owns the place, with their
+    pictures at its virtual cameras, so that the cloud learns from devices at first hand; retrain: it joins them itself. default only."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
@@ -42,6 +45,8 @@ class AggregateConfig:
             raise BadInput(f"aggregate preset {self.preset!r} is unknown: use 'default' or 'paper'.")
         if self.cloud not in ("crop_merge", "retrain"):
             raise BadInput(f"the cloud's aggregation is {self.cloud!r}, expected 'crop_merge' or 'retrain'.")
+        if self.edges not in ("pool", "retrain"):
+            raise BadInput(f"the edges' aggregation is {self.edges!r}, expected 'pool' or 'retrain'.")
         if not 0 < self.foreign_opacity <= 1 or not (self.agreement_db is None or self.agreement_db > 0):
             raise BadInput(
                 f"foreign_opacity is {self.foreign_opacity} and agreement_db {self.agreement_db}: give a share and a level in dB."
@@ -49,12 +54,23 @@ class AggregateConfig:
         if self.num_epochs < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
             raise BadInput("num_epochs and max_num_steps of the aggregation must be at least 1.")
 
+    @property
+    def edges_pool(self) -> bool:
+        """Whether edges leave joining to the cloud wherever it can."""
+        return self.preset == "default" and self.edges == "pool" and self.cloud == "retrain"
+
 
 def aggregate_preset(name: str) -> AggregateConfig:
     """The configuration of a preset; BadInput lists the names there are."""
     if name == "paper":
         return AggregateConfig(
-            preset="paper", num_epochs=10, retrain_single=True, weight_by_alpha=False, cloud="retrain", fill_blind_spots=False
+            preset="paper",
+            num_epochs=10,
+            edges="retrain",
+            retrain_single=True,
+            weight_by_alpha=False,
+            cloud="retrain",
+            fill_blind_spots=False,
         )
     if name != "default":
         raise BadInput(f"aggregate preset {name!r} is unknown: use one of {', '.join(get_args(AggregatePreset))}.")

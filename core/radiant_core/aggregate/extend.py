@@ -21,7 +21,8 @@ from shapely import Polygon, boundary, contains, distance, points, prepare
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import far_from
 from radiant_core.aggregate.ownership import Ownership
-from radiant_core.aggregate.retrain import MEANS_RATE, RATES_END, Teacher, faded, reached_by, retraining_config, touched_cameras
+from radiant_core.aggregate.retrain import RATES_END, faded, reached_by, retraining_config, touched_cameras
+from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.seam_error import ground_places
 from radiant_core.numerics import FloatArray, checked_array
@@ -136,7 +137,7 @@ def _fitted(  # noqa: PLR0913
     start = concatenate_splats([shown, moving.select(before)])
     held = np.arange(len(start)) < len(shown)
     config = retraining_config(train, aggregate, start, len(views))
-    trained = fit_splats(start, views, config, replace(options, held=held, steps=Steps(means=MEANS_RATE, end=RATES_END))).splats
+    trained = fit_splats(start, views, config, replace(options, held=held, steps=Steps(end=RATES_END))).splats
     alive = without_dead(trained.select(~held))[0]
     return concatenate_splats([alive, moving.select(~before & own)]), len(views)
 

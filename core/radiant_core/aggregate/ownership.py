@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from shapely import Polygon, distance, points
+from shapely import Polygon, contains_xy, distance, points, prepare
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -60,16 +60,19 @@ def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | No
 
 def coverage(places: ArrayLike, cameras: Cameras) -> FloatArray:
     """How well cameras cover each of the places (P,3) m: the formula above, in image widths per unit of length; 0 where none sees it."""
-    places = np.asarray(places, np.float64)
-    covered = np.zeros(len(places))
-    for K, pose, size_wh in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
-        in_camera = places @ pose[:3, :3].T + pose[:3, 3]
-        depth = in_camera[:, 2]
-        in_front = depth > 0
-        pixels = (in_camera @ K.T)[:, :2] / np.where(in_front, depth, 1.0)[:, None]
-        inside = 1 - np.abs(2 * pixels / size_wh - 1).max(axis=1)
-        seen = in_front & (inside > 0)
-        covered[seen] += np.minimum(1.0, inside[seen] / _RIM) * K[0, 0] / size_wh[0] / depth[seen]
+    # Rows of coordinates, and only what is in front and in the image goes on: half the time of (P,3) arrays.
+    rows = np.ascontiguousarray(np.asarray(places, np.float64).T)
+    covered = np.zeros(rows.shape[1])
+    for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
+        projection = K @ pose[:3]
+        depths = projection[2, :3] @ rows + projection[2, 3]
+        front = np.flatnonzero(depths > 0)
+        shown, depths = rows[:, front], depths[front]
+        columns = np.abs((projection[0, :3] @ shown + projection[0, 3]) / depths * (2 / width) - 1)
+        lines = np.abs((projection[1, :3] @ shown + projection[1, 3]) / depths * (2 / height) - 1)
+        inside = 1 - np.maximum(columns, lines)
+        seen = np.flatnonzero(inside > 0)
+        covered[front[seen]] += np.minimum(1.0, inside[seen] / _RIM) * (K[0, 0] / width) / depths[seen]
     return covered
 
 
@@ -86,9 +89,15 @@ def claims_of_polygons(polygons: Sequence[FloatArray]) -> Claims | None:
     if not areas:
         return None
     indices = np.array(list(areas), np.int64)
+    prepare(list(areas.values()))
 
     def claim(positions: FloatArray) -> NDArray[np.int64]:
-        places = points(positions)
-        return indices[np.argmin([distance(area, places) for area in areas.values()], axis=0)]
+        inside = np.array([contains_xy(area, positions[:, 0], positions[:, 1]) for area in areas.values()])
+        nearest = inside.argmax(axis=0)
+        # Distances take ten times as long: only of those in none.
+        outside = np.flatnonzero(~inside.any(axis=0))
+        places = points(positions[outside])
+        nearest[outside] = np.argmin([distance(area, places) for area in areas.values()], axis=0)
+        return indices[nearest]
 
     return claim

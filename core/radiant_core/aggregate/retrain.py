@@ -9,14 +9,15 @@ Gaussians are neither added nor densified: the paper densifies on devices, from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_core.aggregate.balance import Balance, balanced, exposure_balance
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.ownership import Claims, Ownership, ownership
-from radiant_core.aggregate.synthetic_views import Rendered, synthetic_views
+from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
@@ -28,25 +29,14 @@ from radiant_core.train.shapes import without_dead
 from radiant_core.train.trainer import FitOptions, Steps, TrainResult, fit_splats
 from radiant_core.train.views import TrainingViews, concatenate_views
 
-MEANS_RATE = 0.3
-"""Rate of the centres as a share of training's."""
 RATES_END = 0.3
-"""Share of the other rates that is left at the end of a retraining by `default`."""
+"""Share of the rates that is left at the end of a retraining by `default`; the centres' fall as in training."""
 TOUCHED_SHARE = 0.02
 """A view is shown where at least this share of the Gaussians before it is contested."""
 NUM_COMPARED = 8
 """Views that say how far the models disagree before anything is done about it."""
 NUM_ASKED = 10_000
 """Gaussians that say which views are touched."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Teacher:
-    """A model, the cameras that it is asked at, and by index of the camera the views that need not be rendered any more."""
-
-    splats: Splats
-    cameras: Cameras
-    rendered: Rendered = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,6 +54,8 @@ class Joined:
     """Of all Gaussians, those in places that a second model knows too."""
     agreement_db: float | None = None
     """PSNR between the models' own pictures and those of all models cut at their borders, in the worst view; None where nobody looked."""
+    balance: Balance | None = None
+    """How exposures of the models differ; None where nobody looked."""
 
     @property
     def splats(self) -> Splats:
@@ -76,12 +68,12 @@ def retrain_on_synthetic_views(
 ) -> Joined:
     """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a place lies in.
 
-    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single`. Raises BadInput without any.
+    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single` or pooled. Raises BadInput without any.
     """
     if not teachers:
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
-    if len(teachers) == 1 and not aggregate.retrain_single:
-        return Joined(trained=_untrained(teachers[0].splats), num_given=len(teachers[0].splats))
+    if len(teachers) == 1 and not (aggregate.retrain_single or teachers[0].pooled):
+        return Joined(trained=untrained(teachers[0].splats), num_given=len(teachers[0].splats))
     if aggregate.preset == "paper":
         return _as_in_the_paper(teachers, train, aggregate, options)
     return _join(teachers, train, aggregate, options, claims)
@@ -111,7 +103,7 @@ def _cut(teachers: Sequence[Teacher], owned: Sequence[Ownership]) -> Joined:
     num_contested = sum(int(places.contested.sum()) for places in owned)
     num_given = sum(len(teacher.splats) for teacher in teachers)
     return Joined(
-        trained=_untrained(concatenate_splats(kept)),
+        trained=untrained(concatenate_splats(kept)),
         num_given=num_given,
         num_views=sum(len(teacher.cameras) for teacher in teachers),
         contested_share=num_contested / num_given if num_given else 0.0,
@@ -121,13 +113,16 @@ def _cut(teachers: Sequence[Teacher], owned: Sequence[Ownership]) -> Joined:
 def _join(
     teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None
 ) -> Joined:
+    balance = exposure_balance(teachers, options.backend)
+    teachers = balanced(teachers, balance)
     owned = _owned(teachers, claims)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
-    contested = np.concatenate([places.contested for places in owned])
+    contested = np.concatenate([places.contested | teacher.pooled for teacher, places in zip(teachers, owned, strict=True)])
     merged = faded([teacher.splats for teacher in teachers], owned, aggregate.foreign_opacity)
     shown = [touched_cameras(teacher.cameras, merged.means, contested) for teacher in teachers]
     num_shown = int(sum(rows.sum() for rows in shown))
-    plainly_cut = replace(_cut(teachers, owned), num_shown=num_shown)
+    contested_share = float(contested.mean()) if len(contested) else 0.0
+    plainly_cut = replace(_cut(teachers, owned), num_shown=num_shown, contested_share=contested_share, balance=balance)
     if not num_shown:
         return plainly_cut
     views = teacher_views([_at(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()], train.long_side_px)
@@ -139,7 +134,7 @@ def _join(
     # What no shown view can show is not held while the rest is fitted.
     before = reached_by(merged, views.cameras)
     config = retraining_config(train, aggregate, merged, len(views))
-    trained = fit_splats(merged.select(before), views, config, replace(options, steps=Steps(means=MEANS_RATE, end=RATES_END)))
+    trained = fit_splats(merged.select(before), views, config, replace(options, steps=Steps(end=RATES_END)))
     whole = concatenate_splats([without_dead(trained.splats)[0], merged.select(~before & owns)])
     return replace(plainly_cut, trained=replace(trained, splats=whole))
 
@@ -158,13 +153,15 @@ def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -
 def reached_by(splats: Splats, cameras: Cameras) -> NDArray[np.bool_]:
     """Which Gaussians (N,) may show in an image: whose sphere of three standard deviations reaches into the pyramid of a camera."""
     radii = 3 * np.exp(splats.log_scales.astype(np.float64).max(axis=1))
+    means = splats.means.T.astype(np.float64)
     reached = np.zeros(len(splats), bool)
     for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
-        in_camera = splats.means @ pose[:3, :3].T + pose[:3, 3]
+        left = np.flatnonzero(~reached)
         # The sides of the pyramid, pointing inwards: columns 0 and width, rows 0 and height.
         sides = np.array([K[0] * [1, 0, 1], [-K[0, 0], 0, width - K[0, 2]], K[1] * [0, 1, 1], [0, -K[1, 1], height - K[1, 2]], [0, 0, 1]])
-        heights = in_camera @ (sides / np.linalg.norm(sides, axis=1, keepdims=True)).T
-        reached |= (heights.min(axis=1) + radii) > 0
+        sides /= np.linalg.norm(sides, axis=1, keepdims=True)
+        heights = (sides @ pose[:3, :3]) @ means[:, left] + (sides @ pose[:3, 3])[:, None]
+        reached[left] = heights.min(axis=0) + radii[left] > 0
     return reached
 
 
@@ -177,7 +174,7 @@ def _at(teacher: Teacher, chosen: NDArray[np.bool_]) -> Teacher:
     """The teacher at some of its cameras."""
     rows = np.flatnonzero(chosen).tolist()
     rendered = {place: teacher.rendered[row] for place, row in enumerate(rows) if row in teacher.rendered}
-    return Teacher(splats=teacher.splats, cameras=teacher.cameras.select(rows), rendered=rendered)
+    return replace(teacher, cameras=teacher.cameras.select(rows), rendered=rendered)
 
 
 def touched_cameras(cameras: Cameras, means: NDArray[np.floating], contested: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -207,5 +204,6 @@ def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Sp
     return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still)
 
 
-def _untrained(splats: Splats) -> TrainResult:
+def untrained(splats: Splats) -> TrainResult:
+    """A model as it is, as the result of no step."""
     return TrainResult(splats=splats, num_steps=0, first_loss=0.0, last_loss=0.0, seconds=0.0)

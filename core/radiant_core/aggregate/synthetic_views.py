@@ -6,6 +6,7 @@ A teacher knows nothing where it is transparent: each pixel weighs as much as th
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,17 @@ ViewBytes = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 """Image (H,W,3) and weight (H,W)."""
 Rendered = Mapping[int, ViewBytes]
 """Views that were rendered before, by the index of their camera."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Teacher:
+    """A model, the cameras that it is asked at, and by index of the camera the views that need not be rendered any more."""
+
+    splats: Splats
+    cameras: Cameras
+    rendered: Rendered = field(default_factory=dict)
+    pooled: bool = False
+    """Whether the model is several that nobody has joined yet (`pooling`): then all of it is contested."""
 
 
 def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", rendered: Rendered = {}) -> TrainingViews:  # noqa: B006

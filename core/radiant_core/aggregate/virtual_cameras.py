@@ -28,6 +28,11 @@ def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.rando
 
     Size and focal length are those of the camera with the median angle of view. Raises BadInput without cameras or Gaussians.
     """
+    return drawn_cameras(cameras, means, rng)[0]
+
+
+def drawn_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> tuple[Cameras, NDArray[np.int64]]:
+    """The same, and which camera each virtual one stands near (C,), for the edge alone."""
     count = len(cameras)
     if not count or not len(means):
         raise BadInput(f"{count} cameras of a model of {len(means)} Gaussians: virtual cameras need at least one of either.")
@@ -40,12 +45,13 @@ def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.rando
     poses[:, :3, :3] = turns @ poses[:, :3, :3]
     poses[:, :3, 3] = -np.einsum("cij,cj->ci", poses[:, :3, :3], moved)
     size_wh, K = _common_pinhole(cameras)
-    return Cameras(
+    drawn = Cameras(
         names=tuple(f"view-{number:016x}" for number in rng.integers(2**63, size=count)),
         Ks=np.tile(K, (count, 1, 1)),
         cam_from_world=poses,
         sizes_wh=np.tile(size_wh, (count, 1)),
     )
+    return drawn, order
 
 
 def _inside_ball(count: int, rng: np.random.Generator) -> FloatArray:

@@ -3,14 +3,14 @@
     delivery.json   schema, version, run, sender, receiver, kind, attempt; files: name → bytes, sha256
     delivery.sig    64 bytes: Ed25519 of "radiant.delivery 1\\0" and the bytes of delivery.json
 
-| kind         | files (those in brackets may be absent)                        | way            |
-|--------------|----------------------------------------------------------------|----------------|
-| device_model | model.safetensors, cameras.safetensors, (frame.json)           | device to edge |
-| edge_model   | model.safetensors, (virtual_cameras.safetensors), (frame.json) | edge to cloud  |
-| edge_task    | task.json                                                      | cloud to edge  |
-| device_task  | task.json, scene.safetensors, photos/, (masks/)                | edge to device |
-| field_task   | task.json, (poses.safetensors), (poses/)                       | edge to device |
-| score_task   | task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)   | edge to device |
+| kind         | files (those in brackets may be absent)                               | way            |
+|--------------|-----------------------------------------------------------------------|----------------|
+| device_model | model.safetensors, cameras.safetensors, (frame.json)                  | device to edge |
+| edge_model   | model.safetensors, (virtual_{cameras,views}.safetensors, frame.json)  | edge to cloud  |
+| edge_task    | task.json                                                             | cloud to edge  |
+| device_task  | task.json, scene.safetensors, photos/, (masks/)                       | edge to device |
+| field_task   | task.json, (poses.safetensors), (poses/)                              | edge to device |
+| score_task   | task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)          | edge to device |
 
 The signature covers run, receiver and attempt, so that a delivery is worth nothing in another run or elsewhere; which attempt counts
 is decided by `radiant_core.io.acceptance`. A folder counts as one file: the bytes of all its files, and the hash of their names and
@@ -43,7 +43,7 @@ MAX_ATTEMPT = 10**6
 Kind = Literal["device_model", "edge_model", "edge_task", "device_task", "field_task", "score_task"]
 FILES: dict[Kind, tuple[frozenset[str], frozenset[str]]] = {
     "device_model": (frozenset({"model.safetensors", "cameras.safetensors"}), frozenset({"frame.json"})),
-    "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "frame.json"})),
+    "edge_model": (frozenset({"model.safetensors"}), frozenset({"virtual_cameras.safetensors", "virtual_views.safetensors", "frame.json"})),
     "edge_task": (frozenset({"task.json"}), frozenset()),
     "device_task": (frozenset({"task.json", "scene.safetensors", "photos"}), frozenset({"masks"})),
     "field_task": (frozenset({"task.json"}), frozenset({"poses.safetensors", "poses"})),

@@ -11,8 +11,8 @@ import pytest
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
-from radiant_core.aggregate.retrain import Joined, Teacher, reached_by, retrain_on_synthetic_views, teacher_views
-from radiant_core.aggregate.synthetic_views import synthetic_views
+from radiant_core.aggregate.retrain import Joined, reached_by, retrain_on_synthetic_views, teacher_views
+from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
@@ -105,7 +105,7 @@ def test_joining_heals_what_a_blind_neighbour_covers(claims: Claims | None) -> N
     views = teacher_views(teachers([west, east], [WEST, EAST]), 48)
     before = mean_psnr_db(concatenate_splats([west, east]), views)
     result = retrain_on_synthetic_views(teachers([west, east], [WEST, EAST]), TRAIN, AggregateConfig(), FitOptions(), claims)
-    assert (result.trained.num_steps, result.num_shown, result.num_views) == (8, 4, 4)
+    assert (result.trained.num_steps, result.num_shown, result.num_views) == (16, 4, 4)
     assert result.agreement_db is not None and before + 3 < result.agreement_db < 48
     assert mean_psnr_db(result.splats, views) > before + 3
 
@@ -116,7 +116,7 @@ def test_models_that_agree_are_cut_and_not_retrained() -> None:
     assert result.trained.num_steps == 0 and result.agreement_db is not None and result.agreement_db >= 48
     assert len(result.splats) == len(model)
     np.testing.assert_array_equal(np.unique(result.splats.means, axis=0), np.unique(model.means, axis=0))
-    assert joined([model, model], [WEST, EAST], foreign_opacity=1e-3, agreement_db=None).trained.num_steps == 8
+    assert joined([model, model], [WEST, EAST], foreign_opacity=1e-3, agreement_db=None).trained.num_steps == 16
 
 
 def test_what_no_second_model_knows_keeps_its_bits() -> None:

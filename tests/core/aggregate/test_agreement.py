@@ -10,7 +10,8 @@ import pytest
 from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, contradicted
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.ownership import claims_of_cells
-from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db

@@ -10,7 +10,8 @@ import pytest
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs, retrain_memory_bytes
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.retrain import Teacher, retrain_on_synthetic_views
+from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import MAX_MOVE, MAX_TURN_DEG, virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput

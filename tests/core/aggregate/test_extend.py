@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.extend import Extended, NewRegion, extend_scene
-from radiant_core.aggregate.retrain import Teacher
+from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.render.rendered_view import render_views

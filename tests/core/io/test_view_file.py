@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.errors import BadInput, RadiantError, StoreDamaged
 from radiant_core.io.array_file import save_arrays
-from radiant_core.io.view_file import SCHEMA, load_view, save_view
+from radiant_core.io.view_file import SCHEMA, load_view, load_views, save_view, save_views
 
 
 def view(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -63,3 +63,49 @@ def test_what_is_no_picture_is_told_before_it_is_decoded(tmp_path: Path, content
     save_arrays(tmp_path / "v", SCHEMA, {"png": np.frombuffer(content, np.uint8)}, {"size_wh": [8, 6]})
     with pytest.raises(BadInput, match="a view of 0 × 0 px, expected 8 × 6"):
         load_view(tmp_path / "v", 8, 6)
+
+
+def smooth(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = np.mgrid[:height, :width]
+    image = np.stack([rows * 3, columns * 4, rows + columns], axis=-1) % 200
+    return image.astype(np.uint8), (columns * 5 % 256).astype(np.uint8)
+
+
+def test_views_of_an_edge_come_back_in_order(tmp_path: Path) -> None:
+    sizes = [(40, 30), (16, 24), (1, 1)]
+    views = [smooth(*size) for size in sizes]
+    save_views(tmp_path / "v", views)
+    for (image, weight), (first, second) in zip(load_views(tmp_path / "v", sizes), views, strict=True):
+        np.testing.assert_array_equal(weight, second)
+        # JPEG of quality 95 on ramps with a few edges
+        assert np.abs(image.astype(float) - first).mean() < 4 and image.flags.c_contiguous
+    save_views(tmp_path / "v", [])
+    assert load_views(tmp_path / "v", sizes) == []
+
+
+def test_other_counts_and_sizes_of_views_are_refused(tmp_path: Path) -> None:
+    save_views(tmp_path / "v", [smooth(8, 6), smooth(8, 6)])
+    with pytest.raises(BadInput, match="views, expected 3"):
+        load_views(tmp_path / "v", [(8, 6)] * 3)
+    with pytest.raises(BadInput, match="expected 6 × 8"):
+        load_views(tmp_path / "v", [(8, 6), (6, 8)])
+    save_view(tmp_path / "w", *smooth(8, 6))
+    with pytest.raises(BadInput):
+        load_views(tmp_path / "w", [(8, 6)])
+
+
+def test_mutated_views_give_typed_errors_or_views_of_these_sizes(tmp_path: Path) -> None:
+    save_views(tmp_path / "v", [smooth(12, 9), smooth(10, 7)])
+    whole = (tmp_path / "v").read_bytes()
+    rng = np.random.default_rng(7)
+    refused = 0
+    for _ in range(400):
+        mutated = bytearray(whole)
+        mutated[rng.integers(len(whole))] = rng.integers(256)
+        (tmp_path / "v").write_bytes(mutated[: rng.integers(len(whole))] if rng.random() < 0.2 else mutated)
+        try:
+            shapes = [(image.shape, weight.shape) for image, weight in load_views(tmp_path / "v", [(12, 9), (10, 7)])]
+            assert shapes in ([((9, 12, 3), (9, 12)), ((7, 10, 3), (7, 10))], [])
+        except RadiantError:
+            refused += 1
+    assert refused > 80

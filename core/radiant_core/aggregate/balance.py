@@ -1,0 +1,126 @@
+"""Exposures that differ between models: one gain and offset per model and channel, from the places that two of them show. Once per join.
+
+    c' = g c + b     g, b = argmin Σ over pairs of pixels  ρ(g_i c_i + b_i − g_j c_j − b_j),   Σ over models of g = M, of b = 0
+
+over pixels at some cameras of every model where both models are opaque and their depths agree; ρ is Cauchy's, by least squares with
+weights 1 / (1 + (r / s)²), s the median |r|, since models differ by more than exposure. The gauge keeps the mean of all models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from radiant_core.aggregate.agreement import LONG_SIDE_PX
+from radiant_core.aggregate.synthetic_views import Teacher
+from radiant_core.numerics import FloatArray
+from radiant_core.render.contract import Backend
+from radiant_core.render.rendered_view import render_views
+from radiant_core.splats import SH_C0, Splats
+
+MIN_LEVELS = 4.0
+"""Models are balanced where their exposures differ from the mean by at least so much of 255 at mid grey. On three sets as they were taken
+it was 1 to 2, and balancing gained nothing; with one device's photographs three quarters as bright it was 22 and gained 0.4 dB, 0.8 dB
+beside one colour map per picture (docs/experiments/aggregation.md)."""
+MIN_PAIRS = 2_000
+"""Pairs of pixels of a model with the others, below which nothing is said of it."""
+DEPTH_TOLERANCE, OPAQUE = 0.03, 0.95
+NUM_ASKED = 6
+NUM_ROUNDS = 10
+_RIDGE = 1e-6
+"""Per pair, towards g = 1, b = 0: what a single colour leaves open stays."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Balance:
+    """gains, offsets (M,3) of M models for colours in 0..1; num_pairs of pixels that they come from."""
+
+    gains: FloatArray
+    offsets: FloatArray
+    num_pairs: int
+
+    @property
+    def levels(self) -> float:
+        """By how much of 255 the model that differs most is off at mid grey."""
+        return float(np.abs(0.5 * self.gains + self.offsets - 0.5).max(initial=0.0) * 255)
+
+    @property
+    def needed(self) -> bool:
+        """Whether that is more than models differ by anyway."""
+        return self.levels >= MIN_LEVELS
+
+
+def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> Balance:
+    """The exposures of M models; 1 and 0 for all of them where any shares too few places with the others to tell."""
+    pairs = _pairs(teachers, backend)
+    count = len(teachers)
+    balance = Balance(gains=np.ones((count, 3)), offsets=np.zeros((count, 3)), num_pairs=len(pairs[0]))
+    shared = np.bincount(pairs[0], minlength=count) + np.bincount(pairs[1], minlength=count)
+    if count < 2 or shared.min() < MIN_PAIRS:
+        return balance
+    solved = np.array([_solved(pairs[0], pairs[1], pairs[2][:, k], pairs[3][:, k], count) for k in range(3)])
+    return replace(balance, gains=solved[:, 0::2].T, offsets=solved[:, 1::2].T)
+
+
+def balanced(teachers: Sequence[Teacher], balance: Balance) -> list[Teacher]:
+    """The teachers as if all had been exposed alike: their models, and the pictures that are rendered."""
+    if not balance.needed:
+        return list(teachers)
+    return [_exposed(*each) for each in zip(teachers, balance.gains, balance.offsets, strict=True)]
+
+
+def _exposed(teacher: Teacher, gains: FloatArray, offsets: FloatArray) -> Teacher:
+    shown = {
+        # A picture is over black: where the model is transparent there is nothing to add to.
+        row: (np.clip(gains * image + offsets * weight[..., None], 0, 255).round().astype(np.uint8), weight)
+        for row, (image, weight) in teacher.rendered.items()
+    }
+    return replace(teacher, splats=exposed_splats(teacher.splats, gains, offsets), rendered=shown)
+
+
+def exposed_splats(splats: Splats, gains: FloatArray, offsets: FloatArray) -> Splats:
+    """The model whose every colour c is g c + b, gains and offsets (3,)."""
+    sh0 = (gains * (0.5 + SH_C0 * splats.sh0.astype(np.float64)) + offsets - 0.5) / SH_C0
+    return replace(splats, sh0=sh0.astype(np.float32), shN=(splats.shN * gains).astype(np.float32))
+
+
+def _pairs(teachers: Sequence[Teacher], backend: Backend) -> tuple[FloatArray, ...]:
+    """Of P pairs of pixels: index of the first model (P,), of the second (P,), colour of the first (P,3), of the second (P,3)."""
+    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))]
+    for first, teacher in enumerate(teachers):
+        if len(teachers) < 2 or not len(teacher.cameras):
+            continue
+        rows = np.unique(np.linspace(0, len(teacher.cameras) - 1, min(NUM_ASKED, len(teacher.cameras))).astype(np.int64))
+        cameras = teacher.cameras.select(rows).scaled(LONG_SIDE_PX)
+        own = list(render_views(teacher.splats, cameras, backend))
+        for second, other in enumerate(teachers):
+            if second == first:
+                continue
+            for here, there in zip(own, render_views(other.splats, cameras, backend), strict=True):
+                near = np.abs(here.depth - there.depth) < DEPTH_TOLERANCE * here.depth
+                both = (here.alpha > OPAQUE) & (there.alpha > OPAQUE) & near
+                number = int(both.sum())
+                colors = here.image[both].astype(np.float64), there.image[both].astype(np.float64)
+                found.append((np.full(number, first), np.full(number, second), *colors))
+    return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+
+
+def _solved(first: FloatArray, second: FloatArray, one: FloatArray, other: FloatArray, count: int) -> FloatArray:
+    """g and b in turn (2M,) of one channel, from colours (P,) of pairs."""
+    rows = np.arange(len(first))
+    design = np.zeros((len(first), 2 * count))
+    design[rows, 2 * first], design[rows, 2 * first + 1] = one, 1.0
+    design[rows, 2 * second], design[rows, 2 * second + 1] = -other, -1.0
+    gauge = np.zeros((2, 2 * count))
+    gauge[0, 0::2], gauge[1, 1::2] = 1.0, 1.0
+    plain, ridge = np.tile([1.0, 0.0], count), _RIDGE * len(first)
+    solution = plain
+    for _ in range(NUM_ROUNDS):
+        residuals = design @ solution
+        weights = 1 / (1 + (residuals / max(float(np.median(np.abs(residuals))), 1e-3)) ** 2)
+        normal = (design * weights[:, None]).T @ design + ridge * np.eye(2 * count)
+        system = np.block([[normal, gauge.T], [gauge, np.zeros((2, 2))]])
+        solution = np.linalg.solve(system, np.concatenate([ridge * plain, [count, 0.0]]))[: 2 * count]
+    return solution

@@ -1,0 +1,56 @@
+"""What an edge does that leaves joining to the cloud: its devices' models as one, and their pictures at its virtual cameras. Once per edge.
+
+Two tiers that both retrain lose: the cloud then learns from an edge's model that itself had only learnt from pictures, and that had
+filled in what another edge knows better. With pictures of the devices' models and all steps at the cloud the same work gives 0.2 to 0.5 dB
+more (docs/experiments/aggregation.md). It costs the pictures' way up, and no Gaussian more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.aggregate.ownership import Claims, ownership
+from radiant_core.aggregate.retrain import Joined, faded, untrained
+from radiant_core.aggregate.synthetic_views import Teacher, ViewBytes, views_in_bytes
+from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.errors import BadInput
+from radiant_core.render.contract import Backend
+
+
+def pooled(teachers: Sequence[Teacher], aggregate: AggregateConfig, claims: Claims | None = None) -> Joined:
+    """All teachers' models together, their opacities faded where another one owns the place; nothing is retrained."""
+    if not teachers:
+        raise BadInput("no models to pool: give at least one, with the cameras it is asked at.")
+    models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
+    owned = [ownership(model.means, cameras, claims) for model in models]
+    whole = faded(models, owned, aggregate.foreign_opacity)
+    num_views = len(concatenate_cameras(cameras))
+    return Joined(
+        trained=untrained(whole),
+        num_given=len(whole),
+        num_views=num_views,
+        contested_share=float(np.concatenate([places.contested for places in owned]).mean()) if len(whole) else 0.0,
+    )
+
+
+def pictures_of(
+    teachers: Sequence[Teacher], virtual: Cameras, near: NDArray[np.int64], long_side_px: int, backend: Backend = "auto"
+) -> dict[int, ViewBytes]:
+    """Each virtual camera's picture and weight, reduced to `long_side_px`, of the teacher near whose camera it stands.
+
+    `near` (C,) are rows into all teachers' cameras in order. Raises BadInput where a row is none of them.
+    """
+    ends = np.cumsum([len(teacher.cameras) for teacher in teachers])
+    if len(near) != len(virtual) or (len(near) and not (near.min() >= 0 and near.max() < ends[-1])):
+        raise BadInput(f"{len(virtual)} virtual cameras stand near rows {near.tolist()} of {ends[-1] if len(ends) else 0} cameras.")
+    teacher_of = np.searchsorted(ends, near, side="right")
+    pictures: dict[int, ViewBytes] = {}
+    for index, teacher in enumerate(teachers):
+        rows = np.flatnonzero(teacher_of == index)
+        shown = views_in_bytes(teacher.splats, virtual.select(rows).scaled(long_side_px), backend)
+        pictures |= dict(zip(rows.tolist(), shown, strict=True))
+    return pictures

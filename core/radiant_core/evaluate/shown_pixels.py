@@ -1,0 +1,42 @@
+"""How many pixels each Gaussian makes: what a model of fewer Gaussians can spare first. One render and its backward per view.
+
+    shown of Gaussian i = Σ over views and pixels of  T_i α_i,      Σ over i of that = Σ over pixels of alpha
+
+the derivative of all pixels' sum by its colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.render.contract import Backend, SplatTensors, device_of, rasterize, resolve_backend
+from radiant_core.splats import SH_C0, Splats
+
+
+def shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:
+    """Pixels (N,) that each of N Gaussians makes in the pictures of C cameras."""
+    # Grey, so that no colour is clamped, and with it the derivative.
+    grey = replace(splats, sh0=np.zeros_like(splats.sh0), shN=np.zeros((len(splats), 0, 3), np.float32))
+    tensors = SplatTensors.from_splats(grey, device=device_of(resolve_backend(backend)))
+    tensors.sh0.requires_grad_()
+    for index, (width, height) in enumerate(cameras.sizes_wh):
+        one = slice(index, index + 1)
+        viewmats, Ks = torch.tensor(cameras.cam_from_world[one]), torch.tensor(cameras.Ks[one])
+        rasterize(tensors, viewmats, Ks, int(width), int(height), sh_degree=0, backend=backend).images[..., 0].sum().backward()
+    shown = np.zeros(len(splats)) if tensors.sh0.grad is None else tensors.sh0.grad[:, 0, 0].cpu().numpy().astype(np.float64)
+    return shown / SH_C0
+
+
+def strongest(splats: Splats, cameras: Cameras, count: int, backend: Backend = "auto") -> Splats:
+    """The `count` Gaussians that show most to the cameras, in their order; the model itself where it has no more."""
+    if count < 1:
+        raise BadInput(f"{count} Gaussians are to be left, expected at least 1.")
+    if len(splats) <= count:
+        return splats
+    return splats.select(np.sort(np.argsort(-shown_pixels(splats, cameras, backend), kind="stable")[:count]))
