@@ -20,15 +20,17 @@ from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import SH_C0, Splats
 
-MIN_LEVELS = 4.0
+MIN_LEVELS = 8.0
 """Models are balanced where their exposures differ from the mean by at least so much of 255 at mid grey. On three sets as they were taken
-it was 1 to 2, and balancing gained nothing; with one device's photographs three quarters as bright it was 22 and gained 0.4 dB, 0.8 dB
-beside one colour map per picture (docs/experiments/aggregation.md)."""
+it was 1 to 6, and balancing gained nothing on those where it was tried; with one device's photographs three quarters as bright it was 22
+and gained 0.4 dB, 0.8 dB beside one colour map per picture (docs/experiments/aggregation.md)."""
 MIN_PAIRS = 2_000
 """Pairs of pixels of a model with the others, below which nothing is said of it."""
 DEPTH_TOLERANCE, OPAQUE = 0.03, 0.95
-NUM_ASKED = 6
+NUM_ASKED = 4
 NUM_ROUNDS = 10
+MAX_PAIRS = 6_000
+"""Of all pairs so many are solved for, evenly chosen."""
 _RIDGE = 1e-6
 """Per pair, towards g = 1, b = 0: what a single colour leaves open stays."""
 
@@ -60,6 +62,8 @@ def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> 
     shared = np.bincount(pairs[0], minlength=count) + np.bincount(pairs[1], minlength=count)
     if count < 2 or shared.min() < MIN_PAIRS:
         return balance
+    some = np.unique(np.linspace(0, len(pairs[0]) - 1, MAX_PAIRS).astype(np.int64))
+    pairs = tuple(part[some] for part in pairs)
     solved = np.array([_solved(pairs[0], pairs[1], pairs[2][:, k], pairs[3][:, k], count) for k in range(3)])
     return replace(balance, gains=solved[:, 0::2].T, offsets=solved[:, 1::2].T)
 

@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.errors import BadInput, RadiantError, StoreDamaged
 from radiant_core.io.array_file import save_arrays
-from radiant_core.io.view_file import SCHEMA, load_view, load_views, save_view, save_views
+from radiant_core.io.view_file import SCHEMA, WEIGHT_STEP, load_view, load_views, save_view, save_views
 
 
 def view(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
@@ -76,9 +76,9 @@ def test_views_of_an_edge_come_back_in_order(tmp_path: Path) -> None:
     views = [smooth(*size) for size in sizes]
     save_views(tmp_path / "v", views)
     for (image, weight), (first, second) in zip(load_views(tmp_path / "v", sizes), views, strict=True):
-        np.testing.assert_array_equal(weight, second)
-        # JPEG of quality 95 on ramps with a few edges
-        assert np.abs(image.astype(float) - first).mean() < 4 and image.flags.c_contiguous
+        assert np.abs(weight.astype(int) - second).max() <= WEIGHT_STEP / 2
+        # JPEG of quality 90 on ramps with a few edges
+        assert np.abs(image.astype(float) - first).mean() < 5 and image.flags.c_contiguous
     save_views(tmp_path / "v", [])
     assert load_views(tmp_path / "v", sizes) == []
 
