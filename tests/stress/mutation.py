@@ -549,6 +549,19 @@ def drawn(part: str, sample: int, seed: int) -> list[Mutant]:
     return chosen
 
 
+def found_again(part: str, rows: list[dict[str, Any]]) -> list[Mutant]:
+    """The mutants of these rows; one whose file has changed since is another, and told to be gone."""
+    every = {(mutant.path, mutant.number): mutant for path in PARTS[part] for mutant in mutants_of(part, path)}
+    found = []
+    for row in [row for row in rows if row["part"] == part]:
+        mutant = every.get((row["path"], row["number"]))
+        if mutant is None or (mutant.line, mutant.change) != (row["line"], row["change"]):
+            print(f"gone: {row['path']}:{row['line']} {row['change']}", flush=True)
+        else:
+            found.append(mutant)
+    return found
+
+
 def main() -> None:
     """Draw, run, tell."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -559,13 +572,15 @@ def main() -> None:
     parser.add_argument("--again", action="store_true", help="run survivors that stand there once more")
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = json.loads(arguments.json.read_text()) if arguments.json.is_file() else []
-    rows = [row for row in rows if not (arguments.again and row["outcome"] in ("survived", "undecided"))]
+    left = [row for row in rows if arguments.again and row["outcome"] in ("survived", "undecided")]
+    rows = [row for row in rows if row not in left]
     known = {(row["path"], row["number"]) for row in rows}
     # Tests are small: more threads would only wait for each other.
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     preload()
     for part in arguments.parts.split(","):
-        mutants = [mutant for mutant in drawn(part, arguments.sample, arguments.seed) if (mutant.path, mutant.number) not in known]
+        chosen = found_again(part, left) if arguments.again else drawn(part, arguments.sample, arguments.seed)
+        mutants = [mutant for mutant in chosen if (mutant.path, mutant.number) not in known]
         with tempfile.TemporaryDirectory(prefix="mutants.") as folder:
             for row in rows_of(part, mutants, folder) if mutants else ():
                 if row["outcome"] == "reach":

@@ -246,3 +246,15 @@ def test_a_model_without_points_comes_back(text_model: Path, tmp_path: Path) -> 
     write_model(tmp_path / "again", model)
     assert same(model, read_model(tmp_path / "again"))
     assert len(pycolmap.Reconstruction(tmp_path / "again").points3D) == 0
+
+
+def test_sides_end_at_131072_px_and_two_models_have_no_distortion(text_model: Path, tmp_path: Path) -> None:
+    folder = copied(text_model, tmp_path / "wide")
+    cameras = folder / "cameras.txt"
+    whole = cameras.read_text()
+    cameras.write_text(whole.replace("640 480", "131072 1"))
+    model = read_model(folder)
+    assert model.cameras[1].size_wh == (131072, 1) and model.cameras[1].is_pinhole and not model.cameras[4].is_pinhole
+    cameras.write_text(whole.replace("640 480", "131073 480"))
+    with pytest.raises(BadInput, match="expected 1 to 131072 px"):
+        read_model(folder)

@@ -154,3 +154,13 @@ def test_a_triangle_is_land_and_less_is_none() -> None:
         own = replace(cloud, borders=(border, *cloud.borders[1:]))
         names = [feature["properties"]["name"] for feature in land_features(own, edges, np.array([47.0, 8.0, 400.0]))]
         assert (cloud.edge_ids[0] in names) is has_land
+
+
+def test_an_edge_that_deals_itself_gets_the_list_of_all_its_waypoints(tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned()
+    late = replace(
+        edges[0], device_ids=(), device_of_camera=np.full(len(edges[0].camera_indices), -1), strips=(), device_time_s=[], dealt=False
+    )
+    written = save_device_waypoints(tmp_path, cloud, (late, *edges[1:]), waypoints)
+    assert written[0] == tmp_path / "edges" / f"{late.edge_id}.csv"
+    assert read_waypoints(written[0]).waypoints.names == tuple(waypoints.names[index] for index in np.sort(late.camera_indices))

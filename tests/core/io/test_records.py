@@ -299,3 +299,14 @@ def test_json_that_is_no_plan_is_bad_input(tmp_path: Path, text: str) -> None:
     (tmp_path / "plan.json").write_text(text)
     with pytest.raises(BadInput, match=r"plan\.json"):
         load_plan(tmp_path / "plan.json")
+
+
+@pytest.mark.parametrize(("name", "value"), [("edge_id", 5), ("edge_id", None), ("dealt", 1), ("device_ids", "ab")])
+def test_a_wrong_field_of_an_edges_plan_is_bad_input(tmp_path: Path, name: str, value: Any) -> None:
+    path = tmp_path / "plan.json"
+    save_plan(path, *some_plan())
+    record = json.loads(path.read_text())
+    record["edges"][0][name] = value
+    path.write_text(json.dumps(record))
+    with pytest.raises(BadInput, match=r"plan\.json"):
+        load_plan(path)

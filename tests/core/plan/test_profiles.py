@@ -127,3 +127,12 @@ def test_a_training_has_one_of_everything_at_least(name: str) -> None:
     assert getattr(replace(KEY, **{name: 1}), name) == 1
     with pytest.raises(BadInput, match=f"{name} is 0, expected at least 1"):
         replace(KEY, **{name: 0})
+
+
+def test_sizes_a_tenth_apart_train_alike_and_measured_steps_are_some_of_the_profiles() -> None:
+    assert replace(KEY, long_side_px=1000).matches_training(replace(KEY, long_side_px=1100))
+    assert not replace(KEY, long_side_px=1000).matches_training(replace(KEY, long_side_px=1101))
+    for steps in (1, 1500):
+        assert replace(MEASURED, measured_steps=steps).measured_steps == steps
+    with pytest.raises(BadInput, match="measured_steps is 0, expected 1 to its 1500"):
+        replace(MEASURED, measured_steps=0)

@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
@@ -365,3 +366,14 @@ def test_fewest_moves_are_proved_where_what_is_sent_depends_on_the_sum_alone(cur
     east = edge("east", (80.0, 50.0), *(replace(device(name), model_bytes=curve) for name in ("e1", "e2")))
     result = solved(made(System(edges=(west, east)), 60).replanned(Situation(slow={"w1": 2.0})))
     assert result.fewest_proved is proved and result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)
+
+
+def test_polygons_of_a_replan_are_the_cells_of_its_weights() -> None:
+    plan = town()
+    result = solved(plan.replanned(Situation(dead=frozenset({"w1"}), slow={"e1": 2.0})))
+    assert (result.cloud.edge_of_camera != plan.cloud.edge_of_camera).any(), "regions are new"
+    cells = assign(plan.positions, result.cloud.sites, result.cloud.weights)
+    for index, border in enumerate(result.cloud.borders):
+        # Millimetres: polygons have rounded corners where cells meet.
+        inside = shapely.distance(shapely.points(plan.positions), shapely.Polygon(border)) < 1e-3
+        np.testing.assert_array_equal(inside, cells == index)
