@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.aggregate.agreement import LONG_SIDE_PX
 from radiant_core.aggregate.synthetic_views import Teacher
@@ -54,17 +55,29 @@ class Balance:
         return self.levels >= MIN_LEVELS
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Pairs:
+    """P pairs of pixels: which model (P,) and its colour (P,3), of either."""
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    one: FloatArray
+    other: FloatArray
+
+    def select(self, rows: NDArray[np.int64]) -> _Pairs:
+        return _Pairs(first=self.first[rows], second=self.second[rows], one=self.one[rows], other=self.other[rows])
+
+
 def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> Balance:
     """The exposures of M models; 1 and 0 for all of them where any shares too few places with the others to tell."""
     pairs = _pairs(teachers, backend)
     count = len(teachers)
-    balance = Balance(gains=np.ones((count, 3)), offsets=np.zeros((count, 3)), num_pairs=len(pairs[0]))
-    shared = np.bincount(pairs[0], minlength=count) + np.bincount(pairs[1], minlength=count)
+    balance = Balance(gains=np.ones((count, 3)), offsets=np.zeros((count, 3)), num_pairs=len(pairs.first))
+    shared = np.bincount(pairs.first, minlength=count) + np.bincount(pairs.second, minlength=count)
     if count < 2 or shared.min() < MIN_PAIRS:
         return balance
-    some = np.unique(np.linspace(0, len(pairs[0]) - 1, MAX_PAIRS).astype(np.int64))
-    pairs = tuple(part[some] for part in pairs)
-    solved = np.array([_solved(pairs[0], pairs[1], pairs[2][:, k], pairs[3][:, k], count) for k in range(3)])
+    some = pairs.select(np.unique(np.linspace(0, len(pairs.first) - 1, MAX_PAIRS).astype(np.int64)))
+    solved = np.array([_solved(some, channel, count) for channel in range(3)])
     return replace(balance, gains=solved[:, 0::2].T, offsets=solved[:, 1::2].T)
 
 
@@ -90,9 +103,10 @@ def exposed_splats(splats: Splats, gains: FloatArray, offsets: FloatArray) -> Sp
     return replace(splats, sh0=sh0.astype(np.float32), shN=(splats.shN * gains).astype(np.float32))
 
 
-def _pairs(teachers: Sequence[Teacher], backend: Backend) -> tuple[FloatArray, ...]:
-    """Of P pairs of pixels: index of the first model (P,), of the second (P,), colour of the first (P,3), of the second (P,3)."""
-    found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))]
+def _pairs(teachers: Sequence[Teacher], backend: Backend) -> _Pairs:
+    """What every two of the teachers show at some cameras of the first."""
+    models: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = [(np.zeros(0, np.int64), np.zeros(0, np.int64))]
+    colors: list[tuple[FloatArray, FloatArray]] = [(np.zeros((0, 3)), np.zeros((0, 3)))]
     for first, teacher in enumerate(teachers):
         if len(teachers) < 2 or not len(teacher.cameras):
             continue
@@ -106,20 +120,22 @@ def _pairs(teachers: Sequence[Teacher], backend: Backend) -> tuple[FloatArray, .
                 near = np.abs(here.depth - there.depth) < DEPTH_TOLERANCE * here.depth
                 both = (here.alpha > OPAQUE) & (there.alpha > OPAQUE) & near
                 number = int(both.sum())
-                colors = here.image[both].astype(np.float64), there.image[both].astype(np.float64)
-                found.append((np.full(number, first), np.full(number, second), *colors))
-    return tuple(np.concatenate(parts) for parts in zip(*found, strict=True))
+                models.append((np.full(number, first), np.full(number, second)))
+                colors.append((here.image[both].astype(np.float64), there.image[both].astype(np.float64)))
+    first_of, second_of = (np.concatenate(side) for side in zip(*models, strict=True))
+    one, other = (np.concatenate(side) for side in zip(*colors, strict=True))
+    return _Pairs(first=first_of, second=second_of, one=one, other=other)
 
 
-def _solved(first: FloatArray, second: FloatArray, one: FloatArray, other: FloatArray, count: int) -> FloatArray:
-    """g and b in turn (2M,) of one channel, from colours (P,) of pairs."""
-    rows = np.arange(len(first))
-    design = np.zeros((len(first), 2 * count))
-    design[rows, 2 * first], design[rows, 2 * first + 1] = one, 1.0
-    design[rows, 2 * second], design[rows, 2 * second + 1] = -other, -1.0
+def _solved(pairs: _Pairs, channel: int, count: int) -> FloatArray:
+    """g and b in turn (2M,) of one channel."""
+    rows = np.arange(len(pairs.first))
+    design = np.zeros((len(rows), 2 * count))
+    design[rows, 2 * pairs.first], design[rows, 2 * pairs.first + 1] = pairs.one[:, channel], 1.0
+    design[rows, 2 * pairs.second], design[rows, 2 * pairs.second + 1] = -pairs.other[:, channel], -1.0
     gauge = np.zeros((2, 2 * count))
     gauge[0, 0::2], gauge[1, 1::2] = 1.0, 1.0
-    plain, ridge = np.tile([1.0, 0.0], count), _RIDGE * len(first)
+    plain, ridge = np.tile([1.0, 0.0], count), _RIDGE * len(rows)
     solution = plain
     for _ in range(NUM_ROUNDS):
         residuals = design @ solution
