@@ -18,11 +18,12 @@ EDGE = "edges/north"
 
 
 def made_run(folder: Path) -> Path:
-    """A run of an edge with devices a and b, all introduced."""
-    for name in ("a", "b"):
-        introduce(folder, f"devices/{name}", EDGE)
-    introduce(folder, EDGE, "cloud")
-    introduce(folder, "cloud", None)
+    """A run of an edge with devices a and b, all introduced, from above."""
+    devices = ["devices/a", "devices/b"]
+    introduce(folder, "cloud", None, [EDGE])
+    introduce(folder, EDGE, "cloud", devices)
+    for device in devices:
+        introduce(folder, device, EDGE)
     return folder
 
 
@@ -73,9 +74,12 @@ def test_a_node_learns_who_it_is_and_only_its_public_key_leaves_it(tmp_path: Pat
     registered = run / EDGE / "senders"
     assert sorted(path.name for path in registered.iterdir()) == ["a.pub", "b.pub"]
     assert (registered / "a.pub").read_bytes() == (run / "devices/a/identity" / PUBLIC_NAME).read_bytes()
-    # The cloud sends nothing, so that it signs nothing.
-    assert [path.name for path in (run / "cloud/identity").iterdir()] == ["post.json"]
     assert [path.name for path in (run / "cloud/senders").iterdir()] == ["north.pub"]
+    # The other way it is the key of the one above, whose tasks it takes; above the cloud is nobody.
+    assert (run / "devices/a/identity/above.pub").read_bytes() == (run / EDGE / "identity" / PUBLIC_NAME).read_bytes()
+    assert not (run / "cloud/identity/above.pub").exists()
+    private = [path for path in run.rglob("*.pem") if path.parent.name != "identity"]
+    assert private == [], "no private key outside of its owner's identity"
 
 
 def test_introduced_again_keys_stay_and_a_changed_registration_is_not_healed(run: Path) -> None:

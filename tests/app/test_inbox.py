@@ -86,8 +86,8 @@ def test_cameras_are_a_devices_an_edges_virtual_ones_or_none(tmp_path: Path) -> 
 
 
 def test_only_signed_uploads_are_read_where_they_have_to_be(tmp_path: Path) -> None:
-    introduce(tmp_path, "devices/a", "edges/north")
     introduce(tmp_path, "edges/north", None)
+    introduce(tmp_path, "devices/a", "edges/north")
     arrive(tmp_path / "edges/north", "a")
     read = {
         signed: read_inbox(tmp_path / "edges/north", ["a"], "edges/north", lambda event: None, signed=signed) for signed in (False, True)

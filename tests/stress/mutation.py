@@ -47,7 +47,13 @@ PARTS = {
 PACKAGE_TESTS = {
     "plan": ["tests/core/plan", "tests/app/test_plan_options.py", "tests/app/test_profile_file.py", "tests/app/test_system_file.py"],
     "io": ["tests/core/io", "tests/core/test_splats.py", "tests/app/test_run_folder.py", "tests/app/test_plan_content.py"],
-    "upload": ["tests/core/io", "tests/core/aggregate/test_arrival.py", "tests/app/test_delivering.py", "tests/app/test_inbox.py"],
+    "upload": [
+        "tests/core/io",
+        "tests/core/aggregate/test_arrival.py",
+        "tests/app/test_delivering.py",
+        "tests/app/test_inbox.py",
+        "tests/app/test_task_schema.py",
+    ],
 }
 SLOW_TESTS = "not test_flat_curves_share_a_million"
 """Left out: it takes a minute and more by itself."""
