@@ -57,7 +57,7 @@ def curve_picture(
         axes.grid(visible=True, axis="y", color=SOFT_COLOR, alpha=0.15)
         axes.spines[["top", "right"]].set_visible(False)
         if panel == 0:
-            axes.legend(fontsize=9, frameon=False)
+            axes.legend(fontsize=9, frameon=False, loc="lower right")
     return figure_image(figure)
 
 
@@ -76,7 +76,7 @@ def _draw(axes: Axes, points: Sequence[CurvePoint], name: str, label: str, style
     axes.scatter(xs, ys, s=40, color=[style.color], marker=style.marker, zorder=3)
     groups: dict[float, list[CurvePoint]] = {}
     for point in points:
-        groups.setdefault(float(f"{point.cpu_s:.1g}"), []).append(point)
+        groups.setdefault(float(f"{point.cpu_s:.2g}"), []).append(point)
     means = [
         (np.mean([getattr(point, name) for point in group]), np.mean([point.psnr_db for point in group]))
         for _, group in sorted(groups.items())
