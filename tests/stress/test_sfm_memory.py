@@ -36,7 +36,9 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six photographs of the hamlet, enlarged."""
     folder = tmp_path_factory.mktemp("photos")
     for path in sorted((sample_scenes_folder() / "hamlet" / "images").iterdir())[:6]:
-        cv2.imwrite(str(folder / path.name), cv2.resize(cv2.imread(str(path)), (2000, 1500), interpolation=cv2.INTER_CUBIC))
+        photograph = cv2.imread(str(path))
+        assert photograph is not None
+        cv2.imwrite(str(folder / path.name), cv2.resize(photograph, (2000, 1500), interpolation=cv2.INTER_CUBIC))
     return folder
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtWidgets import QCheckBox, QDockWidget, QDoubleSpinBox, QFileDialog, QGridLayout, QLabel, QPushButton, QWidget
 from vtkmodules.vtkCommonDataModel import vtkPlane
+from vtkmodules.vtkRenderingCore import vtkActor
 
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import save_ply
@@ -93,10 +94,12 @@ class CropDock(QDockWidget):
         for layer in self._window.layers:
             if len(layer.points) < CLOUD_SIZE or layer.point_rim:
                 continue
-            for actor in canvas.actors.get(layer.name, []):
-                actor.mapper.RemoveAllClippingPlanes()
+            # Labels have no place in space that could be cut.
+            for actor in (actor for actor in canvas.actors.get(layer.name, []) if isinstance(actor, vtkActor)):
+                mapper = actor.GetMapper()
+                mapper.RemoveAllClippingPlanes()
                 for plane in planes:
-                    actor.mapper.AddClippingPlane(plane)
+                    mapper.AddClippingPlane(plane)
 
     def save_inside(self, path: Path) -> int:
         """Write the Gaussians inside the box and return their number; BadInput where there are none, or it cannot be written."""

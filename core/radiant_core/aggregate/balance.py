@@ -136,11 +136,12 @@ def _solved(pairs: _Pairs, channel: int, count: int) -> FloatArray:
     gauge = np.zeros((2, 2 * count))
     gauge[0, 0::2], gauge[1, 1::2] = 1.0, 1.0
     plain, ridge = np.tile([1.0, 0.0], count), _RIDGE * len(rows)
-    solution = plain
+    solution: FloatArray = plain
     for _ in range(NUM_ROUNDS):
         residuals = design @ solution
         weights = 1 / (1 + (residuals / max(float(np.median(np.abs(residuals))), 1e-3)) ** 2)
         normal = (design * weights[:, None]).T @ design + ridge * np.eye(2 * count)
         system = np.block([[normal, gauge.T], [gauge, np.zeros((2, 2))]])
-        solution = np.linalg.solve(system, np.concatenate([ridge * plain, [count, 0.0]]))[: 2 * count]
+        solved = np.linalg.solve(system, np.concatenate([ridge * plain, [count, 0.0]]))
+        solution = np.asarray(solved[: 2 * count], np.float64)
     return solution

@@ -92,11 +92,13 @@ def test_a_run_before_random_backgrounds_goes_on_with_the_same_bits() -> None:
     whole = Training(grey_start(), photographs(), config, FitOptions())
     parted = Training(grey_start(), photographs(), config, FitOptions())
     for _ in range(5):
-        whole.take_step(), parted.take_step()
+        whole.take_step()
+        parted.take_step()
     again = Training(grey_start(), photographs(), config, FitOptions())
     again.restore(parted.state())
     while not whole.is_done:
-        whole.take_step(), again.take_step()
+        whole.take_step()
+        again.take_step()
     for name, array in whole.result().splats.arrays().items():
         np.testing.assert_array_equal(array, again.result().splats.arrays()[name])
 
