@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import checked_array
@@ -54,6 +55,11 @@ class Splats:
     def sh_degree(self) -> int:
         """Degree 0 to 3 of the spherical harmonics."""
         return SH_BASES.index(self.shN.shape[1] + 1)
+
+    @property
+    def opacities(self) -> NDArray[np.float64]:
+        """Opacity (N,) of each, 0 to 1: the logistic function of what is stored."""
+        return expit(self.logit_opacities.astype(np.float64))
 
     @property
     def num_bytes(self) -> int:

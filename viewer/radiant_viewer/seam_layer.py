@@ -121,7 +121,7 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
 
 def _shown_weights(splats: Splats, width: float) -> FloatArray:
     """Opacity times covered area (N,): the product of the two longer axes, at most a quarter of the band's square."""
-    opacities = 1 / (1 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -50, 50)))
+    opacities = splats.opacities
     log_areas = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
     # Relative to the band: neither a tiny nor a huge scene under- or overflows.
     return opacities * np.exp(np.clip(log_areas - 2 * np.log(width), -50, np.log(0.25)))

@@ -18,7 +18,7 @@ class AggregateConfig:
 
     preset: AggregatePreset = "default"
     """default: models fade where others own the place and are fitted together; paper: they are concatenated and retrained."""
-    num_epochs: int = 4
+    num_epochs: int = 5
     """How often each synthetic view is shown (paper Sec. IV-B: 10)."""
     edges: Literal["pool", "retrain"] = "pool"
     """pool: an edge whose cloud retrains sends its devices' models as one, each fainter where another owns the place, with their
@@ -29,6 +29,8 @@ class AggregateConfig:
     """Whether a lone model is retrained on its own pictures too."""
     foreign_opacity: float = 0.3
     """Factor of a Gaussian's opacity at the start where another model owns the place; default only."""
+    faint_opacity: float = 0.1
+    """What fades below this opacity where another model owns the place is left out at once; 0 keeps all; default only."""
     agreement_db: float | None = 48.0
     """Models are only cut where their pictures agree with those of the cut at least so well, about one step of 8 bits; None: they are
     always retrained. default only."""
@@ -51,6 +53,8 @@ class AggregateConfig:
             raise BadInput(
                 f"foreign_opacity is {self.foreign_opacity} and agreement_db {self.agreement_db}: give a share and a level in dB."
             )
+        if not 0 <= self.faint_opacity < 1:
+            raise BadInput(f"faint_opacity is {self.faint_opacity}, expected at least 0 and less than 1.")
         if self.num_epochs < 1 or (self.max_num_steps is not None and self.max_num_steps < 1):
             raise BadInput("num_epochs and max_num_steps of the aggregation must be at least 1.")
 

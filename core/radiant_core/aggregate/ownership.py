@@ -38,6 +38,10 @@ class Ownership:
     owner: NDArray[np.int64]
     contested: NDArray[np.bool_]
 
+    def at(self, chosen: NDArray[np.bool_]) -> Ownership:
+        """Of the places where `chosen` (P,) is true."""
+        return Ownership(owner=self.owner[chosen], contested=self.contested[chosen])
+
 
 def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | None = None) -> Ownership:
     """Owners of places (P,3) m among models with these cameras; without `claims` of regions, the model that covers it best.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.ownership import Claims, ownership
-from radiant_core.aggregate.retrain import Joined, faded, untrained
+from radiant_core.aggregate.retrain import Joined, faded, untrained, without_faint
 from radiant_core.aggregate.synthetic_views import Teacher, ViewBytes, views_in_bytes
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
@@ -22,18 +22,19 @@ from radiant_core.render.contract import Backend
 
 
 def pooled(teachers: Sequence[Teacher], aggregate: AggregateConfig, claims: Claims | None = None) -> Joined:
-    """All teachers' models together, their opacities faded where another one owns the place; nothing is retrained."""
+    """All teachers' models together, faded where another one owns the place and without what is too faint there; nothing is retrained."""
     if not teachers:
         raise BadInput("no models to pool: give at least one, with the cameras it is asked at.")
     models, cameras = [teacher.splats for teacher in teachers], [teacher.cameras for teacher in teachers]
     owned = [ownership(model.means, cameras, claims) for model in models]
-    whole = faded(models, owned, aggregate.foreign_opacity)
+    contested = np.concatenate([places.contested for places in owned])
+    whole = faded(*without_faint(models, owned, aggregate), aggregate.foreign_opacity)
     num_views = len(concatenate_cameras(cameras))
     return Joined(
         trained=untrained(whole),
-        num_given=len(whole),
+        num_given=sum(len(model) for model in models),
         num_views=num_views,
-        contested_share=float(np.concatenate([places.contested for places in owned]).mean()) if len(whole) else 0.0,
+        contested_share=float(contested.mean()) if len(contested) else 0.0,
     )
 
 

@@ -116,13 +116,15 @@ def _join(
     balance = exposure_balance(teachers, options.backend)
     teachers = balanced(teachers, balance)
     owned = _owned(teachers, claims)
+    plainly_cut = _cut(teachers, owned)
+    models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)
     owns = np.concatenate([places.owner == index for index, places in enumerate(owned)])
     contested = np.concatenate([places.contested | teacher.pooled for teacher, places in zip(teachers, owned, strict=True)])
-    merged = faded([teacher.splats for teacher in teachers], owned, aggregate.foreign_opacity)
+    merged = faded(models, owned, aggregate.foreign_opacity)
     shown = [touched_cameras(teacher.cameras, merged.means, contested) for teacher in teachers]
     num_shown = int(sum(rows.sum() for rows in shown))
     contested_share = float(contested.mean()) if len(contested) else 0.0
-    plainly_cut = replace(_cut(teachers, owned), num_shown=num_shown, contested_share=contested_share, balance=balance)
+    plainly_cut = replace(plainly_cut, num_shown=num_shown, contested_share=contested_share, balance=balance)
     if not num_shown:
         return plainly_cut
     views = teacher_views([_at(teacher, rows) for teacher, rows in zip(teachers, shown, strict=True) if rows.any()], train.long_side_px)
@@ -139,12 +141,23 @@ def _join(
     return replace(plainly_cut, trained=replace(trained, splats=whole))
 
 
+def without_faint(
+    models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig
+) -> tuple[list[Splats], list[Ownership]]:
+    """Models and owners without the Gaussians in another one's place that `faded` would leave fainter than `aggregate.faint_opacity`."""
+    kept = [
+        (places.owner == index) | (aggregate.foreign_opacity * model.opacities >= aggregate.faint_opacity)
+        for index, (model, places) in enumerate(zip(models, owned, strict=True))
+    ]
+    chosen = [model.select(rows) for model, rows in zip(models, kept, strict=True)]
+    return chosen, [places.at(rows) for places, rows in zip(owned, kept, strict=True)]
+
+
 def faded(models: Sequence[Splats], owned: Sequence[Ownership], factor: float) -> Splats:
     """All models together, their opacities times `factor` where another model owns the place."""
     parts = []
     for index, (model, places) in enumerate(zip(models, owned, strict=True)):
-        opacities = 1 / (1 + np.exp(-model.logit_opacities.astype(np.float64)))
-        faint = np.clip(opacities * factor, 1e-4, 1 - 1e-4)
+        faint = np.clip(model.opacities * factor, 1e-4, 1 - 1e-4)
         logits = np.where(places.owner == index, model.logit_opacities, np.log(faint / (1 - faint)))
         parts.append(replace(model, logit_opacities=logits.astype(np.float32)))
     return concatenate_splats(parts)

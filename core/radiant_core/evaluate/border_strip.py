@@ -110,7 +110,7 @@ def _camera_above(along: FloatArray, columns: int, rows: int, px_m: float) -> Ca
 def _density(splats: Splats, places: FloatArray, inside: NDArray[np.bool_], shape: tuple[int, int], px_m: float) -> FloatArray:
     rows = ((shape[0] / 2) - places[inside, 1] / px_m).astype(np.int64).clip(0, shape[0] - 1)
     columns = (shape[1] / 2 + places[inside, 0] / px_m).astype(np.int64).clip(0, shape[1] - 1)
-    opacities = 1 / (1 + np.exp(-np.clip(splats.logit_opacities[inside].astype(np.float64), -50, 50)))
+    opacities = splats.opacities[inside]
     density = np.zeros(shape)
     np.add.at(density, (rows, columns), opacities)
     return density / px_m**2

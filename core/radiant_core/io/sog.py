@@ -74,7 +74,7 @@ def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, An
     stored = low + span * (steps / 65535)
     scale_codes, scale_book = _quantized(splats.log_scales.astype(np.float64))
     color_codes, color_book = _quantized(splats.sh0[:, 0].astype(np.float64))
-    opacities = np.rint(255 / (1 + np.exp(-np.clip(splats.logit_opacities.astype(np.float64), -50, 50)))).astype(np.uint8)
+    opacities = np.rint(255 * splats.opacities).astype(np.uint8)
     textures = {
         "means_l.webp": _texture(steps & 0xFF, shape),
         "means_u.webp": _texture(steps >> 8, shape),

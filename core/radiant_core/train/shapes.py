@@ -59,7 +59,7 @@ def _clamped(logs: Tensor, limits: Tensor) -> int:
 def without_dead(splats: Splats) -> tuple[Splats, int]:
     """The model without the Gaussians that no pixel shows, whatever the camera, and how many they were; it keeps at least one."""
     with np.errstate(over="ignore"):
-        alive = 1 / (1 + np.exp(-splats.logit_opacities.astype(np.float64))) >= ALPHA_MIN
+        alive = splats.opacities >= ALPHA_MIN
     if len(splats) and not alive.any():
         alive[np.argmax(splats.logit_opacities)] = True
     return (splats, 0) if alive.all() else (splats.select(alive), int((~alive).sum()))
