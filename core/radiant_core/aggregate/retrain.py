@@ -141,9 +141,7 @@ def _join(
     return replace(plainly_cut, trained=replace(trained, splats=whole))
 
 
-def without_faint(
-    models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig
-) -> tuple[list[Splats], list[Ownership]]:
+def without_faint(models: Sequence[Splats], owned: Sequence[Ownership], aggregate: AggregateConfig) -> tuple[list[Splats], list[Ownership]]:
     """Models and owners without the Gaussians in another one's place that `faded` would leave fainter than `aggregate.faint_opacity`."""
     kept = [
         (places.owner == index) | (aggregate.foreign_opacity * model.opacities >= aggregate.faint_opacity)

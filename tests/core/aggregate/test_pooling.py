@@ -10,7 +10,7 @@ import pytest
 from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, shown_alike_db
 from radiant_core.aggregate.cloud_choice import cloud_needs, pooled_needs
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
-from radiant_core.aggregate.ownership import claims_of_cells
+from radiant_core.aggregate.ownership import claims_of_cells, ownership
 from radiant_core.aggregate.pooling import pictures_of, pooled
 from radiant_core.aggregate.retrain import retrain_on_synthetic_views
 from radiant_core.aggregate.synthetic_views import Teacher, views_in_bytes
@@ -56,13 +56,33 @@ def test_everything_is_pooled_and_nothing_moves_but_opacities_beyond_the_own_reg
     result = pooled([west, east], POOL, CELLS)
     assert result.trained.num_steps == 0 and len(result.splats) == result.num_given == 600
     np.testing.assert_array_equal(result.splats.means[:300], west.splats.means)
-    opacity = 1 / (1 + np.exp(-result.splats.logit_opacities.astype(np.float64)))
-    before = 1 / (1 + np.exp(-west.splats.logit_opacities.astype(np.float64)))
+    opacity, before = result.splats.opacities, west.splats.opacities
     owned = west.splats.means[:, 0] < -0.5  # well inside the western cell, both cover it
     np.testing.assert_allclose(opacity[:300][owned], before[owned], rtol=1e-5)
     np.testing.assert_allclose(opacity[300:][owned], POOL.foreign_opacity * before[owned], rtol=1e-4)
     with pytest.raises(BadInput, match="no models to pool"):
         pooled([], POOL)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.1, 0.25])
+def test_what_would_be_too_faint_in_anothers_place_is_left_out(least: float) -> None:
+    west, east = dark_and_bright()
+    thin = replace(west.splats, logit_opacities=np.linspace(-8, 8, 300, dtype=np.float32))
+    west, east = replace(west, splats=thin), replace(east, splats=replace(east.splats, logit_opacities=thin.logit_opacities))
+    result = pooled([west, east], replace(POOL, faint_opacity=least), CELLS)
+    opacity = 1 / (1 + np.exp(-thin.logit_opacities.astype(np.float64)))
+    foreign = [ownership(thin.means, [WEST, EAST], CELLS).owner == other for other in (1, 0)]
+    kept = np.concatenate([~away | (POOL.foreign_opacity * opacity >= least) for away in foreign])
+    assert result.num_given == 600 and (kept.sum() < 600) == (least > 0)
+    np.testing.assert_array_equal(result.splats.means, np.concatenate([thin.means, thin.means])[kept])
+    # Of its own places, each model keeps all, however faint.
+    assert result.splats.opacities.min() < 0.001
+
+
+@pytest.mark.parametrize("least", [-0.1, 1.0, np.nan])
+def test_a_least_opacity_that_is_none_is_refused(least: float) -> None:
+    with pytest.raises(BadInput, match="faint_opacity"):
+        AggregateConfig(faint_opacity=least)
 
 
 def test_each_picture_is_of_the_model_whose_camera_is_near() -> None:
@@ -91,7 +111,7 @@ def test_a_pooled_model_is_joined_also_where_it_is_the_only_one() -> None:
     untouched = retrain_on_synthetic_views([one], train, POOL, FitOptions())
     assert untouched.trained.num_steps == 0 and untouched.splats is one.splats
     result = retrain_on_synthetic_views([replace(one, pooled=True)], train, POOL, FitOptions())
-    assert (result.trained.num_steps, result.num_shown) == (16, 4)
+    assert (result.trained.num_steps, result.num_shown) == (4 * POOL.num_epochs, 4)
     assert min(mean_psnr_db(result.splats, teacher) - mean_psnr_db(one.splats, teacher) for teacher in (west, east)) > 0.1
 
 
