@@ -170,7 +170,8 @@ def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
         lines.append(f"| {count} | {name} | {' | '.join(texts)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'cpu_s'):.0f} |")
     lines += [
         "",
-        "No epochs: the plain cut at the devices' strips, for both. `paper` retrains for so many at its edges and for as many again at the cloud, `ours` at the cloud alone.",
+        "No epochs: the plain cut at the devices' strips, for both. `paper` retrains for so many at its edges and for as many again at the"
+        " cloud, `ours` at the cloud alone.",
     ]
     known = all(row.band_db is not None and row.interior_db is not None for row in rows)
     if not known:

@@ -29,7 +29,7 @@ class AggregateConfig:
     """Whether a lone model is retrained on its own pictures too."""
     foreign_opacity: float = 0.3
     """Factor of a Gaussian's opacity at the start where another model owns the place; default only."""
-    faint_opacity: float = 0.1
+    faint_opacity: float = 0.15
     """What fades below this opacity where another model owns the place is left out at once; 0 keeps all; default only."""
     agreement_db: float | None = 48.0
     """Models are only cut where their pictures agree with those of the cut at least so well, about one step of 8 bits; None: they are

@@ -116,9 +116,8 @@ def test_models_that_agree_are_cut_and_not_retrained() -> None:
     assert result.trained.num_steps == 0 and result.agreement_db is not None and result.agreement_db >= 48
     assert len(result.splats) == len(model)
     np.testing.assert_array_equal(np.unique(result.splats.means, axis=0), np.unique(model.means, axis=0))
-    assert (
-        joined([model, model], [WEST, EAST], foreign_opacity=1e-3, agreement_db=None).trained.num_steps == 4 * AggregateConfig().num_epochs
-    )
+    forced = joined([model, model], [WEST, EAST], foreign_opacity=1e-3, agreement_db=None)
+    assert forced.trained.num_steps == 4 * AggregateConfig().num_epochs
 
 
 def test_what_no_second_model_knows_keeps_its_bits() -> None:
