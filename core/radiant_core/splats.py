@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit
+from scipy.special import expit  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import checked_array
