@@ -169,6 +169,15 @@ def exposures_decision(stage: str, balance: Balance) -> Decision:
     return Decision(stage=stage, topic="exposures of the models", choice=choice, figure=balance.levels, unit=unit, reason=reason)
 
 
+def faint_decision(stage: str, aggregate: AggregateConfig, pooled: Joined) -> Decision:
+    """How many of the Gaussians were left out where another model owns the place."""
+    num_left_out = pooled.num_given - len(pooled.splats)
+    share = 100 * num_left_out / max(pooled.num_given, 1)
+    choice = f"{num_left_out:,} of {pooled.num_given:,} left out" if num_left_out else "all are kept"
+    reason = f"another model owns their place, and faded they would be fainter than {aggregate.faint_opacity:g}"
+    return Decision(stage=stage, topic="faint Gaussians", choice=choice, figure=share, unit="% of all", reason=reason)
+
+
 def _edge_time_s(run: Path, edge: str, plan: CloudPlan, system: System) -> float:
     """Seconds that the edge's retraining took; by its cost curve where it did none."""
     summary = read_json(run / "edges" / edge / "summary.json", ("train_s", "num_steps"))

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.cloud_task import edge_pools, exposures_decision, join_decisions, retrained_at_cloud, virtual_cameras_of
+from radiant_app.cloud_task import edge_pools, exposures_decision, faint_decision, join_decisions, retrained_at_cloud, virtual_cameras_of
 from radiant_app.delivering import refusals, signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, VIRTUAL_VIEWS, Inbox, read_inbox, save_frames
@@ -299,7 +299,7 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         balance = exposure_balance(teachers, task["backend"])
         teachers = balanced(teachers, balance)
         joined = pooled(teachers, aggregate, claims)
-        decisions = [exposures_decision(stage, balance), left]
+        decisions = [exposures_decision(stage, balance), faint_decision(stage, aggregate, joined), left]
     elif limited is not None and limited.long_side_px is None:
         joined, decisions = cut_at_borders(teachers, claims), []
     else:

@@ -35,7 +35,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.geojson_region import load_region
 from radiant_core.io.ply import load_ply
-from radiant_core.io.records import load_plan, load_scene
+from radiant_core.io.records import load_plan, load_scene, load_splats
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.upload import load_upload, save_upload
 from radiant_core.train.needs import Overrides
@@ -157,6 +157,17 @@ def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: tuple[RunConfig,
     run(RunConfig(source=config.source, out=copy, overrides=TINY), events.append, resume=True)
     assert [event.stage for event in events if isinstance(event, StageDone)] == ["cloud"]
     assert model.read_bytes() == (config.out / "cloud" / "scene.ply").read_bytes()
+
+
+def test_an_edge_says_how_many_gaussians_it_left_out(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
+    config, _, events = finished
+    decided = {e.decision.stage: e.decision for e in events if isinstance(e, Decided) and e.decision.topic == "faint Gaussians"}
+    assert decided and all(stage.startswith("edges/") for stage in decided)
+    for stage, decision in decided.items():
+        given = sum(len(load_upload(path)) for path in (config.out / stage / "inbox").glob("*/model.safetensors"))
+        left_out = given - len(load_splats(config.out / stage / "model.safetensors"))
+        assert decision.choice == (f"{left_out:,} of {given:,} left out" if left_out else "all are kept")
+        assert decision.figure == pytest.approx(100 * left_out / given)
 
 
 def test_a_devices_memory_limits_its_gaussians(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
