@@ -4,7 +4,7 @@
     border    one border as the cut, `paper` and ours show it
     regions   merge against retrain on 2, 4 and 8 regions of devices, beside the length of all borders
     epochs    quality beside borders and elsewhere against the epochs of retraining at both tiers
-    fusion    cut at both tiers, retrain at the edges alone, retrain at both; on two systems
+    fusion    cut at both tiers, retrain at the edges alone, at the cloud alone, at both; on two systems
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
 
 What several of them show is made once (`paper_arms.py`).
@@ -209,7 +209,7 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     settings = {
         "crop": "cut at both",
         "ours edges": "retrain at the edges, cut at the cloud",
-        "ours": "retrain at both",
+        "ours": "pool at the edges, retrain at the cloud",
         "paper": "retrain at both, as `paper`",
     }
     cells = {system: [arms.cell(system[0], seed, system[1]) for seed in seeds] for system in systems}
