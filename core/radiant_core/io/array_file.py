@@ -45,13 +45,18 @@ def _metadata(schema: str, about: Mapping[str, Any]) -> dict[str, str]:
     return {METADATA_NAME: json.dumps(record, allow_nan=False, sort_keys=True)}
 
 
+def _record(file: Any) -> Any:
+    """What an opened file says it is; an empty object where it says nothing."""
+    return parse_json((file.metadata() or {}).get(METADATA_NAME, "{}"))
+
+
 def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tuple[dict[str, NDArray], dict[str, Any]]:
     """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes are exactly these; None: any names.
 
     Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
     """
     with _opened(path) as file, naming(path):
-        record = parse_json((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        record = _record(file)
         require_schema(record, schema)
         found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
         if dtypes is not None and found != dtypes:
@@ -62,14 +67,14 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
 def schema_of(path: Path) -> str:
     """The schema that a file of `save_arrays` says it has; "" where it says none. Raises StoreDamaged when it is missing or broken."""
     with _opened(path) as file, naming(path):
-        record = parse_json((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        record = _record(file)
         return str(record.get("schema", "")) if isinstance(record, dict) else ""
 
 
 def header_of(path: Path) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]]:
     """What a file of `save_arrays` says it is, and the shapes of its arrays, without reading them; raises as `schema_of`."""
     with _opened(path) as file, naming(path):
-        record = parse_json((file.metadata() or {}).get(METADATA_NAME, "{}"))
+        record = _record(file)
         shapes = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118 (not a mapping)
         return (record if isinstance(record, dict) else {}), shapes
 

@@ -55,7 +55,7 @@ class _Cursor:
     def text(self) -> str:
         """A name up to its zero byte."""
         end = self.data.find(b"\0", self.offset, self.offset + _MAX_NAME_BYTES)
-        if end < 0:
+        if end == -1:
             raise BadInput(f"{self.path} at byte {self.offset}: an image name does not end within {_MAX_NAME_BYTES} bytes.")
         try:
             name = self.data[self.offset : end].decode("utf-8")

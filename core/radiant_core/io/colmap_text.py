@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap_records import PARAM_COUNTS, ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray
 
 SUFFIX = ".txt"
@@ -22,7 +22,7 @@ def parse_cameras(data: bytes, path: str) -> list[ColmapCamera]:
     cameras = []
     for place, line in _records(_lines(data, path), path):
         words = line.split()
-        if len(words) < 4 or PARAM_COUNTS.get(words[1]) != len(words) - 4:
+        if PARAM_COUNTS.get("".join(words[1:2])) != len(words) - 4:
             raise BadInput(f"{place}: {line[:60]!r} is no camera: expected id, a known model, width, height and its parameters.")
         camera_id, width, height = _integers([words[0], words[2], words[3]], place)
         params = tuple(float(value) for value in _floats(words[4:], place))
@@ -70,29 +70,30 @@ def parse_points(data: bytes, path: str) -> ColmapPoints:
         xyz.append(_floats(words[1:4], place))
         colors.append(color)
         errors_px.append(_floats(words[7:8], place)[0])
-        track = np.array(_integers(words[8:], place), np.int64).reshape(-1, 2)
-        tracks.append(np.column_stack([np.full(len(track), index), track]))
+        track = np.array(_integers(words[8:], place), np.int64)
+        tracks.append(np.column_stack([np.full(len(track) // 2, index), track[0::2], track[1::2]]))
     return ColmapPoints(
         ids=np.array(ids, np.int64),
-        xyz=np.array(xyz, np.float64).reshape(-1, 3),
-        colors=np.array(colors, np.uint8).reshape(-1, 3),
+        xyz=np.array(xyz, np.float64).reshape(len(ids), 3),
+        colors=np.array(colors, np.uint8).reshape(len(ids), 3),
         errors_px=np.array(errors_px, np.float64),
         tracks=np.concatenate(tracks) if tracks else np.zeros((0, 3), np.int64),
     )
 
 
 def write_model(folder: Path, model: ColmapModel) -> None:
-    """Write cameras.txt, images.txt and points3D.txt into `folder`, each by a temporary file and a rename."""
+    """Write cameras.txt, images.txt and points3D.txt into `folder`, each atomically; raises as `write_atomic`."""
     folder.mkdir(parents=True, exist_ok=True)
     cameras = [f"{c.camera_id} {c.model} {c.size_wh[0]} {c.size_wh[1]} {_joined(c.params)}\n" for c in model.cameras.values()]
-    _write(folder / "cameras.txt", "# camera_id model width height params\n", cameras)
+    write_atomic(folder / "cameras.txt", "".join(["# camera_id model width height params\n", *cameras]).encode())
     images = [
         f"{i.image_id} {_joined(i.quat_wxyz)} {_joined(i.translation)} {i.camera_id} {i.name}\n"
         + " ".join(f"{_joined(xy)} {point}" for xy, point in zip(i.points2d, i.point3d_ids, strict=True))
         + "\n"
         for i in model.images
     ]
-    _write(folder / "images.txt", "# image_id qw qx qy qz tx ty tz camera_id name, then a line of x y point3d_id\n", images)
+    header = "# image_id qw qx qy qz tx ty tz camera_id name, then a line of x y point3d_id\n"
+    write_atomic(folder / "images.txt", "".join([header, *images]).encode())
     points, (first, last) = model.points, _track_bounds(model.points)
     lines = [
         f"{points.ids[p]} {_joined(points.xyz[p])} {' '.join(map(str, points.colors[p]))} {_joined([points.errors_px[p]])} "
@@ -100,7 +101,7 @@ def write_model(folder: Path, model: ColmapModel) -> None:
         + "\n"
         for p in range(len(points.ids))
     ]
-    _write(folder / "points3D.txt", "# point3d_id x y z r g b error (image_id point2d_index)*\n", lines)
+    write_atomic(folder / "points3D.txt", "".join(["# point3d_id x y z r g b error (image_id point2d_index)*\n", *lines]).encode())
 
 
 def _track_bounds(points: ColmapPoints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -110,16 +111,6 @@ def _track_bounds(points: ColmapPoints) -> tuple[NDArray[np.int64], NDArray[np.i
 
 def _joined(numbers: object) -> str:
     return " ".join(repr(float(number)) for number in np.ravel(np.asarray(numbers, np.float64)))
-
-
-def _write(path: Path, header: str, lines: list[str]) -> None:
-    temporary = path.with_name(path.name + ".part")
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(header)
-        file.writelines(lines)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
 
 
 def _lines(data: bytes, path: str) -> Iterator[tuple[int, str]]:

@@ -85,13 +85,13 @@ def read_exif(tiff: bytes) -> ExifFacts:
     if order is None or len(tiff) < 8:
         return ExifFacts()
     main = _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
-    details = _directory(tiff, order, _pointer(main, EXIF_POINTER))
+    details = _directory(tiff, order, _number(main.get(EXIF_POINTER)))
     focal_mm = _number(details.get(FOCAL_LENGTH))
     return ExifFacts(
         make=_text(main.get(MAKE)),
         model=_text(main.get(MODEL)),
         focal_mm=focal_mm if focal_mm is not None and focal_mm > 0 else None,
-        lat_lon_alt=_position(_directory(tiff, order, _pointer(main, GPS_POINTER))),
+        lat_lon_alt=_position(_directory(tiff, order, _number(main.get(GPS_POINTER)))),
     )
 
 
@@ -99,10 +99,11 @@ Value = bytes | FloatArray
 """A tag's value: bytes of text or undefined types, else its numbers as float64."""
 
 
-def _directory(tiff: bytes, order: str, offset: int) -> dict[int, Value]:
-    """Tag → value of the directory at `offset`, entries that point outside left out; empty when it does not fit."""
-    if not 8 <= offset <= len(tiff) - 2:
+def _directory(tiff: bytes, order: str, offset: float | None) -> dict[int, Value]:
+    """Tag → value of the directory at `offset`, entries that point outside left out; empty when there is none or it does not fit."""
+    if offset is None or not 8 <= offset <= len(tiff) - 2:
         return {}
+    offset = int(offset)
     count = struct.unpack_from(order + "H", tiff, offset)[0]
     if offset + 2 + 12 * count > len(tiff):
         return {}
@@ -122,13 +123,8 @@ def _value(raw: bytes, order: str, kind: int) -> Value:
     numbers = np.frombuffer(raw, dtype=order + {3: "u2", 4: "u4", 5: "u4", 9: "i4", 10: "i4"}[kind]).astype(np.float64)
     if kind in (3, 4, 9):
         return numbers
-    nominators, denominators = numbers.reshape(-1, 2).T
+    nominators, denominators = numbers[0::2], numbers[1::2]
     return np.divide(nominators, denominators, out=np.full(len(nominators), np.nan), where=denominators != 0)
-
-
-def _pointer(directory: dict[int, Value], tag: int) -> int:
-    number = _number(directory.get(tag))
-    return 0 if number is None or number < 0 else int(number)
 
 
 def _number(value: Value | None) -> float | None:

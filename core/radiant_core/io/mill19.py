@@ -65,7 +65,7 @@ def _camera(path: Path, scale: float) -> tuple[FloatArray, FloatArray, tuple[int
     rotation = _OPENGL_FROM_OPENCV @ world_from_camera[:, :3].T @ _WORLD_FROM_DRB.T
     # float32 rotations are orthonormal to 1e-7 only; the nearest rotation keeps the rest of the pipeline exact.
     U, singular, Vt = np.linalg.svd(rotation)
-    if np.abs(singular - 1).max() > 1e-3 or np.linalg.det(U @ Vt) < 0:
+    if np.abs(singular - 1).max() > 1e-3 or round(np.linalg.det(U @ Vt)) != 1:
         raise BadInput(f"{path}: the first three columns of c2w are no rotation: export the metadata again.")
     pose = np.eye(4)
     pose[:3, :3] = U @ Vt

@@ -31,7 +31,6 @@ from radiant_core.plan.waypoints import Waypoints
 CSV_HEADER = ("latitude", "longitude", "altitude(m)", "name")
 ANGLE_HEADER = ("heading(deg)", "gimbalpitchangle")
 MAX_SIDE_M = 500.0
-_LINES_AT_ONCE = 10_000
 
 
 def save_device_waypoints(
@@ -87,15 +86,11 @@ def write_features(path: Path, features: Iterable[dict[str, Any]]) -> None:
     """One FeatureCollection of GeoJSON at `path`, atomically, a feature a line; BadInput as `atomic_writer`."""
     with atomic_writer(path) as file:
         file.write(b'{"type": "FeatureCollection", "features": [\n')
-        lines: list[str] = []
-        first = True
+        between = b""
         for feature in features:
-            lines.append(("" if first else ",\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
-            first = False
-            if len(lines) == _LINES_AT_ONCE:
-                file.write("".join(lines).encode())
-                lines.clear()
-        file.write(("".join(lines) + "\n]}\n").encode())
+            file.write(between + json.dumps(feature, ensure_ascii=False, allow_nan=False).encode())
+            between = b",\n"
+        file.write(b"\n]}\n")
 
 
 def _device_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.int64] | None) -> str:

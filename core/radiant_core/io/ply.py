@@ -82,10 +82,10 @@ def load_ply(path: Path) -> Splats:
 def _rows(splats: Splats) -> NDArray[np.float32]:
     """One row of floats per Gaussian (N,14+3K), in the order of the properties."""
     count = len(splats)
-    channel_major = splats.shN.transpose(0, 2, 1).reshape(count, -1)
+    red_green_blue = splats.shN.transpose(2, 0, 1)
     normals = np.zeros((count, 3), np.float32)
     opacities = splats.logit_opacities[:, None]
-    return np.hstack([splats.means, normals, splats.sh0[:, 0], channel_major, opacities, splats.log_scales, splats.quats])
+    return np.hstack([splats.means, normals, splats.sh0[:, 0], *red_green_blue, opacities, splats.log_scales, splats.quats])
 
 
 def _read_header(file: IO[bytes]) -> tuple[int, np.dtype, bool]:

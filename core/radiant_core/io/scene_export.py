@@ -65,7 +65,7 @@ def colmap_model(scene: SfmScene) -> ColmapModel:
     """The scene as COLMAP's records, one PINHOLE camera per distinct size and K, tracks from who sees what."""
     cameras = scene.cameras
     kinds, kind_of_image = np.unique(_intrinsics(scene), axis=0, return_inverse=True)
-    kind_of_image = kind_of_image.reshape(-1)
+    kind_of_image = kind_of_image.ravel()
     colmap_cameras = [
         ColmapCamera(camera_id=index + 1, model="PINHOLE", size_wh=(int(kind[0]), int(kind[1])), params=tuple(kind[2:].tolist()))
         for index, kind in enumerate(kinds)

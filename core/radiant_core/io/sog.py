@@ -105,7 +105,7 @@ def _encoded(splats: Splats) -> tuple[dict[str, NDArray[np.uint8]], dict[str, An
 def _add_harmonics(splats: Splats, shape: tuple[int, int], textures: dict[str, NDArray[np.uint8]], meta: dict[str, Any]) -> float:
     """Put the harmonics of degree 1 and up (N,K,3) into textures and meta; returns their root mean square error."""
     bases = splats.shN.shape[1]
-    flat = splats.shN.reshape(len(splats), -1)
+    flat = splats.shN.reshape(len(splats), 3 * bases)
     labels, rows = _row_palette(flat)
     codes, book = _quantized(rows)
     lines = -(-len(rows) // ROWS_PER_LINE)
@@ -135,7 +135,7 @@ def _texture(values: NDArray[Any], shape: tuple[int, int]) -> NDArray[np.uint8]:
     """Bytes (N,3) or (N,4) as a texture (H,W,3) or (H,W,4), filled up with the last ones."""
     pad = shape[0] * shape[1] - len(values)
     filled = np.concatenate([values.astype(np.uint8), np.repeat(values[-1:].astype(np.uint8), pad, axis=0)])
-    return filled.reshape(*shape, -1)
+    return filled.reshape(*shape, values.shape[1])
 
 
 def _webp(texture: NDArray[np.uint8]) -> bytes:
@@ -188,7 +188,7 @@ def _row_palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], FloatArr
         every = np.arange(len(rows))
         above = rows[every, axis] > means[labels, axis]
         # Groups of equal rows are not split: their numbers stay free.
-        labels = np.unique(2 * labels + above, return_inverse=True)[1].reshape(-1)
+        labels = np.unique(2 * labels + above, return_inverse=True)[1].ravel()
     return labels, _group_means(rows, labels, int(labels.max()) + 1)
 
 

@@ -32,12 +32,12 @@ class WaypointRows:
     @property
     def lat_lon_alt(self) -> FloatArray:
         """Positions (P,3) as they were read."""
-        return np.frombuffer(self._numbers, np.float64).reshape(-1, 3) if self.names else np.zeros((0, 3))
+        return np.array(self._numbers).reshape(len(self.names), 3)
 
     @property
     def heading_pitch_deg(self) -> FloatArray | None:
         """Where the camera looks (P,2), NaN where unknown; None where the file says nothing of it."""
-        angles = np.frombuffer(self._angles, np.float64).reshape(-1, 2) if self.names else np.zeros((0, 2))
+        angles = np.array(self._angles).reshape(len(self.names), 2)
         return None if np.isnan(angles).all() else angles
 
     @property

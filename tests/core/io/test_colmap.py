@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import tracemalloc
 import zlib  # noqa: F401 before pycolmap, whose static copy of it breaks zipfile otherwise
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ import pycolmap
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import ColmapModel, find_model, read_model, write_model
+from radiant_core.io import colmap, colmap_binary, colmap_text
+from radiant_core.io.colmap import ColmapCamera, ColmapModel, ColmapPoints, checked_model, find_model, read_model, write_model
 from radiant_core.io.colmap_records import PARAM_COUNTS
 
 STEMS = ("cameras", "images", "points3D")
@@ -258,3 +260,174 @@ def test_sides_end_at_131072_px_and_two_models_have_no_distortion(text_model: Pa
     cameras.write_text(whole.replace("640 480", "131073 480"))
     with pytest.raises(BadInput, match="expected 1 to 131072 px"):
         read_model(folder)
+
+
+def with_one(model: ColmapCamera) -> ColmapModel:
+    return checked_model([model], [], ColmapPoints(**NO_POINTS), "here")
+
+
+NO_POINTS = {
+    "ids": np.zeros(0, int),
+    "xyz": np.zeros((0, 3)),
+    "colors": np.zeros((0, 3), np.uint8),
+    "errors_px": np.zeros(0),
+    "tracks": np.zeros((0, 3), int),
+}
+
+
+@pytest.mark.parametrize("name", list(PARAM_COUNTS))
+def test_which_parameters_are_focal_lengths_is_as_in_colmap_and_the_limits_belong_to_it(name: str) -> None:
+    """A focal length is above 0, every number within ±1e9, both to the last bit."""
+    theirs = pycolmap.Camera.create_from_model_name(1, name, 500.0, 640, 480)
+    good = [float(value) for value in theirs.params]
+    focal = list(theirs.focal_length_idxs())
+    for index in range(len(good)):
+        for value, fits in (
+            (1e9, True),
+            (np.nextafter(1e9, 2e9), False),
+            (5e-324, True),
+            (0.0, index not in focal),
+            (-1e9, index not in focal),
+        ):
+            camera = ColmapCamera(camera_id=3, model=name, size_wh=(640, 480), params=(*good[:index], float(value), *good[index + 1 :]))
+            if fits:
+                assert with_one(camera).cameras[3] == camera
+            else:
+                with pytest.raises(BadInput, match=r"here: camera 3 has the parameters .*, expected finite numbers under 1e9"):
+                    with_one(camera)
+
+
+def test_the_matrix_of_a_camera_without_distortion_projects_as_colmap_does() -> None:
+    for name, params in (("PINHOLE", (500.0, 510.0, 320.0, 240.0)), ("SIMPLE_PINHOLE", (500.0, 320.0, 240.0))):
+        theirs = pycolmap.Camera(model=name, width=640, height=480, params=params)
+        ours = ColmapCamera(camera_id=1, model=name, size_wh=(640, 480), params=params)
+        np.testing.assert_array_equal(ours.K, theirs.calibration_matrix())
+
+
+def test_an_image_left_out_takes_its_tracks_along_and_no_point(text_model: Path) -> None:
+    model = read_model(text_model)
+    rest = model.without(["a.jpg"])
+    assert [image.name for image in rest.images] == ["b(1).jpg", "sub/c.png"]
+    assert rest.points.tracks.tolist() == [[0, 2, 0]] and rest.points.ids.tolist() == [7, 9]
+    assert same(model.without([]), model)
+
+
+@pytest.mark.parametrize(("length", "fits"), [(0.9901, True), (1.0099, True), (0.9899, False), (1.0101, False)])
+def test_a_quaternion_is_of_length_1_within_a_hundredth(length: float, fits: bool, text_model: Path, tmp_path: Path) -> None:
+    folder = copied(text_model, tmp_path / "long")
+    path = folder / "images.txt"
+    path.write_text(path.read_text().replace("1 1 0 0 0 -1", f"1 0 {length} 0 0 -1"))
+    if fits:
+        read_model(folder)
+    else:
+        with pytest.raises(BadInput, match=f"a quaternion of length {length:.3g}, expected 1"):
+            read_model(folder)
+
+
+def test_the_shortest_binary_records_fit_and_what_is_a_byte_short_is_told() -> None:
+    """One camera of the fewest parameters, one image with an empty name, one point that nobody sees; ids up to 2^63 - 1."""
+    count = struct.pack("<Q", 1)
+    camera = struct.pack("<IiQQ3d", 7, 0, 640, 480, 500.0, 320.0, 240.0)
+    image = struct.pack("<I7dI", 5, 1, 0, 0, 0, 1, 2, 3, 7) + b"\0" + struct.pack("<Q", 0)
+    point = struct.pack("<Q3d3Bd", 2**63 - 1, 1, 2, 3, 10, 20, 30, 0.5) + struct.pack("<Q", 0)
+    assert colmap_binary.parse_cameras(count + camera, "f")[0].params == (500.0, 320.0, 240.0)
+    assert (found := colmap_binary.parse_images(count + image, "f")[0]).name == "" and found.translation.tolist() == [1, 2, 3]
+    assert colmap_binary.parse_points(count + point, "f").ids.tolist() == [2**63 - 1]
+    cut = r"f at byte {}: {} need {} bytes, {} are left: the file is cut or damaged\."
+    for parse, record, what in (
+        (colmap_binary.parse_cameras, camera, "cameras"),
+        (colmap_binary.parse_images, image, "images"),
+        (colmap_binary.parse_points, point, "points"),
+    ):
+        with pytest.raises(BadInput, match=cut.format(8, f"1 {what}", len(record), len(record) - 1)):
+            parse(count + record[:-1], "f")
+        with pytest.raises(BadInput, match=f"f at byte {8 + len(record)}: 1 bytes follow the last record"):
+            parse(count + record + b"x", "f")
+        with pytest.raises(BadInput, match=cut.format(0, "a record", 8, 7)):
+            parse(count[:-1], "f")
+    with pytest.raises(BadInput, match=cut.format(8 + len(point), "1 track entries", 8, 0)):
+        colmap_binary.parse_points(count + point[:-8] + count, "f")
+    with pytest.raises(BadInput, match=cut.format(8 + len(image), "1 2D points", 24, 0)):
+        colmap_binary.parse_images(count + image[:-8] + count, "f")
+    with pytest.raises(BadInput, match=r"f: a point id exceeds 2\^63"):
+        colmap_binary.parse_points(count + struct.pack("<Q", 2**63) + point[8:], "f")
+    for number in (-1, len(PARAM_COUNTS)):
+        with pytest.raises(BadInput, match=f"f at byte 12: camera model {number} is unknown, expected 0 to {len(PARAM_COUNTS) - 1}"):
+            colmap_binary.parse_cameras(count + struct.pack("<Ii", 7, number) + camera[8:], "f")
+    for length, told in ((1023, None), (1024, "f at byte 72: an image name does not end within 1024 bytes")):
+        named = count + image[:64] + b"n" * length + image[64:]
+        if told is None:
+            assert colmap_binary.parse_images(named, "f")[0].name == "n" * length
+        else:
+            with pytest.raises(BadInput, match=told):
+                colmap_binary.parse_images(named, "f")
+    with pytest.raises(BadInput, match="f at byte 72: an image name is not UTF-8"):
+        colmap_binary.parse_images(count + image[:64] + b"\xff" + image[64:], "f")
+
+
+@pytest.mark.parametrize(
+    ("word", "fits"),
+    [
+        ("9223372036854775807", True),
+        ("9223372036854775808", False),
+        ("00000000000000000007", False),
+        ("٣", False),
+        ("1.0", False),
+        ("-1", False),
+    ],
+)
+def test_whole_numbers_of_a_text_end_at_2_to_the_63(word: str, fits: bool) -> None:
+    line = f"# c\n\n{word} PINHOLE 640 480 1 1 1 1"
+    if fits:
+        assert colmap_text.parse_cameras(line.encode(), "f")[0].camera_id == int(word)
+    else:
+        with pytest.raises(BadInput, match=rf"f line 3: {word!r} is no whole number from 0 to 2\^63 - 1"):
+            colmap_text.parse_cameras(line.encode(), "f")
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "told"),
+    [
+        (colmap_text.parse_cameras, "5", "f line 1: '5' is no camera"),
+        (colmap_text.parse_cameras, "5 PINHOLE 1", "f line 1: '5 PINHOLE 1' is no camera"),
+        (colmap_text.parse_cameras, "5 PINHOLE 1 1 1 1 1 x", "f line 1: could not convert string to float: 'x', expected a number"),
+        (colmap_text.parse_images, "1 1 0 0 0 0 0 0 1", "f line 1: '1 1 0 0 0 0 0 0 1' is no image"),
+        (colmap_text.parse_images, "1 1 0 0 0 0 0 0 1 a.jpg\n1 2 3 4", "f line 1: the line after it holds 4 numbers"),
+        (colmap_text.parse_points, "1 0 0 0 9 9 9", "f line 1: '1 0 0 0 9 9 9' is no point"),
+        (colmap_text.parse_points, "1 0 0 0 9 9 9 0.5 1", "f line 1: '1 0 0 0 9 9 9 0.5 1' is no point"),
+        (colmap_text.parse_points, "1 0 0 0 9 9 256 0.5", r"f line 1: the colour \[9, 9, 256\] is not in 0..255"),
+        (colmap_text.parse_points, "\xff", None),
+    ],
+)
+def test_lines_that_are_too_short_are_shown(parse: Callable[[bytes, str], object], text: str, told: str | None) -> None:
+    content = text.encode() if told else b"ok\xff"
+    with pytest.raises(BadInput, match=told or "f at byte 2 is not UTF-8 text"):
+        parse(content, "f")
+
+
+def test_the_longest_of_what_a_text_line_may_say_is_read() -> None:
+    points = colmap_text.parse_points(b"1 0.5 1 2 255 0 255 0.25\n2 0 0 0 1 2 3 0 8 1 9 2", "f")
+    assert points.colors.tolist() == [[255, 0, 255], [1, 2, 3]] and points.tracks.tolist() == [[1, 8, 1], [1, 9, 2]]
+    assert points.xyz.tolist() == [[0.5, 1, 2], [0, 0, 0]] and points.errors_px.tolist() == [0.25, 0]
+
+
+def test_a_model_larger_than_the_limit_is_not_read(text_model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    size = max((text_model / f"{stem}.txt").stat().st_size for stem in STEMS)
+    monkeypatch.setattr(colmap, "MAX_FILE_BYTES", size)
+    read_model(text_model)
+    monkeypatch.setattr(colmap, "MAX_FILE_BYTES", size - 1)
+    with pytest.raises(BadInput, match=f"has {size} bytes, more than the {size - 1} that are read"):
+        read_model(text_model)
+
+
+def test_a_track_names_points_that_are_there_up_to_the_last(text_model: Path, tmp_path: Path) -> None:
+    folder = copied(text_model, tmp_path / "last")
+    points = folder / "points3D.txt"
+    whole = points.read_text()
+    for index, fits in ((1, True), (2, False)):
+        points.write_text(whole.replace("0.5 2 0 1 0", f"0.5 2 0 1 {index}"))
+        if fits:
+            assert read_model(folder).points.tracks[1].tolist() == [0, 1, 1]
+        else:
+            with pytest.raises(BadInput, match="names a 2D point that its image does not have"):
+                read_model(folder)
