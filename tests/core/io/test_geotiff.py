@@ -70,3 +70,65 @@ def test_open3d_reads_the_mesh_as_it_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.rint(255 * np.asarray(mesh.vertex_colors)), colors)
     with pytest.raises(BadInput, match="vertex 3 of 3"):
         save_mesh(tmp_path / "b.ply", vertices, [[0, 1, 3]], colors)
+
+
+def test_light_falls_from_the_north_west_at_45_degrees() -> None:
+    """20 in the shadow, 240 face to face: slopes of 45° towards the light and away from it, level ground, one across, a steep one."""
+    rows, columns = np.mgrid[:5, :6] * 2.0
+    slope = np.sqrt(0.5)
+    for east, south, shade in ((slope, slope, 1.0), (0.0, 0.0, slope), (-slope, -slope, 0.0), (-slope, slope, 0.5), (3.0, 0.0, None)):
+        surface = HeightGrid(heights=7 + east * columns + south * rows, north_west=np.zeros(2), cell=2.0, epsg=None)
+        normal = np.array([-east, south, 1.0]) / np.sqrt(east**2 + south**2 + 1)
+        expected = normal @ [-0.5, 0.5, slope] if shade is None else shade
+        np.testing.assert_array_equal(hillshade(surface), np.rint(20 + 220 * np.clip(expected, 0, 1)))
+
+
+def test_a_place_on_the_rim_belongs_to_the_cell_east_and_south_of_it() -> None:
+    surface = HeightGrid(heights=np.arange(6.0).reshape(2, 3), north_west=np.array([10.0, 50.0]), cell=2.0, epsg=None)
+    places = [[10, 50], [9.99, 50], [10, 50.01], [15.99, 50], [16, 50], [10, 46.01], [10, 46], [12, 48]]
+    np.testing.assert_array_equal(surface.at(np.array(places)), [0, np.nan, np.nan, 2, np.nan, 3, np.nan, 4])
+    assert surface.known == 1 and grid().known == pytest.approx(1 - 6 * 15 / 6300)
+
+
+def test_the_tags_are_those_of_the_standard(tmp_path: Path) -> None:
+    """OGC 19-008: GeoKeyDirectory version 1.1.0, then key, place 0, one value; model type 1 projected or 32767 its own, metres 9001."""
+    for epsg, keys in ((32632, [1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32632, 3076, 0, 1, 9001]),
+                       (None, [1, 1, 0, 2, 1024, 0, 1, 32767, 1025, 0, 1, 1])):  # fmt: skip
+        save_geotiff(tmp_path / "a.tif", grid(epsg))
+        with tifffile.TiffFile(tmp_path / "a.tif") as file:
+            page = file.pages[0]
+            assert isinstance(page, tifffile.TiffPage)
+            assert list(page.tags[34735].value) == keys and page.tags[34735].dtype == tifffile.DATATYPE.SHORT
+            assert page.tags[33550].value == (0.25, 0.25, 0) and page.tags[33922].value == (0, 0, 0, 465300.5, 5246400.25, 0)
+            assert page.tags[42113].dtype == tifffile.DATATYPE.ASCII and page.tags[33550].dtype == tifffile.DATATYPE.DOUBLE
+            assert (page.compression, page.rowsperstrip, page.photometric) == (8, 64, 1) and page.software.startswith("radiant ")
+
+
+@pytest.mark.parametrize(
+    ("vertices", "triangles", "colors", "told"),
+    [
+        (np.zeros((3, 2)), [[0, 1, 2]], np.zeros((3, 3)), "vertices has shape"),
+        (np.zeros((3, 3)), [[0, 1]], np.zeros((3, 3)), "triangles has shape"),
+        (np.zeros((3, 3)), [[0, 1, 2]], np.zeros((2, 3)), "colors has shape"),
+        (np.zeros((3, 3)), [[-1, 1, 2]], np.zeros((3, 3)), "a triangle names vertex 2 of 3"),
+    ],
+)
+def test_a_mesh_that_does_not_fit_together_is_refused(
+    tmp_path: Path, vertices: np.ndarray, triangles: list, colors: np.ndarray, told: str
+) -> None:
+    with pytest.raises(BadInput, match=told):
+        save_mesh(tmp_path / "m.ply", vertices, triangles, colors)
+
+
+@pytest.mark.parametrize(
+    ("north_west", "cell", "told"),
+    [
+        ((np.nan, 0), 1.0, "cells of 1.0 from"),
+        ((0, np.inf), 1.0, "expected finite"),
+        ((0, 0), np.nan, "cells of nan"),
+        ((0, 0), -1.0, "above zero"),
+    ],
+)
+def test_a_grid_stands_somewhere_and_has_cells(north_west: tuple, cell: float, told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        HeightGrid(heights=np.zeros((2, 2)), north_west=np.array(north_west, float), cell=cell, epsg=None)

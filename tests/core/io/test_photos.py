@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.jpeg import read_exif, read_jpeg_facts
+from radiant_core.io import photos
+from radiant_core.io.jpeg import ExifFacts, read_exif, read_jpeg_facts
 from radiant_core.io.photos import list_photographs, load_photograph
 
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "images"
@@ -242,3 +243,167 @@ def test_the_shortest_frame_header_says_its_size_and_a_scan_has_to_end() -> None
     assert read_jpeg_facts(start + frame + scan + b"\x12\xff\xd9").whole
     assert not read_jpeg_facts(start + frame + scan + b"\x12\xff\x00").whole
     assert not read_jpeg_facts(start + frame + b"\xff\xd9").whole, "no scan, no picture"
+
+
+def short_jpeg(width: int, height: int) -> bytes:
+    """A head, the start of a scan and the end: whole, and not to be decoded."""
+    return b"\xff\xd8\xff\xc0\x00\x07\x08" + struct.pack(">HH", height, width) + b"\xff\xda\x00\x02\xff\xd9"
+
+
+def short_png(width: int, height: int, bits: int = 8, kind: int = 2) -> bytes:
+    head = b"\0\0\0\rIHDR" + struct.pack(">IIBB", width, height, bits, kind) + bytes(7)
+    return b"\x89PNG\r\n\x1a\n" + head + b"\0\0\0\0IEND" + bytes(4)
+
+
+def reason_of(folder: Path, data: bytes) -> str:
+    for name in ("a.png", "b.png"):
+        write(folder / name, picture(1))
+    (folder / "x.jpeg").write_bytes(data)
+    (skipped,) = list_photographs(folder).skipped
+    return skipped.reason
+
+
+# What zlib can pack: 1,032 bytes into one; channels of the kinds 0 grey, 2 RGB, 3 palette, 4 grey with alpha, 6 RGB with alpha.
+@pytest.mark.parametrize(
+    ("bits", "kind", "channels"), [(8, 2, 3), (8, 0, 1), (1, 0, 1), (8, 3, 1), (16, 4, 2), (8, 6, 4), (16, 6, 4), (0, 2, 3)]
+)
+def test_a_png_promises_no_more_than_zlib_can_pack(tmp_path: Path, bits: int, kind: int, channels: int) -> None:
+    most = 1032 * 8 // max(1, bits * channels) * len(short_png(1, 1))
+    assert reason_of(tmp_path, short_png(most, 1, bits, kind)) == "cannot be decoded"
+    assert reason_of(tmp_path, short_png(most + 1, 1, bits, kind)) == "is truncated (its end is missing)"
+
+
+def test_a_jpeg_promises_no_more_than_a_bit_for_64_pixels(tmp_path: Path) -> None:
+    size = len(short_jpeg(1, 1))
+    assert reason_of(tmp_path, short_jpeg(512, size)) == "cannot be decoded"
+    assert reason_of(tmp_path, short_jpeg(512, size + 1)) == "is truncated (its end is missing)"
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (short_png(0, 5), "is not a JPEG or PNG image"),
+        (short_png(5, 0), "is not a JPEG or PNG image"),
+        (short_png(5, 5).replace(b"IHDR", b"JHDR"), "is not a JPEG or PNG image"),
+        (short_png(1 << 14, (1 << 14) + 1), f"has 16384 × 16385 pixels, more than {1 << 28}"),
+        (short_png(1 << 14, 1 << 14), "is truncated (its end is missing)"),
+        (short_png(5, 5)[:-1], "is truncated (its end is missing)"),
+        (short_png(5, 5)[:-5], "is truncated (its end is missing)"),
+        (short_png(5, 5), "cannot be decoded"),
+        (b"text", "is not a JPEG or PNG image"),
+    ],
+)
+def test_why_a_file_is_skipped(tmp_path: Path, data: bytes, told: str) -> None:
+    assert reason_of(tmp_path, data) == told
+
+
+def test_a_file_larger_than_the_limit_is_skipped_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(photos, "MAX_FILE_BYTES", 1 << 20)
+    assert reason_of(tmp_path, bytes(1 << 20)) == "is not a JPEG or PNG image"
+    assert reason_of(tmp_path, bytes((1 << 20) + 1)) == "is larger than 1 MiB"
+
+
+def test_where_photographs_are_is_told_and_which_files_were_no_use(tmp_path: Path) -> None:
+    (tmp_path / "deep" / "er").mkdir(parents=True)
+    write(tmp_path / "deep" / "er" / "a.jpg", picture(1))
+    (tmp_path / "deep" / "folder.png").mkdir()
+    inner = tmp_path / "deep" / "er"
+    with pytest.raises(BadInput, match=rf"itself contains no photographs .*: there are some in {inner}: give that folder"):
+        list_photographs(tmp_path)
+    (tmp_path / "x.jpg").write_bytes(b"no image")
+    told = r"has 0 usable photograph\(s\) \(1 skipped: x.jpg is not a JPEG or PNG image\): at least 2"
+    with pytest.raises(BadInput, match=told):
+        list_photographs(tmp_path)
+    with pytest.raises(BadInput, match="give the folder that holds the image files"):
+        list_photographs(tmp_path / "deep" / "folder.png")
+    listing = list_photographs(
+        HAMLET.parent, names=["images/000.jpg", "images/none.jpg", *(f"images/{p.name}" for p in sorted(HAMLET.iterdir())[1:3])]
+    )
+    assert [photo.name for photo in listing.photographs][-2:] == [f"images/{p.name}" for p in sorted(HAMLET.iterdir())[1:3]]
+
+
+def with_focal(order: str, kind: int, count: int, value: bytes) -> bytes:
+    """The block by hand whose focal length is written as another type."""
+    block = exif_block(order, False, False)
+    old = struct.pack(order + "HHI", 0x920A, 5, 1)
+    assert block.count(old) == 1
+    at = block.index(old)
+    return block[:at] + struct.pack(order + "HHI", 0x920A, kind, count) + value.ljust(4, b"\0") + block[at + 12 :]
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(
+    ("kind", "layout", "number", "focal_mm"),
+    [(3, "H", 50, 50), (3, "H", 65535, 65535), (4, "I", 4_000_000_000, 4e9), (9, "i", 50, 50), (9, "i", -50, None), (3, "H", 0, None),
+     (1, "B", 50, None), (6, "B", 50, None), (8, "h", 50, None), (2, "B", 50, None), (7, "B", 50, None)],
+)  # fmt: skip
+def test_numbers_of_every_type_of_tiff_that_is_read(order: str, kind: int, layout: str, number: int, focal_mm: float | None) -> None:
+    """Types 1 byte, 2 text, 3 short, 4 long, 5 and 10 fractions, 7 undefined, 9 signed long; bytes and texts are no numbers."""
+    facts = read_exif(with_focal(order, kind, 1, struct.pack(order + layout, number)))
+    assert facts.focal_mm == focal_mm and facts.make == "Canon"
+
+
+def test_fractions_by_zero_say_nothing_and_more_than_1024_bytes_are_not_read() -> None:
+    block = exif_block("<", False, False)
+    assert read_exif(block.replace(struct.pack("<2I", 52, 10), struct.pack("<2I", 52, 0))).focal_mm is None
+    for length, make in ((1023, "x" * 1023), (1024, "x" * 1024), (1025, "")):
+        entry = struct.pack("<HHI", 0x010F, 2, length) + struct.pack("<I", len(block))
+        at = block.index(struct.pack("<HHI", 0x010F, 2, 6))
+        assert read_exif(block[:at] + entry + block[at + 12 :] + b"x" * 1025).make == make
+
+
+def test_a_directory_and_a_value_may_end_with_the_block_and_not_behind_it() -> None:
+    """One entry of four bytes of text inside itself, then nothing; and a text that is the block's last."""
+    for order, start in (("<", b"II*\0"), (">", b"MM\0*")):
+        inside = start + struct.pack(order + "IHHHI", 8, 1, 0x010F, 2, 4) + b"abcd"
+        assert read_exif(inside).make == "abcd" and read_exif(inside[:-1]).make == ""
+        behind = start + struct.pack(order + "IHHHII", 8, 1, 0x010F, 2, 5, 22) + b"abcde"
+        assert read_exif(behind).make == "abcde" and read_exif(behind[:-1]).make == ""
+        assert read_exif(start + struct.pack(order + "I", 9) + b"\0" + inside[8:]).make == "abcd", "a directory may stand at any byte"
+        assert read_exif(start + struct.pack(order + "I", 7)[:3]).make == ""
+        assert read_exif(start + struct.pack(order + "IH", 8, 0)) == read_exif(b"") == ExifFacts()
+
+
+@pytest.mark.parametrize("marker", range(0xC0, 0xD0))
+def test_a_frame_starts_at_every_marker_of_the_standard_but_three(marker: int) -> None:
+    """C4 are Huffman tables, C8 is kept for later, CC conditions of arithmetic coding (T.81, table B.1)."""
+    data = b"\xff\xd8\xff" + bytes([marker]) + b"\x00\x07\x08\x00\x10\x00\x20"
+    assert read_jpeg_facts(data).size_wh == (None if marker in (0xC4, 0xC8, 0xCC) else (32, 16))
+
+
+def as_type(tag: int, kind: int, count: int) -> bytes:
+    return struct.pack("<HHI", tag, kind, count)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "degrees"),
+    [
+        (b"N\0", b"X\0", None),
+        (b"N\0", b"\0\0", None),
+        (b"N\0", b"NS", 41),
+        (as_type(2, 5, 3), as_type(2, 5, 2), None),
+        (as_type(6, 5, 1), as_type(7, 5, 1), None),
+        (as_type(5, 1, 1), as_type(5, 3, 1), 41),
+    ],
+)
+def test_a_position_needs_its_letters_three_numbers_and_an_altitude(old: bytes, new: bytes, degrees: int | None) -> None:
+    block = exif_block("<", False, False)
+    assert block.count(old) == 1
+    position = read_exif(block.replace(old, new)).lat_lon_alt
+    assert (None if position is None else int(position[0])) == degrees
+
+
+def test_segments_are_walked_to_their_ends_and_not_beyond() -> None:
+    frame, scan = b"\xff\xc0\x00\x07\x08\x00\x10\x00\x20", b"\xff\xda\x00\x02"
+    empty = b"\xff\xfe\x00\x02"
+    assert read_jpeg_facts(b"\xff\xd8" + empty + frame).size_wh == (32, 16), "a comment of nothing has a length of 2"
+    assert read_jpeg_facts(b"\xff\xd8\xff\xfe\x00\x01" + frame).size_wh is None
+    assert read_jpeg_facts(b"\xff\xd8" + frame[:-1]).size_wh is None
+    assert read_jpeg_facts(b"\xff\xd8" + scan + frame).size_wh is None, "what follows a scan is its picture"
+    assert read_jpeg_facts(b"\xff\xd9" + frame).size_wh is None
+    exif = [
+        b"\xff\xe1" + struct.pack(">H", 8 + len(block)) + b"Exif\0\0" + block
+        for block in (exif_block("<", s, False) for s in (False, True))
+    ]
+    position = read_jpeg_facts(b"\xff\xd8" + b"".join(exif)).exif.lat_lon_alt
+    assert position is not None and position[0] > 0, "the first of two counts"

@@ -132,3 +132,71 @@ def test_the_same_model_gives_the_same_bytes_and_none_gives_one_sentence(tmp_pat
     with pytest.raises(BadInput, match="no Gaussians"):
         save_sog(tmp_path / "c.sog", model(0))
     assert not (tmp_path / "c.sog").exists()
+
+
+@pytest.mark.parametrize("count", [1, 16, 17, 64, 65, 3001])
+def test_textures_are_nearly_square_without_a_row_too_many(tmp_path: Path, count: int) -> None:
+    save_sog(tmp_path / "a.sog", model(count, degree=1))
+    archive = zipfile.ZipFile(tmp_path / "a.sog")
+    assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}, "the earliest a zip can say, always the same"
+    for name in ("means_l.webp", "quats.webp", "scales.webp", "shN_labels.webp"):
+        picture = cv2.imdecode(np.frombuffer(archive.read(name), np.uint8), cv2.IMREAD_UNCHANGED)
+        assert picture is not None
+        height, width = picture.shape[:2]
+        assert height % 4 == width % 4 == 0 and width <= 4 * np.ceil(np.sqrt(count) / 4)
+        assert (height - 4) * width < count <= height * width
+    palette = cv2.imdecode(np.frombuffer(archive.read("shN_centroids.webp"), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert palette is not None and palette.shape[:2] == (np.ceil(count / 64), 64 * 3)
+    about = json.loads(archive.read("meta.json"))
+    assert about["asset"]["generator"].startswith("radiant ") and about["antialias"] is False
+
+
+def test_a_texture_holds_16383_pixels_a_side_and_what_needs_more_is_told() -> None:
+    most = (16383 // 4 * 4) ** 2
+    assert sog._texture_shape(most) == (16380, 16380)
+    with pytest.raises(BadInput, match=r"268,304,401 Gaussians do not fit into SOG's textures of 16383² pixels"):
+        sog._texture_shape(most + 1)
+
+
+@pytest.mark.parametrize(
+    "values", [np.linspace(-2, 5, 1500), np.random.default_rng(3).normal(0, 1, 1500), np.repeat([-7.0, 0.0, 3.0], [5, 900, 95])]
+)
+def test_256_values_leave_hardly_more_than_the_best_256(values: np.ndarray) -> None:
+    """Against Lloyd's iteration on the sorted values themselves, run to its end from equal shares."""
+    codes, book = sog._quantized(values)
+    assert (np.diff(book) >= 0).all() and codes.dtype == np.uint8
+    ordered = np.sort(values)
+    best = np.array([part.mean() for part in np.array_split(ordered, 256)])
+    for _ in range(60):
+        cuts = np.searchsorted(ordered, (best[1:] + best[:-1]) / 2)
+        best = np.array([part.mean() if len(part) else value for part, value in zip(np.split(ordered, cuts), best, strict=True)])
+    least = np.abs(ordered[:, None] - best).min(axis=1)
+    left = np.abs(values - book[codes])
+    # Theirs starts worse and ends better; the histogram's bins and twelve rounds may cost a tenth.
+    assert np.sqrt(np.mean(left**2)) <= 1.1 * np.sqrt(np.mean(least**2)) + 1e-12
+    # Every value is coded by the mean of its cell.
+    for code in np.unique(codes):
+        assert book[code] == pytest.approx(values[codes == code].mean(), abs=1e-12)
+
+
+def test_errors_are_zero_where_nothing_is_lost(tmp_path: Path) -> None:
+    one = model(1, degree=0)
+    errors = save_sog(tmp_path / "a.sog", one)
+    assert (errors.log_scale_rms < 1e-12, errors.sh0_rms < 1e-12, errors.shN_rms) == (True, True, 0.0)
+    far = Splats(**{**one.arrays(), "logit_opacities": np.array([300.0], np.float32)})
+    save_sog(tmp_path / "b.sog", far)
+    assert decoded(tmp_path / "b.sog")["opacities"] == 1
+
+
+def test_rows_are_split_at_the_mean_of_their_widest_axis_and_equal_ones_stay_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sog, "MAX_ROWS", 4)
+    rows = np.array([[0, 0], [0, 1], [10, 0], [10, 1], [10, 1]], np.float32)
+    labels, palette = sog._row_palette(rows)
+    assert labels.tolist() == [0, 1, 2, 3, 3]
+    np.testing.assert_array_equal(palette[labels], rows)
+    monkeypatch.setattr(sog, "MAX_ROWS", 5)
+    assert sog._row_palette(rows)[0].tolist() == [0, 1, 2, 3, 4]
+    monkeypatch.setattr(sog, "MAX_ROWS", 2)
+    labels, palette = sog._row_palette(rows)
+    assert labels.tolist() == [0, 0, 1, 1, 1]
+    np.testing.assert_allclose(palette, [[0, 0.5], [10, 2 / 3]])
