@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,22 @@ def test_what_fits_is_taken_and_the_library_reads_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("dtype", "item_bytes"), [("BOOL", 1), ("I8", 1), ("F16", 2), ("BF16", 2), ("I16", 2), ("U32", 4), ("F64", 8), ("I64", 8)]
+    ("dtype", "item_bytes"),
+    [
+        ("BOOL", 1),
+        ("I8", 1),
+        ("F16", 2),
+        ("BF16", 2),
+        ("I16", 2),
+        ("U32", 4),
+        ("F64", 8),
+        ("I64", 8),
+        ("U8", 1),
+        ("U16", 2),
+        ("F32", 4),
+        ("I32", 4),
+        ("U64", 8),
+    ],
 )
 def test_every_type_has_its_width(tmp_path: Path, dtype: str, item_bytes: int) -> None:
     entry = {"dtype": dtype, "shape": [5], "data_offsets": [0, 5 * item_bytes]}
@@ -95,3 +111,24 @@ def test_dimensions_and_header_end_at_their_limits(tmp_path: Path, monkeypatch: 
         (tmp_path / "short").write_bytes(content)
         with pytest.raises(StoreDamaged, match="it says a header of"):
             require_layout(tmp_path / "short")
+
+
+def test_a_header_ends_at_16_mib(tmp_path: Path) -> None:
+    for size, told in ((16 * 2**20, None), (16 * 2**20 + 1, "it says a header of 16777217 bytes")):
+        path = written(tmp_path / "a", json.dumps({"a": A, "b": B}).encode().ljust(size))
+        if told is None:
+            require_layout(path)
+        else:
+            with pytest.raises(StoreDamaged, match=told):
+                require_layout(path)
+
+
+def test_what_is_no_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(StoreDamaged, match=r"cannot read .*none: No such file or directory: run the stage"):
+        require_layout(tmp_path / "none")
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path, tmp_path / "pipe"):
+        with pytest.raises(StoreDamaged, match=r"is not a file|Is a directory"):
+            require_layout(path)
+    with pytest.raises(StoreDamaged, match=rf"its array '{'n' * 40}' has {MISFIT}"):
+        require_layout(written(tmp_path / "a", {"n" * 50: 3}))

@@ -18,6 +18,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.plan_export import CSV_HEADER, land_features, save_device_waypoints, save_regions_geojson
 from radiant_core.io.waypoints import read_waypoints
+from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -164,3 +165,110 @@ def test_an_edge_that_deals_itself_gets_the_list_of_all_its_waypoints(tmp_path: 
     written = save_device_waypoints(tmp_path, cloud, (late, *edges[1:]), waypoints)
     assert written[0] == tmp_path / "edges" / f"{late.edge_id}.csv"
     assert read_waypoints(written[0]).waypoints.names == tuple(waypoints.names[index] for index in np.sort(late.camera_indices))
+
+
+def test_every_feature_says_exactly_what_it_is_and_no_digit_too_many(tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned(count=30)
+    buffer = EdgeBuffer(
+        edge_id=edges[0].edge_id,
+        device_ids=edges[0].device_ids,
+        camera_indices=edges[1].camera_indices[:2],
+        device_of_camera=np.zeros(2, np.int64),
+        device_time_s=np.zeros(len(edges[0].device_ids)),
+        edge_time_s=1.0,
+        planned_edge_time_s=1.0,
+        num_refused=0,
+    )
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints, [buffer])
+    lines = (tmp_path / "r.geojson").read_text().splitlines()
+    assert lines[0] == '{"type": "FeatureCollection", "features": [' and lines[-1] == "]}"
+    assert all(line.endswith(",") for line in lines[1:-2]) and not lines[-2].endswith(","), "a feature a line"
+    regions, strips, points, buffers = (features(tmp_path / "r.geojson", kind) for kind in ("region", "strip", "waypoint", "buffer"))
+    counts = dict(zip(cloud.edge_ids, cloud.counts.tolist(), strict=True))
+    times = dict(zip(cloud.edge_ids, cloud.edge_time_s.tolist(), strict=True))
+    for feature in regions:
+        name = feature["properties"]["name"]
+        about = {"kind": "region", "name": name, "edge": name, "cameras": counts[name], "planned_s": times[name]}
+        assert feature["properties"] == about and feature["type"] == "Feature"
+    by_device = {device: (plan, index) for plan in edges for index, device in enumerate(plan.device_ids)}
+    assert strips
+    for feature in strips:
+        name = feature["properties"]["name"]
+        plan, index = by_device[name]
+        about = {"kind": "strip", "name": name, "edge": plan.edge_id, "device": name, "cameras": len(plan.cameras_of(name))}
+        assert feature["properties"] == {**about, "planned_s": plan.device_time_s[index]}
+    for feature in points:
+        plan, index = by_device[feature["properties"]["device"]]
+        assert feature["properties"].keys() == {"kind", "name", "edge", "device"} and feature["properties"]["edge"] == plan.edge_id
+    taken = [waypoints.names[camera] for camera in buffer.camera_indices]
+    assert [feature["properties"] for feature in buffers] == [
+        {"kind": "buffer", "name": name, "edge": buffer.edge_id, "device": buffer.device_ids[0]} for name in taken
+    ]
+    for feature in [*points, *buffers]:
+        lon, lat, alt = feature["geometry"]["coordinates"]
+        place = waypoints.lat_lon_alt[waypoints.names.index(feature["properties"]["name"])]
+        assert (round(lon, 9), round(lat, 9), round(alt, 3)) == (lon, lat, alt)
+        assert (np.abs(np.array([lat, lon, alt]) - place) <= [5.1e-10, 5.1e-10, 5.1e-4]).all()
+    for feature in [*regions, *strips]:
+        rings = np.array(feature["geometry"]["coordinates"][0])
+        np.testing.assert_array_equal(rings, np.round(rings, 9))
+        assert (np.abs(rings * 1e8 - np.rint(rings * 1e8)) > 0.05).any(), "and none too few"
+
+
+def test_lists_say_where_the_camera_looks_and_whose_a_waypoint_is(tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned(count=30)
+    looks = np.column_stack([np.arange(30.0) + 0.12345, np.where(np.arange(30) % 2, np.nan, -45.0)])
+    aimed = replace(waypoints, heading_pitch_deg=looks)
+    plan = edges[0]
+    other = edges[1].camera_indices[:1]
+    buffer = EdgeBuffer(
+        edge_id=plan.edge_id, device_ids=plan.device_ids, camera_indices=other, device_of_camera=np.zeros(1, np.int64),
+        device_time_s=np.zeros(len(plan.device_ids)), edge_time_s=1.0, planned_edge_time_s=1.0, num_refused=0,
+    )  # fmt: skip
+    only = np.ones(30, bool)
+    only[plan.cameras_of(plan.device_ids[0])[:1]] = False
+    save_device_waypoints(tmp_path, cloud, edges, aimed, [buffer], only=only)
+    own = plan.cameras_of(plan.device_ids[0])
+    text = (tmp_path / f"{plan.device_ids[0]}.csv").read_bytes().decode()
+    assert text.endswith("\r\n") and text.count("\r\n") == text.count("\n"), "RFC 4180"
+    rows = list(csv.reader(text.splitlines()))
+    assert rows[0] == ["latitude", "longitude", "altitude(m)", "name", "heading(deg)", "gimbalpitchangle", "role"]
+    wanted = sorted([*own[only[own]].tolist(), *other.tolist()])
+    assert [row[3] for row in rows[1:]] == [waypoints.names[index] for index in wanted]
+    assert [row[4:] for row in rows[1:]] == [
+        [f"{looks[index, 0]:.3f}", "" if index % 2 else "-45.000", "buffer" if index in other else "own"] for index in wanted
+    ]
+    for row, index in zip(rows[1:], wanted, strict=True):
+        assert row[:3] == [f"{value:.{digits}f}" for value, digits in zip(waypoints.lat_lon_alt[index], (9, 9, 3), strict=True)]
+    rows = list(csv.reader((tmp_path / f"{edges[1].device_ids[0]}.csv").read_text().splitlines()))
+    assert len(rows[0]) == 6, "an edge without buffers needs no roles"
+
+
+def test_two_edges_that_deal_themselves_share_a_folder_and_their_points_name_no_device(tmp_path: Path) -> None:
+    waypoints, cloud, edges = planned(count=30)
+    late = [
+        replace(plan, device_ids=(), device_of_camera=np.full(len(plan.camera_indices), -1), strips=(), device_time_s=[], dealt=False)
+        for plan in edges
+    ]
+    save_device_waypoints(tmp_path, cloud, late, waypoints)
+    assert {path.name for path in (tmp_path / "edges").iterdir()} == {f"{plan.edge_id}.csv" for plan in late}
+    save_regions_geojson(tmp_path / "r.geojson", cloud, late, waypoints)
+    assert all(feature["properties"].keys() == {"kind", "name", "edge"} for feature in features(tmp_path / "r.geojson", "waypoint"))
+
+
+def test_a_polygon_across_the_180th_meridian_is_cut_there_and_one_that_touches_it_is_not() -> None:
+    _, cloud, edges = planned()
+    for lon, east_m, parts in (
+        (180.0, (-1000.0, 1000.0), 2),
+        (-180.0, (-1000.0, 1000.0), 2),
+        (180.0, (-1000.0, 0.0), 1),
+        (-180.0, (0.0, 1000.0), 1),
+    ):
+        west, east = east_m
+        square = np.array([[west, 0.0], [east, 0.0], [east, 500.0], [west, 500.0]])
+        own = replace(cloud, borders=(square, *cloud.borders[1:]))
+        geometry = next(land_features(own, edges, np.array([0.0, lon, 0.0])))["geometry"]
+        found = shape(geometry)
+        assert geometry["type"] == ("Polygon" if parts == 1 else "MultiPolygon") and len(rings(found)) == parts
+        # A degree of longitude at the equator is 111,319.49 m, one of latitude 110,574.3 m (WGS84).
+        assert found.area == pytest.approx((east - west) / 111319.49 * 500 / 110574.3, rel=1e-5)

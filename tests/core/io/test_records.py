@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,11 @@ from safetensors.numpy import save_file
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.frames import Frame
+from radiant_core.io.array_file import header_of
 from radiant_core.io.records import (
     load_cameras,
     load_plan,
+    load_plan_file,
     load_plan_waypoints,
     load_scene,
     load_splats,
@@ -28,6 +30,7 @@ from radiant_core.io.records import (
 )
 from radiant_core.numerics import rotmats_from_quats
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.slack_curve import SlackPoint
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
@@ -310,3 +313,101 @@ def test_a_wrong_field_of_an_edges_plan_is_bad_input(tmp_path: Path, name: str, 
     path.write_text(json.dumps(record))
     with pytest.raises(BadInput, match=r"plan\.json"):
         load_plan(path)
+
+
+def test_the_keys_of_a_plans_file_do_not_change(tmp_path: Path) -> None:
+    """Whoever reads a plan of an older run reads these; whole numbers come back as the floats they were."""
+    cloud, edges = some_plan()
+    waypoints = Waypoints(
+        names=("a", "b", "c"), lat_lon_alt=some_waypoints().lat_lon_alt, heading_pitch_deg=[[90, -45], [np.nan, -90], [0, np.nan]]
+    )
+    curve = [SlackPoint(slack=1.5, makespan_s=2.0, mean_distance_m=3.0, rms_distance_m=4.0, border_m=5.0, certified=True)]
+    save_plan(tmp_path / "p.json", cloud, edges, waypoints, slack_curve=curve, warnings=["w"], content={"forecast": 1, "ground_m": 412})
+    record = json.loads((tmp_path / "p.json").read_text())
+    assert set(record) == {"schema", "version", "cloud", "edges", "waypoints", "slack_curve", "warnings", "forecast", "ground_m"}
+    assert record["slack_curve"] == [asdict(curve[0])]
+    assert (record["schema"], record["version"], record["warnings"]) == ("radiant.plan", "1", ["w"])
+    assert set(record["cloud"]) == {
+        "method", "edge_ids", "sites", "weights", "borders", "edge_of_camera", "edge_time_s", "lower_bound_s", "status", "certified",
+        "history", "slack", "constrained", "num_outside",
+    }  # fmt: skip
+    assert set(record["edges"][0]) == {
+        "edge_id", "device_ids", "camera_indices", "device_of_camera", "strips", "device_time_s", "dealt"
+    }  # fmt: skip
+    assert record["waypoints"]["heading_pitch_deg"] == [[90, -45], [None, -90], [0, None]]
+    found = load_plan_file(tmp_path / "p.json")
+    assert found.ground_m == 412.0 and isinstance(found.ground_m, float)
+    assert found.waypoints is not None and found.waypoints.heading_pitch_deg is not None
+    np.testing.assert_array_equal(found.waypoints.heading_pitch_deg, waypoints.heading_pitch_deg)
+    record["cloud"] |= {"lower_bound_s": 1, "history": [3, 2], "slack": 2, "num_outside": 0}
+    (tmp_path / "p.json").write_text(json.dumps(record))
+    again = load_plan(tmp_path / "p.json")[0]
+    assert (again.lower_bound_s, again.history, again.slack) == (1.0, (3.0, 2.0), 2.0)
+    assert [type(value) for value in (again.lower_bound_s, *again.history, again.slack, again.num_outside)] == [float] * 4 + [int]
+
+
+def test_the_names_of_what_a_stage_leaves_do_not_change(tmp_path: Path) -> None:
+    for save, value, name, about in (
+        (save_splats, some_splats(2, 3), "splats", {"antialiased": False}),
+        (save_cameras, some_cameras(2), "cameras", {"names": list(some_cameras(2).names)}),
+        (save_scene, some_scene(), "scene", {"names": list(some_cameras().names), "frame_kind": "metric", "frame_residual_m": 0.1}),
+    ):
+        save(tmp_path / name, value)
+        assert header_of(tmp_path / name)[0] == {"schema": f"radiant.{name}", "version": "1", "about": about}
+    assert header_of(tmp_path / "scene")[1] == {
+        "Ks": (5, 3, 3), "cam_from_world": (5, 4, 4), "sizes_wh": (5, 2), "points": (7, 3), "colors": (7, 3), "observations": (3, 2),
+        "origin_lat_lon_alt": (3,),
+    }  # fmt: skip
+    save_splats(tmp_path / "a", replace(some_splats(2, 3), antialiased=True))
+    assert load_splats(tmp_path / "a").antialiased and not load_splats(tmp_path / "splats").antialiased
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("method", 5, "its method is 5, expected str"),
+        ("status", None, "its status is None, expected str"),
+        ("certified", "yes", "its certified is 'yes', expected bool"),
+        ("edge_ids", [1, 2], "a list of names holds something else"),
+        ("constrained", "abc", "a list of names holds something else"),
+        ("slack", "x", "could not convert string to float"),
+        ("num_outside", "x", "invalid literal for int"),
+        ("history", 3, "not iterable"),
+        ("more", 3, "a part of it is no CloudPlan, which has exactly"),
+    ],
+)
+def test_what_is_wrong_with_a_field_is_told(tmp_path: Path, name: str, value: Any, told: str) -> None:
+    path = tmp_path / "plan.json"
+    save_plan(path, *some_plan())
+    record = json.loads(path.read_text())
+    record["cloud"][name] = value
+    path.write_text(json.dumps(record))
+    with pytest.raises(BadInput, match=told):
+        load_plan(path)
+
+
+def test_a_plan_without_optional_parts_is_read_and_one_without_a_needed_part_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    save_plan(path, *some_plan())
+    record = json.loads(path.read_text())
+    for name in ("history", "slack", "constrained", "num_outside"):
+        del record["cloud"][name]
+    del record["edges"][0]["dealt"]
+    path.write_text(json.dumps(record))
+    assert load_plan(path)[0].history == ()
+    del record["cloud"]["weights"]
+    path.write_text(json.dumps(record))
+    with pytest.raises(BadInput, match="a part of it is no CloudPlan"):
+        load_plan(path)
+    path.write_text("[]")
+    with pytest.raises(BadInput, match="it holds no plan"):
+        load_plan(path)
+    path.write_text('{"schema": "radiant.plan", "version": "1"}')
+    with pytest.raises(BadInput, match=r"KeyError: 'cloud'"):
+        load_plan(path)
+
+
+def test_the_altitude_of_the_ground_is_a_number(tmp_path: Path) -> None:
+    save_plan(tmp_path / "p.json", *some_plan(), content={"ground_m": "high"})
+    with pytest.raises(BadInput, match="the ground's altitude"):
+        load_plan(tmp_path / "p.json")

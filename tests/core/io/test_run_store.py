@@ -302,3 +302,86 @@ def test_the_key_of_a_folder_is_that_of_the_names_and_bytes_of_its_files(tmp_pat
     assert made("same", sub__b="2", a="1") == first, "where it lies and which file came first does not matter"
     others = [made("bytes", a="1", sub__b="3"), made("name", a="1", sub__c="2"), made("place", a="1", b="2"), made("less", a="1")]
     assert len({first, *others}) == 5
+
+
+def test_why_a_file_cannot_be_hashed_is_told_in_the_systems_words(tmp_path: Path) -> None:
+    with pytest.raises(StoreDamaged, match=r"cannot read .*none: No such file or directory: run the stage"):
+        file_sha256(tmp_path / "none")
+    with pytest.raises(StoreDamaged, match="surrogates not allowed: run the stage"):
+        file_sha256(tmp_path / "\ud800")
+    with pytest.raises(StoreDamaged, match=r"is not a file: name the file itself|Is a directory"):
+        file_sha256(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    for read in (file_sha256, read_json):
+        with pytest.raises(StoreDamaged, match="pipe is not a file: name the file itself"):
+            read(tmp_path / "pipe")
+
+
+def test_json_ends_at_its_limit_and_has_its_keys(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text('{"a": 1, "b": 2}')
+    assert read_json(path, ["a", "b"], 16) == {"a": 1, "b": 2} == read_json(path, ["b"])
+    with pytest.raises(StoreDamaged, match="has 16 bytes, expected at most 15: it is not a file of this kind"):
+        read_json(path, max_bytes=15)
+    with pytest.raises(StoreDamaged, match="is no JSON object with a, c"):
+        read_json(path, ["a", "c"])
+    path.write_text("[]")
+    with pytest.raises(StoreDamaged, match="is no JSON object with a"):
+        read_json(path, ["a"])
+    for text, told in (
+        ('{"a": 1, "a": 1}', "a key comes twice"),
+        ("[1e999]", "the number 1e999 is not finite"),
+        ("[NaN]", "the number NaN"),
+        ("{", "JSON"),
+    ):
+        path.write_text(text)
+        with pytest.raises(StoreDamaged, match=told):
+            read_json(path)
+    path.write_bytes(b" " * (64 * 2**20 - 2) + b"[]")
+    assert read_json(path) == []
+    path.write_bytes(b" " * (64 * 2**20 - 1) + b"[]")
+    with pytest.raises(StoreDamaged, match="has 67108865 bytes, expected at most 67108864"):
+        read_json(path)
+
+
+def test_json_is_written_for_people_with_sorted_keys(tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", {"b": ["ö"], "a": None})
+    assert (tmp_path / "a.json").read_text() == '{\n "a": null,\n "b": [\n  "ö"\n ]\n}\n'
+    for wrong in (float("nan"), {1, 2}, "\ud800"):
+        with pytest.raises(BadInput, match=r"cannot write .*b\.json as JSON"):
+            write_json(tmp_path / "b.json", wrong)
+    assert names_in(tmp_path) == {"a.json"}
+
+
+def test_a_seal_says_version_key_and_hashes(tmp_path: Path) -> None:
+    folder = sealed_folder(tmp_path)
+    record = json.loads((folder / "done.json").read_text())
+    assert record == {"version": 1, "key": "key-1", "files": {name: file_sha256(folder / name) for name in ("model.bin", "sub/b.txt")}}
+    for change in ({"version": 2}, {"more": 1}, {"files": []}, {"files": {"model.bin": 3}}, {"files": {"../model.bin": "0"}}):
+        (folder / "done.json").write_text(json.dumps({**record, **change}))
+        assert seal_problem(folder, "key-1") == f"{folder / 'done.json'} is not a seal of version 1."
+    with pytest.raises(BadInput, match=r"cannot seal '\.\./a' in .*: give a name inside the folder"):
+        seal(folder, "k", ["../a"])
+
+
+def test_a_lock_names_its_process_and_is_a_hidden_file(tmp_path: Path) -> None:
+    with RunLock(tmp_path) as lock:
+        assert lock.path.name == ".lock" and lock.path.read_text() == f"{os.getpid()}\n"
+    lock.__exit__()
+    (tmp_path / ".lock").write_text("1234567890" * 5)
+    with RunLock(tmp_path):
+        assert (tmp_path / ".lock").read_text() == f"{os.getpid()}\n"
+
+
+def test_different_things_have_different_keys() -> None:
+    things = [
+        1, 1.0, True, "1", b"1", None, "None", [1], [[1]], {"a": 1}, {"a": [1]}, ["a", 1], np.array([1]), np.array([1.0]), np.array([[1]]),
+        np.array([1], np.int32), [], {}, "", b"", ["ab", "c"], ["a", "bc"], -0.0, 0.0, {"a": 1, "b": 2}, {"a": 2, "b": 1},
+    ]  # fmt: skip
+    assert len({content_key(thing) for thing in things}) == len(things)
+    assert content_key(1, 2) != content_key([1, 2]) and content_key(np.int64(1)) == content_key(1) and content_key((1,)) == content_key([1])
+    assert content_key({"a": 1, "b": 2}) == content_key({"b": 2, "a": 1})
+    assert content_key(np.array([1, 2], ">i8")) == content_key(np.array([1, 2], "<i8")) == content_key(np.array([1, 9, 2])[::2])
+    for wrong in (object(), {1, 2}, np.array([object()]), 1j):
+        with pytest.raises(TypeError, match="content_key got"):
+            content_key(wrong)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from radiant_core.errors import BadInput, RadiantError, StoreDamaged
-from radiant_core.io.array_file import save_arrays
+from radiant_core.io.array_file import header_of, load_arrays, save_arrays, schema_of, stream_arrays
 from radiant_core.io.view_file import SCHEMA, WEIGHT_STEP, load_view, load_views, save_view, save_views
 
 
@@ -109,3 +112,97 @@ def test_mutated_views_give_typed_errors_or_views_of_these_sizes(tmp_path: Path)
         except RadiantError:
             refused += 1
     assert refused > 80
+
+
+def test_files_say_what_they_hold_by_names_that_do_not_change(tmp_path: Path) -> None:
+    save_view(tmp_path / "v", *view(8, 6))
+    save_views(tmp_path / "w", [smooth(8, 6), smooth(5, 4)])
+    assert header_of(tmp_path / "v")[0] == {"schema": "radiant.view", "version": "1", "about": {"size_wh": [8, 6]}}
+    record, shapes = header_of(tmp_path / "w")
+    assert record == {"schema": "radiant.views", "version": "1", "about": {}}
+    assert set(shapes) == {"images", "image_ends", "weights", "weight_ends"} and shapes["image_ends"] == (2,)
+    assert (schema_of(tmp_path / "v"), schema_of(tmp_path / "w")) == ("radiant.view", "radiant.views")
+    save_file({"a": np.zeros(2)}, tmp_path / "x")
+    assert (schema_of(tmp_path / "x"), header_of(tmp_path / "x")) == ("", ({}, {"a": (2,)}))
+    for wrong in ("[]", "3"):
+        save_file({"a": np.zeros(2)}, tmp_path / "x", {"radiant": wrong})
+        assert (schema_of(tmp_path / "x"), header_of(tmp_path / "x")[0]) == ("", {})
+
+
+def test_the_same_content_gives_the_same_bytes_whatever_the_order_of_what_is_said(tmp_path: Path) -> None:
+    for name, about in (("a", {"x": 1, "y": {"q": 2, "p": 3}}), ("b", {"y": {"p": 3, "q": 2}, "x": 1})):
+        save_arrays(tmp_path / name, "s", {"a": np.zeros(2)}, about)
+        stream_arrays(tmp_path / f"{name}-streamed", "s", {"a": np.zeros(2)}, about)
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+    with pytest.raises(ValueError, match="Out of range float"):
+        save_arrays(tmp_path / "c", "s", {"a": np.zeros(2)}, {"x": float("nan")})
+
+
+def test_a_file_without_metadata_or_of_another_version_is_told(tmp_path: Path) -> None:
+    save_file({"a": np.zeros(2)}, tmp_path / "x")
+    with pytest.raises(BadInput, match=r"cannot use .*x: it says schema and version \(None, None\), expected \('s', '1'\)"):
+        load_arrays(tmp_path / "x", "s", None)
+    save_file({"a": np.zeros(2)}, tmp_path / "x", {"radiant": json.dumps({"schema": "s", "version": "2", "about": {}})})
+    with pytest.raises(BadInput, match=r"it says schema and version \('s', '2'\)"):
+        load_arrays(tmp_path / "x", "s", None)
+    save_arrays(tmp_path / "x", "s", {"a": np.zeros(2)}, {"k": 1})
+    arrays, about = load_arrays(tmp_path / "x", "s", None)
+    assert (set(arrays), about) == ({"a"}, {"k": 1})
+    with pytest.raises(BadInput, match=r"it holds the arrays \{'a': 'F64'\}, expected \{'a': 'F32'\}"):
+        load_arrays(tmp_path / "x", "s", {"a": "F32"})
+
+
+PNG_HEAD = b"\x89PNG\r\n\x1a\n" + b"\0\0\0\rIHDR" + b"\0\0\0\x08\0\0\0\x06"
+
+
+def test_a_head_of_24_bytes_says_a_size_and_23_none(tmp_path: Path) -> None:
+    for content, told in ((PNG_HEAD, "holds no whole picture"), (PNG_HEAD[:-1], "a view of 0 × 0 px")):
+        save_arrays(tmp_path / "v", SCHEMA, {"png": np.frombuffer(content, np.uint8)}, {"size_wh": [8, 6]})
+        with pytest.raises(RadiantError, match=told):
+            load_view(tmp_path / "v", 8, 6)
+    save_arrays(tmp_path / "v", SCHEMA, {"png": np.frombuffer(PNG_HEAD, np.uint8)}, {"size_wh": [6, 8]})
+    with pytest.raises(BadInput, match="a view of 8 × 6 px, expected 6 × 8"):
+        load_view(tmp_path / "v", 6, 8)
+
+
+def save_parts(path: Path, images: bytes, image_ends: list[int], weights: bytes, weight_ends: list[int]) -> None:
+    arrays = {"images": np.frombuffer(images, np.uint8), "image_ends": np.array(image_ends, np.int64)}
+    arrays |= {"weights": np.frombuffer(weights, np.uint8), "weight_ends": np.array(weight_ends, np.int64)}
+    save_arrays(path, "radiant.views", arrays, {})
+
+
+def test_parts_that_do_not_fit_their_ends_are_told(tmp_path: Path) -> None:
+    image, weight = smooth(8, 6)
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    grey, rgb = (cv2.imencode(".png", pixels)[1].tobytes() for pixels in (weight, image))
+    path = tmp_path / "v"
+    ends = "its views end where no bytes are"
+    for images, image_ends, weights, weight_ends, told in (
+        (jpeg, [len(jpeg)], grey, [len(grey)], None),
+        (jpeg, [len(jpeg) - 1], grey, [len(grey)], ends),
+        (jpeg, [len(jpeg) + 1], grey, [len(grey)], ends),
+        (jpeg, [len(jpeg)], grey, [len(grey) - 1], ends),
+        (jpeg, [-1], grey, [len(grey)], ends),
+        (jpeg, [len(jpeg)], grey, [len(grey), len(grey)], r"it holds \(2,\) views, expected 1"),
+        (b"", [0], grey, [len(grey)], "it has a view of None px, expected 8 × 6"),
+        (jpeg, [len(jpeg)], rgb, [len(rgb)], "a view that is no whole picture"),
+        (jpeg[:-2], [len(jpeg) - 2], grey, [len(grey)], "a view that is no whole picture"),
+        (jpeg, [len(jpeg)], grey[:-1], [len(grey) - 1], "a view that is no whole picture"),
+    ):
+        save_parts(path, images, image_ends, weights, weight_ends)
+        if told is None:
+            assert [part.shape for part in load_views(path, [(8, 6)])[0]] == [(6, 8, 3), (6, 8)]
+        else:
+            with pytest.raises(BadInput, match=told):
+                load_views(path, [(8, 6)])
+    save_parts(path, jpeg + jpeg, [2 * len(jpeg), len(jpeg)], grey + grey, [len(grey), 2 * len(grey)])
+    with pytest.raises(BadInput, match=ends):
+        load_views(path, [(8, 6)] * 2)
+
+
+def test_weights_come_back_in_16_even_steps(tmp_path: Path) -> None:
+    image, _ = smooth(16, 16)
+    weight = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    save_views(tmp_path / "v", [(image, weight)])
+    ((_, again),) = load_views(tmp_path / "v", [(16, 16)])
+    np.testing.assert_array_equal(again, 17 * ((weight.astype(int) + 8) // 17))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import shutil
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.io import waypoints
 from radiant_core.io.photos import list_photographs
 from radiant_core.io.waypoints import MAX_FILE_BYTES, exif_waypoints, read_waypoints
 
@@ -336,3 +338,173 @@ def test_folders_without_a_position_are_refused(tmp_path: Path) -> None:
     without_exif(sorted(HAMLET.iterdir())[0], tmp_path / "a.jpg")
     with pytest.raises(BadInput, match="none of the 1 photographs"):
         exif_waypoints(tmp_path)
+
+
+@pytest.mark.parametrize("latitude", ["lat", "latitude", "Latitude (°)", "lat [deg]", "latitude_degrees"])
+@pytest.mark.parametrize("longitude", ["lon", "lng", "long", "longitude", "lon deg"])
+def test_positions_have_these_names(tmp_path: Path, latitude: str, longitude: str) -> None:
+    found = read_waypoints(written(tmp_path, "a.csv", f"{latitude},{longitude}\n47.5,8.5\n"))
+    np.testing.assert_array_equal(found.waypoints.lat_lon_alt, [[47.5, 8.5, 0]])
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "looks"),
+    [
+        *((f"{name},pitch", "90,-45", (90, -45)) for name in ("heading", "yaw", "Heading(deg)")),
+        *((f"yaw,{name}", "90,-45", (90, -45)) for name in ("gimbalpitchangle", "gimbal_pitch", "gimbalpitch", "gimbal pitch", "pitch")),
+        ("yaw,pitch,gimbalmode", "90,-45,0", (90, np.nan)),
+        ("yaw,pitch,gimbalmode", "90,-45, 2", (90, -45)),
+        ("yaw,pitch", "90,", (90, np.nan)),
+        ("yaw,pitch", " ,-45", (np.nan, -45)),
+        ("yaw", "90", (90, np.nan)),
+        ("pitch", "-45", (np.nan, -45)),
+        ("yaw,pitch", ",", None),
+        ("roll", "3", None),
+    ],
+)
+def test_where_the_camera_looks_has_these_names(tmp_path: Path, header: str, row: str, looks: tuple[float, float] | None) -> None:
+    found = read_waypoints(written(tmp_path, "a.csv", f"lat,lon,altitude,{header}\n47.5,8.5,3,{row}\n"))
+    if looks is None:
+        assert found.waypoints.heading_pitch_deg is None
+    else:
+        np.testing.assert_array_equal(found.waypoints.heading_pitch_deg, [looks])
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("lat,lon,alt\n1,1,x\n", "the altitude in line 2 is 'x', no number: write degrees and metres as plain numbers"),
+        ("lat,lon\n1,x\n", "the longitude in line 2 is 'x', no number"),
+        ("lat,lon,yaw\n1,1,1\n1,1,x\n", "the heading in line 3 is 'x', no number"),
+        ("lat,lon,pitch\n1,1,x\n", "the pitch in line 2 is 'x', no number"),
+        ("lat,lon,name,name\n1,1,a,a\n", "its header has 2 columns for the name: leave one"),
+        ("lat,lon,yaw,heading\n1,1,1,1\n", "its header has 2 columns for the heading"),
+        ("lat,lon,Altitude [feet]\n1,1,1\n", r"its column 'altitude \[feet\]' is in feet"),
+        ("lat,lon,alt_ft\n1,1,1\n", "its column 'alt_ft' is in feet"),
+        (",".join(f"c{i}" for i in range(20)) + "\n", r"\(it has: c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10, c11\)"),
+        ("x" * 50 + ",lat\n", rf"names no longitude \(it has: {'x' * 40}, lat\)"),
+        ('lat,"lon\n1,1\n', "its header is no line of CSV"),
+        ('lat,lon\n1,1\n1,"1\n', "line 3 is no line of CSV"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_told_with_its_place(tmp_path: Path, content: str, told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        read_waypoints(written(tmp_path, "a.csv", content))
+
+
+def test_names_win_over_ids_in_a_table_and_columns_names_are_looked_at_up_to_64_characters(tmp_path: Path) -> None:
+    found = read_waypoints(written(tmp_path, "a.csv", "id,lat,lon,name\n7,47.5,8.5,n\n"))
+    assert found.waypoints.names == ("n",)
+    header = "lat" + " " * 200 + "(deg),lon,x" + "y" * 63 + "\n"
+    assert len(read_waypoints(written(tmp_path, "a.csv", header + "47.5,8.5,1\n")).waypoints) == 1
+
+
+@pytest.mark.parametrize(
+    ("feature", "name"),
+    [
+        ({"properties": {"name": "n", "Name": "N", "id": 3}, "id": 4}, "n"),
+        ({"properties": {"Name": "N", "id": 3}, "id": 4}, "N"),
+        ({"properties": {"id": 3}, "id": 4}, "3"),
+        ({"properties": {}, "id": 4}, "4"),
+        ({"properties": {"name": True}, "id": "i"}, "i"),
+        ({"properties": {"name": 2.5}}, "2.5"),
+        ({"properties": [1], "id": "i"}, "i"),
+        ({"properties": None}, "wp-1"),
+    ],
+)
+def test_a_feature_is_named_by_the_first_of_these(tmp_path: Path, feature: dict, name: str) -> None:
+    text = json.dumps({"type": "Feature", "geometry": {"type": "Point", "coordinates": [8.5, 47.5, 1]}, **feature})
+    assert read_waypoints(written(tmp_path, "a.geojson", text)).waypoints.names == (name,)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('{"type": "FeatureCollection", "features": [{"type": "Other"}]}', 'feature 1 is no object of type "Feature"'),
+        ('{"type": "Feature", "geometry": {"type": "Point", "coordinates": [1]}}', r"the feature has the position \[1\], expected numbers"),
+        ('{"type": "Point", "coordinates": [1]}', r"the geometry has the position \[1\]"),
+        ('{"type": "LineString", "coordinates": 3}', "the geometry is a LineString without a list of coordinates"),
+        ('{"type": "GeometryCollection", "geometries": 3}', 'the geometry is a GeometryCollection without a list "geometries"'),
+        ('{"type": "Feature", "geometry": 3}', "the feature has a geometry of type None"),
+        ('{"type": 3}', 'it is no GeoJSON, which is an object with a "type"'),
+    ],
+)
+def test_where_a_geojson_is_wrong_is_told(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        read_waypoints(written(tmp_path, "a.geojson", text))
+
+
+@pytest.mark.parametrize("crs", [None, {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}, "EPSG:4326", {"properties": {"name": "EPSG:4979"}}])
+def test_all_names_of_wgs84_are_known(tmp_path: Path, crs: object) -> None:
+    text = json.dumps({"type": "Point", "coordinates": [8.5, 47.5, 1], "crs": crs})
+    assert len(read_waypoints(written(tmp_path, "a.geojson", text)).waypoints) == 1
+
+
+def placemark(body: str, name: str = "") -> str:
+    return kml(f"<Placemark>{name and f'<name>{name}</name>'}{body}</Placemark>")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (placemark("<Point/>"), "the placemark after 0 waypoints has a Point with 0 coordinates"),
+        (placemark("<Point/>", "n" * 50), f"the placemark '{'n' * 40}' has a Point with 0 coordinates"),
+        (placemark("<LineString/>", "n"), "the placemark 'n' has a LineString with 0 coordinates"),
+        (
+            placemark("<Point><coordinates>1</coordinates></Point>", "n"),
+            "the placemark 'n' has the coordinates '1', expected longitude,latitude",
+        ),
+        (placemark("<Point><coordinates>x,1</coordinates></Point>", "n"), "a coordinate of the placemark 'n' is 'x', no number"),
+        (placemark("<Point><coordinates>1,1,x</coordinates></Point>", "n"), "an altitude of the placemark 'n' is 'x', no number"),
+        (placemark("<Polygon/><Track/><Model/>"), "no waypoint but 1 × Polygon, 1 × Track, 1 × Model"),
+        ("<!ENTITY a>" + kml(""), "declares a document type or entities"),
+    ],
+)
+def test_where_a_kml_is_wrong_is_told(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        read_waypoints(written(tmp_path, "a.kml", text))
+
+
+def test_a_line_without_a_name_numbers_nothing_and_blanks_in_names_are_one(tmp_path: Path) -> None:
+    line = "<LineString><coordinates>8.5,47.5,1 8.6,47.5,2</coordinates></LineString>"
+    assert read_waypoints(written(tmp_path, "a.kml", placemark(line))).waypoints.names == ("wp-1", "wp-2")
+    found = read_waypoints(written(tmp_path, "a.kml", placemark("<Point><coordinates>8.5,47.5</coordinates></Point>", " a \n b ")))
+    assert found.waypoints.names == ("a b",)
+    declared = "<?xml version='1.0' encoding='latin-1' standalone='yes'?>" + placemark(
+        "<Point><coordinates>8.5,47.5</coordinates></Point>", "ü"
+    )
+    assert read_waypoints(written(tmp_path, "a.kml", declared)).waypoints.names == ("ü",)
+
+
+def test_a_file_of_the_largest_size_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path, "a.csv", csv_text())
+    size = path.stat().st_size
+    monkeypatch.setattr(waypoints, "MAX_FILE_BYTES", size)
+    assert_rows(path)
+    monkeypatch.setattr(waypoints, "MAX_FILE_BYTES", size - 1)
+    with pytest.raises(BadInput, match=f"has {size} bytes, expected at most {size - 1}: split it into several flights"):
+        read_waypoints(path)
+
+
+def test_the_collector_of_cycles_is_left_as_it_was(tmp_path: Path) -> None:
+    path = written(tmp_path, "a.csv", csv_text())
+    bad = written(tmp_path, "b.csv", "x\n")
+    try:
+        for wanted in (True, False):
+            (gc.enable if wanted else gc.disable)()
+            assert_rows(path)
+            assert gc.isenabled() is wanted
+            with pytest.raises(BadInput):
+                read_waypoints(bad)
+            assert gc.isenabled() is wanted
+    finally:
+        gc.enable()
+
+
+def test_up_to_five_photographs_without_gps_are_named(tmp_path: Path) -> None:
+    photos = sorted(HAMLET.iterdir())
+    shutil.copy(photos[0], tmp_path / "a.jpg")
+    for index in range(5):
+        without_exif(photos[1], tmp_path / f"c{index}.jpg")
+    found = exif_waypoints(tmp_path)
+    assert found.warnings == ("5 of 6 photographs without GPS in EXIF are not planned: c0.jpg, c1.jpg, c2.jpg, c3.jpg, c4.jpg.",)
