@@ -168,11 +168,10 @@ def _quantized(values: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
         owner = np.searchsorted((book[:-1] + book[1:]) / 2, middles)
         weights = np.bincount(owner, counts, CODES)
         sums = np.bincount(owner, counts * middles, CODES)
-        book = np.where(weights > 0, sums / np.maximum(weights, 1), book)
-        book = np.maximum.accumulate(book)
+        book = np.maximum.accumulate(np.divide(sums, weights, out=book.copy(), where=weights > 0))
     codes = np.searchsorted((book[:-1] + book[1:]) / 2, values)
     sizes, sums = np.bincount(codes.ravel(), minlength=CODES), np.bincount(codes.ravel(), values.ravel(), CODES)
-    return codes.astype(np.uint8), np.where(sizes > 0, sums / np.maximum(sizes, 1), book)
+    return codes.astype(np.uint8), np.divide(sums, sizes, out=book, where=sizes > 0)
 
 
 def _row_palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.int64], FloatArray]:

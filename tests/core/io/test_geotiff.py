@@ -100,6 +100,7 @@ def test_the_tags_are_those_of_the_standard(tmp_path: Path) -> None:
             assert isinstance(page, tifffile.TiffPage)
             assert list(page.tags[34735].value) == keys and page.tags[34735].dtype == tifffile.DATATYPE.SHORT
             assert page.tags[33550].value == (0.25, 0.25, 0) and page.tags[33922].value == (0, 0, 0, 465300.5, 5246400.25, 0)
+            assert page.tags[42113].value == "-9999" and page.asarray()[3, 5] == -9999
             assert page.tags[42113].dtype == tifffile.DATATYPE.ASCII and page.tags[33550].dtype == tifffile.DATATYPE.DOUBLE
             assert (page.compression, page.rowsperstrip, page.photometric) == (8, 64, 1) and page.software.startswith("radiant ")
 

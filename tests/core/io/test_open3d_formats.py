@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from radiant_core.errors import BadInput
-from radiant_core.io.open3d_formats import open3d_point_cloud
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io import open3d_formats
+from radiant_core.io.open3d_formats import open3d_point_cloud, splats_from_spz, spz_bytes
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import SH_BASES, Splats
 
@@ -60,3 +63,45 @@ def test_what_it_cannot_draw_is_bad_input() -> None:
     arrays["log_scales"] = np.full((1, 3), 100.0, np.float32)
     with pytest.raises(BadInput, match="log scale 100"):
         open3d_point_cloud(Splats(**arrays))
+
+
+def test_opacities_at_the_ends_of_spz_come_back_as_a_quarter_of_its_last_step() -> None:
+    splats = replace(unit_splats(3, 1), logit_opacities=np.array([-40, 0, 40], np.float32))
+    again = splats_from_spz(spz_bytes(splats), 3, 1)
+    end = np.log((255 - 0.25) / 0.25)
+    np.testing.assert_allclose(again.logit_opacities, [-end, 0, end], atol=0.01)  # 0.5 is 127.5 of 255 steps
+    np.testing.assert_allclose(again.log_scales, splats.log_scales, atol=1 / 32 + 1e-6)
+    np.testing.assert_allclose(np.linalg.norm(again.quats, axis=1), 1, atol=1e-6)
+    assert again.shN.shape == (3, 3, 3) and splats_from_spz(spz_bytes(unit_splats(2, 0)), 2, 0).shN.shape == (2, 0, 3)
+
+
+def test_spz_of_another_count_degree_or_length_is_refused_before_open3d_sees_it() -> None:
+    data = spz_bytes(unit_splats(3, 1))
+    for wrong, count, degree in (
+        (data, 4, 1),
+        (data, 3, 0),
+        (data, 3, 2),
+        (data + b"x", 3, 1),
+        (data[:-1], 3, 1),
+        (data[:40], 3, 1),
+        (b"", 3, 1),
+    ):
+        told = f"these {len(wrong)} bytes are no SPZ of version 4 with {count} Gaussians of degree {degree}: send it again"
+        with pytest.raises(StoreDamaged, match=told):
+            splats_from_spz(wrong, count, degree)
+    for at in (0, 4, 8, 12):
+        with pytest.raises(StoreDamaged, match="no SPZ of version 4"):
+            splats_from_spz(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :], 3, 1)
+
+
+def test_what_a_library_prints_meanwhile_goes_to_standard_error(capfd: pytest.CaptureFixture[str]) -> None:
+    with open3d_formats._log_instead_of_output():
+        os.write(1, b"inside")
+    os.write(1, b"outside")
+    assert capfd.readouterr() == ("outside", "inside")
+
+
+@pytest.mark.parametrize("degree", [-1, 4])
+def test_a_degree_is_0_to_3(degree: int) -> None:
+    with pytest.raises(BadInput, match=f"max_sh_degree is {degree}, expected 0 to 3"):
+        open3d_point_cloud(unit_splats(1, 0), max_sh_degree=degree)

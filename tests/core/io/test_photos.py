@@ -353,12 +353,13 @@ def test_fractions_by_zero_say_nothing_and_more_than_1024_bytes_are_not_read() -
 
 
 def test_a_directory_and_a_value_may_end_with_the_block_and_not_behind_it() -> None:
-    """One entry of four bytes of text inside itself, then nothing; and a text that is the block's last."""
+    """One entry of four bytes of text inside itself, then nothing; and a text that is the block's last; of every type of bytes."""
     for order, start in (("<", b"II*\0"), (">", b"MM\0*")):
-        inside = start + struct.pack(order + "IHHHI", 8, 1, 0x010F, 2, 4) + b"abcd"
-        assert read_exif(inside).make == "abcd" and read_exif(inside[:-1]).make == ""
-        behind = start + struct.pack(order + "IHHHII", 8, 1, 0x010F, 2, 5, 22) + b"abcde"
-        assert read_exif(behind).make == "abcde" and read_exif(behind[:-1]).make == ""
+        for kind in (1, 2, 7):
+            inside = start + struct.pack(order + "IHHHI", 8, 1, 0x010F, kind, 4) + b"abcd"
+            assert read_exif(inside).make == "abcd" and read_exif(inside[:-1]).make == ""
+            behind = start + struct.pack(order + "IHHHII", 8, 1, 0x010F, kind, 5, 22) + b"abcde"
+            assert read_exif(behind).make == "abcde" and read_exif(behind[:-1]).make == ""
         assert read_exif(start + struct.pack(order + "I", 9) + b"\0" + inside[8:]).make == "abcd", "a directory may stand at any byte"
         assert read_exif(start + struct.pack(order + "I", 7)[:3]).make == ""
         assert read_exif(start + struct.pack(order + "IH", 8, 0)) == read_exif(b"") == ExifFacts()

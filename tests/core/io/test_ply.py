@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.ply import CHUNK_ROWS, LOG_SCALES, MEANS, QUATS, SH0, load_ply, save_ply
+from radiant_core.io.ply import CACHED_ROWS, CHUNK_ROWS, LOG_SCALES, MEANS, QUATS, SH0, load_ply, save_ply
 from radiant_core.splats import SH_BASES, Splats
 
 
@@ -221,3 +221,67 @@ def test_how_a_model_was_trained_to_be_drawn_stands_in_the_file(tmp_path: Path, 
     # Somebody else's comments say nothing of it.
     path.write_bytes(path.read_bytes().replace(b"element", b"comment made by us\ncomment\nelement", 1))
     assert load_ply(path).antialiased is antialiased
+
+
+def header_of(lines: bytes) -> bytes:
+    return b"ply\nformat binary_little_endian 1.0\n" + lines
+
+
+ALL = b"".join(b"property float %s\n" % name.encode() for name in (*MEANS, *SH0, "opacity", *LOG_SCALES, *QUATS))
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (b"element vertex 0\n" + ALL + b"comment x\n" * 1984 + b"end_header\n", None),
+        (b"element vertex 0\n" + ALL + b"comment x\n" * 1985 + b"end_header\n", "its header has over 2000 lines"),
+        (b"element vertex 0\n" + ALL + b"obj_info " + b"x" * 990 + b"\nend_header\n", None),
+        (b"element vertex 0\n" + ALL + b"obj_info " + b"x" * 991 + b"\nend_header\n", "has a line of over 1000 bytes"),
+        (b"element vertex 000000000000000\n" + ALL + b"end_header\n", None),
+        (b"element vertex 0000000000000000\n" + ALL + b"end_header\n", "header line 'element vertex 0000000000000000'"),
+        (b"element vertex 0\nelement vertex 0\n" + ALL + b"end_header\n", "header line 'element vertex 0' is not one"),
+        (b"element face 0\n" + ALL + b"end_header\n", "header line 'element face 0'"),
+        (ALL + b"element vertex 0\nend_header\n", "header line 'property float x'"),
+        (b"element vertex 0\nend_header\n", "header line 'end_header'"),
+        (b"element vertex 0\n" + ALL + b"y" * 90 + b"\n", f"header line '{'y' * 80}' is not one"),
+    ],
+)
+def test_a_header_ends_at_its_limits(tmp_path: Path, lines: bytes, said: str | None) -> None:
+    (tmp_path / "a.ply").write_bytes(header_of(lines))
+    if said is None:
+        assert len(load_ply(tmp_path / "a.ply")) == 0
+    else:
+        with pytest.raises(BadInput, match=rf"cannot use .*a\.ply: .*{said}.*: export it as a binary 3DGS PLY file\."):
+            load_ply(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    "start", [b"plY\nformat binary_little_endian 1.0\n", b"ply\nformat binary_big_endian 1.0\n", b"ply\nformat binary_little_endian 1.1\n"]
+)
+def test_another_first_line_or_format_is_refused(tmp_path: Path, start: bytes) -> None:
+    (tmp_path / "a.ply").write_bytes(start + b"element vertex 0\n" + ALL + b"end_header\n")
+    with pytest.raises(BadInput, match=r"does not begin as a binary little-endian PLY file of version 1\.0"):
+        load_ply(tmp_path / "a.ply")
+
+
+def test_bytes_too_few_or_too_many_are_counted(tmp_path: Path) -> None:
+    save_ply(tmp_path / "a.ply", random_splats(2, 0))
+    data = (tmp_path / "a.ply").read_bytes()
+    for content, left in ((data[:-1], 135), (data + b"x", 137)):
+        (tmp_path / "a.ply").write_bytes(content)
+        with pytest.raises(BadInput, match=rf"it has {left} bytes after the header, expected 2 Gaussians of 68 bytes"):
+            load_ply(tmp_path / "a.ply")
+    with pytest.raises(BadInput, match=r"cannot read .*none\.ply: No such file or directory: check the path"):
+        load_ply(tmp_path / "none.ply")
+
+
+def test_a_double_beyond_float32_is_refused_and_rows_over_the_cache_are_all_read(tmp_path: Path) -> None:
+    wanted = [*MEANS, *SH0, "opacity", *LOG_SCALES, *QUATS]
+    rows = np.random.default_rng(5).normal(size=(2 * CACHED_ROWS + 1, len(wanted)))
+    head = b"element vertex %d\n" % len(rows) + ALL.replace(b"float", b"double") + b"end_header\n"
+    (tmp_path / "a.ply").write_bytes(header_of(head) + rows.astype("<f8").tobytes())
+    np.testing.assert_array_equal(load_ply(tmp_path / "a.ply").quats, rows[:, -4:].astype(np.float32))
+    rows[-1, 0] = 1e39
+    (tmp_path / "a.ply").write_bytes(header_of(head) + rows.astype("<f8").tobytes())
+    with pytest.raises(BadInput, match="means has 1 values that are not finite"):
+        load_ply(tmp_path / "a.ply")

@@ -411,3 +411,15 @@ def test_the_altitude_of_the_ground_is_a_number(tmp_path: Path) -> None:
     save_plan(tmp_path / "p.json", *some_plan(), content={"ground_m": "high"})
     with pytest.raises(BadInput, match="the ground's altitude"):
         load_plan(tmp_path / "p.json")
+
+
+def test_a_plan_of_two_thousand_waypoints_is_read(tmp_path: Path) -> None:
+    count = 2000
+    cloud, edges = some_plan()
+    names = tuple(f"w{index}" for index in range(count))
+    places = np.column_stack([np.linspace(47, 47.1, count), np.full(count, 8.0), np.zeros(count)])
+    cloud = replace(cloud, edge_of_camera=np.zeros(count, np.int64))
+    north = replace(edges[0], camera_indices=np.arange(count), device_of_camera=np.zeros(count, np.int64))
+    save_plan(tmp_path / "p.json", cloud, (north, edges[1]), Waypoints(names=names, lat_lon_alt=places))
+    found = load_plan_waypoints(tmp_path / "p.json")
+    assert found is not None and found.names == names and (tmp_path / "p.json").stat().st_size > 100_000

@@ -385,3 +385,11 @@ def test_different_things_have_different_keys() -> None:
     for wrong in (object(), {1, 2}, np.array([object()]), 1j):
         with pytest.raises(TypeError, match="content_key got"):
             content_key(wrong)
+
+
+def test_a_holder_whose_name_is_garbled_is_shown_as_far_as_it_can_be(tmp_path: Path) -> None:
+    for content, shown in ((b"\xff7", "\ufffd7"), (b"", "unknown"), (b"x" * 30, "x" * 20)):
+        with RunLock(tmp_path):
+            (tmp_path / ".lock").write_bytes(content)
+            with pytest.raises(BadInput, match=rf"another process \({shown}\) is writing"), RunLock(tmp_path):
+                pytest.fail("two writers at once")

@@ -16,7 +16,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic
 from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 from radiant_core.io.ply import save_ply
-from radiant_core.io.scene_export import save_colmap, save_scene_geojson, save_spz
+from radiant_core.io.scene_export import colmap_model, save_colmap, save_scene_geojson, save_spz
 from radiant_core.scene import SfmScene
 from tests.core.io.test_sog import model
 from tests.viewer.made_up_run import made_up_town
@@ -100,3 +100,63 @@ def test_geojson_puts_regions_and_cameras_on_the_globe(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="no GPS"):
         save_scene_geojson(tmp_path / "b.geojson", unscaled, town.cloud_plan, town.edge_plans, {})
     assert not (tmp_path / "b.geojson").exists()
+
+
+def test_spz_cuts_are_counted_at_its_limits_to_the_last_bit(tmp_path: Path) -> None:
+    """Centres under 2,047 on every axis are kept; log scales up to 5.9375, which float32 holds exactly, need not shrink."""
+    inside = np.nextafter(np.float32(2047), np.float32(0))
+    means = np.zeros((4, 3), np.float32)
+    means[0], means[1, 1], means[2, 2] = inside, 2047, -2047
+    scales = np.full((4, 3), 5.9375, np.float32)
+    scales[3, 1] = np.nextafter(np.float32(5.9375), np.float32(6))
+    cuts = save_spz(tmp_path / "a.spz", replace(model(4, degree=0), means=means, log_scales=scales))
+    assert (cuts.num_left_out, cuts.num_shrunk) == (2, 1)
+    told = r"cannot write .*b\.spz: none of 2 Gaussians lies within 2047 units of the origin: write PLY"
+    with pytest.raises(BadInput, match=told):
+        save_spz(tmp_path / "b.spz", replace(model(2, degree=0), means=means[1:3]))
+
+
+def test_a_colmap_model_has_one_camera_per_size_and_matrix_and_counts_from_one(tmp_path: Path) -> None:
+    scene = seen_scene()
+    Ks, sizes = scene.cameras.Ks.copy(), scene.cameras.sizes_wh.copy()
+    Ks[1, 0, 0], Ks[2, 1, 2] = 501.5, 239.25
+    sizes[3] = (641, 480)
+    cameras = replace(scene.cameras, Ks=Ks, sizes_wh=sizes)
+    records = colmap_model(replace(scene, cameras=cameras))
+    assert sorted(records.cameras) == [1, 2, 3, 4]
+    assert [image.image_id for image in records.images] == list(range(1, 25)) and records.points.ids.tolist() == list(range(1, 301))
+    for index, image in enumerate(records.images):
+        camera = records.cameras[image.camera_id]
+        assert camera.size_wh == tuple(sizes[index]) and camera.model == "PINHOLE"
+        assert camera.params == (Ks[index, 0, 0], Ks[index, 1, 1], Ks[index, 0, 2], Ks[index, 1, 2])
+        seen = scene.observations[scene.observations[:, 1] == index, 0]
+        assert image.point3d_ids.tolist() == (np.unique(seen) + 1).tolist()
+        in_camera = np.column_stack([scene.points[np.unique(seen)], np.ones(len(seen))]) @ scene.cameras.cam_from_world[index][:3].T
+        np.testing.assert_allclose(image.points2d, (in_camera @ Ks[index].T)[:, :2] / in_camera[:, 2:], rtol=1e-12)
+    np.testing.assert_array_equal(records.observations(), scene.observations)
+    assert not records.points.errors_px.any()
+    tracks = records.points.tracks
+    assert (np.diff(tracks[:, 0] * 100 + tracks[:, 1]) > 0).all(), "by point, then by image"
+    for point, image, at in tracks.tolist():
+        assert records.images[image - 1].point3d_ids[at] == point + 1
+
+
+def test_a_point_in_the_plane_of_a_camera_is_written_as_a_finite_number(tmp_path: Path) -> None:
+    scene = seen_scene()
+    pose = scene.cameras.cam_from_world[0]
+    points = scene.points.copy()
+    points[0] = scene.cameras.centers[0] + pose[:3, :3].T @ [1.0, 0.0, 0.0]
+    with pytest.raises(BadInput, match="not finite or beyond"):
+        colmap_model(replace(scene, points=points, observations=np.array([[0, 0]])))
+    points[0] = scene.cameras.centers[0]
+    assert np.isfinite(colmap_model(replace(scene, points=points, observations=np.array([[0, 0]]))).images[0].points2d).all()
+
+
+def test_what_is_told_of_a_camera_stands_beside_its_name(tmp_path: Path) -> None:
+    town = made_up_town()
+    scene = replace(town.scene, frame=Frame(kind="metric", origin_lat_lon_alt=ORIGIN))
+    first = scene.cameras.names[0]
+    save_scene_geojson(tmp_path / "a.geojson", scene, town.cloud_plan, town.edge_plans, {first: {"psnr": 30.5}})
+    found = [f["properties"] for f in json.loads((tmp_path / "a.geojson").read_text())["features"] if f["properties"]["kind"] == "camera"]
+    assert found[0] == {"kind": "camera", "name": first, "psnr": 30.5}
+    assert found[1] == {"kind": "camera", "name": scene.cameras.names[1]}

@@ -200,3 +200,7 @@ def test_rows_are_split_at_the_mean_of_their_widest_axis_and_equal_ones_stay_tog
     labels, palette = sog._row_palette(rows)
     assert labels.tolist() == [0, 0, 1, 1, 1]
     np.testing.assert_allclose(palette, [[0, 0.5], [10, 2 / 3]])
+
+
+def test_the_format_has_16_bit_labels_and_64_rows_a_line() -> None:
+    assert (sog.MAX_ROWS, sog.ROWS_PER_LINE, sog.CODES) == (2**16, 64, 2**8)
