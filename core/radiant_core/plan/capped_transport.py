@@ -92,7 +92,7 @@ class _Boxes:
             return value / unit_m2, gradient
 
         solver: Any = optimize
-        found = solver.minimize(scaled, np.zeros(len(limits)), jac=True, bounds=[(None, 0.0)] * len(limits), options={"maxiter": 200})
+        found = solver.minimize(scaled, np.zeros(len(limits)), jac=True, bounds=[(None, 0.0)] * len(limits))
         return np.minimum(found.x * unit_m2, 0.0)
 
     def slopes(self, weights: FloatArray) -> FloatArray:

@@ -214,16 +214,15 @@ def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
     offsets = ((polygon - origin) * normals).sum(axis=1)
     local = footprints - origin
     areas = np.zeros(len(local))
-    heights = [local @ normal - offset for normal, offset in zip(normals, offsets, strict=True)]
-    met = ~np.any([(height >= 0).all(axis=1) for height in heights], axis=0)
-    inside = np.all([(height <= 0).all(axis=1) for height in heights], axis=0)
+    heights = local @ normals.T - offsets
+    met = ~(heights >= 0).all(axis=1).any(axis=1)
+    inside = (heights <= 0).all(axis=(1, 2))
     areas[inside & met] = signed_areas_m2(local[inside & met])
     rows = np.flatnonzero(met & ~inside)
     parts = np.concatenate([local[rows], np.ones((len(rows), MAX_CORNERS, 1))], axis=2)
     counts = np.full(len(rows), MAX_CORNERS)
-    for normal, offset in zip(normals, offsets, strict=True):
-        # Points of the plane as rays (x, y, 1), so that one routine clips both.
-        plane = np.array([normal[0], normal[1], -offset])
+    # Points of the plane as rays (x, y, 1), so that one routine clips both.
+    for plane in np.column_stack([normals, -offsets]):
         cut = np.flatnonzero((parts @ plane > 0).any(axis=1))
         if not len(cut):
             continue
@@ -276,8 +275,8 @@ def _clipped(rays: FloatArray, counts: NDArray[np.int64], normals: FloatArray) -
     following, next_heights = np.roll(rays, -1, axis=1), np.roll(heights, -1, axis=1)
     crossing = (np.minimum(heights, next_heights) < 0) & (np.maximum(heights, next_heights) > 0)
     share = np.divide(heights, heights - next_heights, out=np.zeros_like(heights), where=crossing)
-    slots = np.stack([rays, rays + share[..., None] * (following - rays)], axis=2).reshape(len(rays), -1, 3)
-    kept = np.stack([heights <= 0, crossing], axis=2).reshape(len(rays), -1) & (counts > 0)[:, None]
+    slots = np.stack([rays, rays + share[..., None] * (following - rays)], axis=2).reshape(len(rays), 2 * rays.shape[1], 3)
+    kept = np.stack([heights <= 0, crossing], axis=2).reshape(len(rays), 2 * rays.shape[1]) & (counts > 0)[:, None]
     # Repeated last rays stay repeated: only the first of them opens a side.
     size = int(rays.shape[1]) + 1
     order = np.argsort(~kept, axis=1, kind="stable")[:, :size]

@@ -59,7 +59,6 @@ def paper_regions(
     best, best_key = steps, (np.inf, np.inf)
     history: list[float] = []
     seen: set[bytes] = set()
-    converged = False
     while True:
         counts = np.bincount(assign(positions, sites, steps * weight_of_step), minlength=len(sites))
         times_s = estimated_times_s(tables, counts)
@@ -85,9 +84,7 @@ def estimated_times_s(tables: Sequence[EdgeTable], counts: NDArray[np.int64]) ->
 
 
 def _estimated_time_s(table: EdgeTable, count: int) -> float:
-    if count <= table.capacity:
-        return float(table.edge_time_s[count])
-    return float(table.edge_time_s[-1]) * count / max(table.capacity, 1)
+    return float(table.edge_time_s[min(count, table.capacity)]) * max(count / max(table.capacity, 1), 1.0)
 
 
 def _overfull(tables: Sequence[EdgeTable], counts: NDArray[np.int64]) -> int:

@@ -82,7 +82,8 @@ class _Partition:
     converged: bool = False
     violation_m2: float | None = None
     """By how much the worst camera misses its cell, None where nobody looked."""
-    aim: Literal["bound", "slack", "constrained"] = "bound"
+    aim: Literal["slack", "constrained"] | None = None
+    """None: the bound."""
     sentences: tuple[str, ...] = ()
     edge_time_s: FloatArray | None = None
     """Where it is known already."""
@@ -145,22 +146,10 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
     Edges without cameras own no land. The lower bound is that of the same counts of cameras dealt freely, 0 where memory forbids it.
     """
     positions = checked_array("positions", positions, (len(edge_of_camera), 2))
-    counts = np.bincount(edge_of_camera, minlength=len(system.edges))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
     fits = system_capacity(system, len(positions)) >= len(positions)
-    weights = _closed_where_unused(np.zeros(len(counts)), counts, plane)
-    return CloudPlan(
-        method="captured",
-        edge_ids=tuple(edge.id for edge in system.edges),
-        sites=plane.sites + plane.centre,
-        weights=weights,
-        borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
-        edge_of_camera=edge_of_camera,
-        edge_time_s=np.zeros(len(counts)),
-        lower_bound_s=float(fastest_edge_counts(system, len(positions)).edge_time_s.max()) if fits else 0.0,
-        status="stopped",
-        certified=False,
-    )
+    bound_s = float(fastest_edge_counts(system, len(positions)).edge_time_s.max()) if fits else 0.0
+    return _regions_of_owners(plane, system, edge_of_camera, np.zeros(len(system.edges)), bound_s)
 
 
 def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
@@ -171,7 +160,14 @@ def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64],
     positions = checked_array("positions", positions, (len(edge_of_camera), 2))
     counts = np.bincount(edge_of_camera, minlength=len(system.edges))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
-    weights = _closed_where_unused(_exact_partition(plane, counts, None).weights, counts, plane)
+    return _regions_of_owners(plane, system, edge_of_camera, _exact_partition(plane, counts, None).weights, 0.0)
+
+
+def _regions_of_owners(
+    plane: _Plane, system: System, edge_of_camera: NDArray[np.int64], weights: FloatArray, lower_bound_s: float
+) -> CloudPlan:
+    """The power diagram of the plane's sites (E,2) and weights (E,) for cameras that belong to edges (C,) wherever they lie."""
+    weights = _closed_where_unused(weights, np.bincount(edge_of_camera, minlength=len(weights)), plane)
     return CloudPlan(
         method="captured",
         edge_ids=tuple(edge.id for edge in system.edges),
@@ -179,8 +175,8 @@ def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64],
         weights=weights,
         borders=tuple(border + plane.centre for border in cell_polygons(plane.sites, weights, plane.outline)),
         edge_of_camera=edge_of_camera,
-        edge_time_s=np.zeros(len(counts)),
-        lower_bound_s=0.0,
+        edge_time_s=np.zeros(len(weights)),
+        lower_bound_s=lower_bound_s,
         status="stopped",
         certified=False,
     )

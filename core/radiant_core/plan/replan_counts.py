@@ -46,9 +46,9 @@ class MachineLoad:
 
     def time_s(self, quota: int) -> float:
         """When it has sent its model with `quota` positions."""
-        if self.closed:
-            return self.busy_s if quota else 0.0
-        return self.busy_s + float(device_time_s(self.device, quota)) if quota else 0.0
+        if not quota:
+            return 0.0
+        return self.busy_s if self.closed else self.busy_s + float(device_time_s(self.device, quota))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

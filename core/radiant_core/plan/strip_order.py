@@ -75,13 +75,13 @@ def _exact(classes: dict[int, list[int]], chords: Indices) -> Indices:
     never = np.iinfo(np.int64).max // 2
     for count in range(1, int(sizes.sum()) + 1):
         now = np.flatnonzero(level == count)
-        before = np.where(standing[now] > 0, costs[np.maximum(now[:, None] - strides, 0)], never)
+        before = np.where(standing[now] > 0, costs[now[:, None] - strides], never)
         costs[now] = placed_at[now] + before.min(axis=1)
     members = [list(devices) for devices in classes.values()]
     order: list[int] = []
     state = len(states) - 1
     while state:
-        before = np.where(standing[state] > 0, costs[np.maximum(state - strides, 0)], never)
+        before = np.where(standing[state] > 0, costs[state - strides], never)
         last = int(np.flatnonzero(before == before.min())[-1])
         order.append(members[last].pop())
         state -= int(strides[last])

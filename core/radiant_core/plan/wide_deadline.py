@@ -25,8 +25,8 @@ SMALL_TABLE_ENTRIES = 60_000
 """Cameras × devices up to which whole tables are quicker."""
 _GRID_RATIO = 1.05
 _DEADLINES = 128
-_DEADLINE_ERROR = 1e-9
-"""Of the guessed deadline; far inside the first window."""
+_HALVINGS = 40
+"""Of the range in which the guessed deadline lies: far inside the first window."""
 _FIRST_WINDOW = 0.01
 
 Indices = NDArray[np.int64]
@@ -108,13 +108,13 @@ class _Curves:
         self.terms = np.array([[c.constant, c.linear, c.power_coefficient, c.exponent] for c in curves]).T
 
     def __call__(self, counts: NDArray[np.int64] | FloatArray, rows: Indices | slice = slice(None)) -> FloatArray:
-        counts = counts.astype(np.float64)
-        constant, linear, power, exponent = (term[rows].reshape(-1, *[1] * (counts.ndim - 1)) for term in self.terms)
+        counts = counts.T.astype(np.float64)
+        constant, linear, power, exponent = (term[rows] for term in self.terms)
         # Where no power term is, its exponent would only cost time.
         value: FloatArray = constant + linear * counts
         if power.any():
             value = value + power * counts**exponent
-        return np.where(counts > 0, value, 0.0)
+        return np.where(counts > 0, value, 0.0).T
 
 
 class _Fleet:
@@ -135,9 +135,8 @@ class _Fleet:
 
     def time_s(self, counts: NDArray[np.int64] | FloatArray, rows: Indices | slice = slice(None)) -> FloatArray:
         """T^n of devices `rows` with `counts`, (D,) or (D,J)."""
-        uplink = self.uplink[rows].reshape(-1, *[1] * (counts.ndim - 1))
         with np.errstate(over="ignore", invalid="ignore"):
-            times = self.init(counts, rows) + self.train(counts, rows) + self.model_bytes(counts, rows) / uplink
+            times = self.init(counts, rows) + self.train(counts, rows) + (self.model_bytes(counts, rows).T / self.uplink[rows]).T
         require_finite("the time of a device against cameras", times)
         return times
 
@@ -146,8 +145,8 @@ class _Fleet:
         joined_s = self.joined(counts, rows)
         if not self.num_alone.any():
             return joined_s
-        limits = self.num_alone[rows].reshape(-1, *[1] * (counts.ndim - 1))
-        return np.where(counts <= limits, np.minimum(self.alone(counts, rows), joined_s), joined_s)
+        is_alone = (self.num_alone[rows] >= counts.T).T
+        return np.where(is_alone, np.minimum(self.alone(counts, rows), joined_s), joined_s)
 
     def guessed_quotas(self) -> FloatArray:
         """Quotas (D,) near the optimum, from interpolation; a slope too small to matter shares flat curves evenly."""
@@ -164,8 +163,8 @@ class _Fleet:
         usable = np.isfinite(first_s)
         first_s, last_s = np.where(usable, first_s, 1.0), np.where(usable, np.maximum(last_s, first_s), 1.0)
         shares = np.linspace(0, 1, _DEADLINES)
-        deadlines = np.where(first_s[:, None] > 0, first_s[:, None] * (last_s / np.maximum(first_s, 1e-300))[:, None] ** shares, 0.0)
-        deadlines = np.where(first_s[:, None] > 0, deadlines, last_s[:, None] * shares**4)
+        growing = first_s[:, None] * (last_s / np.maximum(first_s, 1e-300))[:, None] ** shares
+        deadlines = np.where(first_s[:, None] > 0, growing, last_s[:, None] * shares**4)
         quotas = np.zeros((len(times), _DEADLINES))
         for device in np.flatnonzero(self.limits > 0):
             quotas[device] = np.interp(deadlines[self.edge_of_device[device]], times[device], counts[device], left=0.0)
@@ -174,10 +173,8 @@ class _Fleet:
         edge_time = np.maximum.accumulate(deadlines + self.aggregate(totals) + sent, axis=1)
         edge_time += slope * totals
         low, high = 0.0, float(edge_time.max())
-        for _ in range(200):
+        for _ in range(_HALVINGS):
             middle = (low + high) / 2
-            if high - low <= _DEADLINE_ERROR * high:
-                break
             taken = _interpolated(edge_time, totals, np.full(len(self.starts), middle)).sum()
             low, high = (low, middle) if taken >= self.num_cameras else (middle, high)
         edge_deadline = _interpolated(edge_time, deadlines, np.full(len(self.starts), high))
@@ -186,10 +183,7 @@ class _Fleet:
     def _of_all_cameras(self, quotas: FloatArray) -> FloatArray:
         """Quotas (D,) scaled until they sum to the cameras: where curves are flat the deadline says little about how many fit."""
         for _ in range(8):
-            total = float(quotas.sum())
-            if not total or abs(total - self.num_cameras) <= 1e-6 * self.num_cameras:
-                break
-            quotas = np.minimum(quotas * (self.num_cameras / total), self.limits)
+            quotas = np.minimum(quotas * (self.num_cameras / max(float(quotas.sum()), 1e-300)), self.limits)
         return quotas
 
     def solved(self, low: Indices, high: Indices) -> FastestCounts | None:
