@@ -232,10 +232,10 @@ class _Fleet:
         times = np.concatenate(entries)
         chosen = np.lexsort((owner, position + taken[owner], times))[:missing]
         extra = np.bincount(owner[chosen], minlength=len(entries))
-        deadline_s = float(times[chosen[-1]]) if missing else float(base_s.max())
         counts = taken + extra
-        proved = bool((base_s <= deadline_s).all()) and bool(((extra < lengths) | (counts == full)).all())
-        if not proved:
+        # Any other counts take an entry that is not chosen, which is later than all that are; it has to be as late as what is taken unseen.
+        later = [float(times[more]) for times, more in zip(entries, extra, strict=True) if more < len(times)]
+        if float(base_s.max()) > min(later, default=np.inf) or not ((extra < lengths) | (counts == full)).all():
             return None
         last = [base if not more else times[more - 1] for base, times, more in zip(base_s, entries, extra, strict=True)]
         return FastestCounts(counts=counts, edge_time_s=np.array(last))
@@ -247,8 +247,8 @@ def _interpolated(rising: FloatArray, values: FloatArray, at: FloatArray) -> Flo
     left = np.clip(below - 1, 0, rising.shape[1] - 1)
     right = np.minimum(below, rising.shape[1] - 1)
     rows = np.arange(len(at))
-    width = rising[rows, right] - rising[rows, left]
     with np.errstate(invalid="ignore"):
+        width = rising[rows, right] - rising[rows, left]
         share = np.where((width > 0) & np.isfinite(width), (at - rising[rows, left]) / np.where(width > 0, width, 1.0), 0.0)
     found = values[rows, left] + np.clip(share, 0, 1) * (values[rows, right] - values[rows, left])
     return np.where(below > 0, found, 0.0)

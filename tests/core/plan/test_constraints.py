@@ -13,6 +13,7 @@ from radiant_core.plan.deadline import edge_tables
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.power_diagram import assign
 from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system, random_system
 
@@ -145,3 +146,93 @@ def test_locked_where_nothing_changed_the_weights_still_prove_every_cell(seed: i
             np.testing.assert_array_equal(plan.edge_of_camera == edge, start.edge_of_camera == edge)
         if (plan.edge_of_camera == start.edge_of_camera).all():
             assert plan.num_outside == 0 and plan.certified, locked
+
+
+def in_a_row(speeds: list[float], count: int = 60) -> tuple[np.ndarray, System]:
+    """Cameras on a line and three edges along it: whatever intervals the edges have, there are weights that prove them."""
+    positions = np.stack([np.linspace(0.0, 590.0, count), np.zeros(count)], axis=1)
+    return positions, linear_system(np.array([[95.0, 0.0], [295.0, 0.0], [495.0, 0.0]]), np.array(speeds))
+
+
+@pytest.mark.parametrize("edge", range(3))
+@pytest.mark.parametrize("raise_m2", [-4000.0, 4000.0])
+def test_free_regions_are_shifted_to_where_they_fit_beside_fixed_ones(edge: int, raise_m2: float) -> None:
+    positions, system = in_a_row([1.0, 1.0, 1.0])
+    start = planned(positions, system)
+    fixed = float(start.weights[edge]) + raise_m2
+    plan = planned(positions, system, constraints=PlanConstraints(fixed_weights_m2={f"e{edge}": fixed}), start=start)
+    assert plan.counts[edge] != 20 and (np.diff(plan.edge_of_camera) >= 0).all()
+    others = [other for other in range(3) if other != edge]
+    assert np.ptp(plan.counts[others]) <= 1 and plan.num_outside == 0 and plan.certified and plan.weights[edge] == fixed
+    if edge != 1:
+        # Midway: as far from the last camera on one side as from the first on the other, up to a quarter of their spacing.
+        squared = (positions[:, :1] - [95.0, 295.0, 495.0]) ** 2 - plan.weights
+        free_border = np.flatnonzero(np.diff(plan.edge_of_camera))[0 if edge == 2 else 1]
+        here, there = plan.edge_of_camera[free_border : free_border + 2]
+        slack = [squared[free_border, there] - squared[free_border, here], squared[free_border + 1, here] - squared[free_border + 1, there]]
+        assert min(slack) > 0
+
+
+@pytest.mark.parametrize("edge", range(3))
+def test_locked_regions_fit_between_those_planned_anew(edge: int) -> None:
+    positions, system = in_a_row([1.0, 1.0, 1.0])
+    start = planned(positions, system)
+    _, other = in_a_row([1.0, 2.0, 4.0])
+    plan = planned(positions, other, constraints=PlanConstraints(locked=(f"e{edge}",)), start=start)
+    np.testing.assert_array_equal(plan.edge_of_camera == edge, start.edge_of_camera == edge)
+    rest = [index for index in range(3) if index != edge]
+    assert plan.counts[rest[0]] == pytest.approx(40 * [2 / 3, 0.8, 2 / 3][edge], abs=1)
+    if edge != 1:
+        assert plan.num_outside == 0 and plan.certified
+    two = planned(positions, other, constraints=PlanConstraints(locked=("e0", "e2")), start=start)
+    np.testing.assert_array_equal(two.edge_of_camera, start.edge_of_camera)
+    assert two.num_outside == 0 and two.certified
+
+
+def test_an_edge_with_pinned_cameras_alone_takes_no_free_one_away() -> None:
+    positions, system = in_a_row([1.0, 50.0, 1.0])
+    plan = planned(positions, system, constraints=PlanConstraints(pinned={29: "e1", 30: "e1"}))
+    assert plan.counts.tolist() == [29, 2, 29] and (plan.edge_of_camera[[29, 30]] == 1).all()
+    assert plan.num_outside == 0 and plan.certified
+
+
+def test_what_was_decided_is_told_in_words() -> None:
+    positions, system = in_a_row([1.0, 1.0, 1.0])
+    start = planned(positions, system)
+    decided = PlanConstraints(fixed_weights_m2={"e2": float(start.weights[2])}, locked=("e0",), pinned={25: "e1"})
+    told = planned(positions, system, constraints=decided, start=start).constrained
+    assert told == (
+        f"weight of edge 'e2' fixed at {start.weights[2]:g} m²: 20 cameras",
+        "region of edge 'e0' locked: 20 cameras",
+        "cameras pinned: 1",
+        "the certificate's conditions hold among the cameras and edges that are free",
+    )
+    assert not PlanConstraints() and all((decided, PlanConstraints(pinned={0: "e0"}), PlanConstraints(locked=("e0",))))
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"fixed_weights_m2": {"e0": 1.1e17}}, r"edge 'e0' is fixed at 1.1e\+17 m², expected a finite number up to 1e\+17"),
+        ({"fixed_weights_m2": {"e0": -np.inf}}, "fixed at -inf"),
+        ({"locked": ("e0", "e1", "e0")}, "locked twice among e0, e1, e0: name each edge once"),
+        ({"pinned": {0.5: "e0"}}, "camera 0.5 is pinned, expected an index of at least 0"),
+        ({"pinned": {True: "e0"}}, "camera True is pinned"),
+        ({"fixed_weights_m2": {"e0": 1e17, "e1": -1e17}, "locked": ("e2",), "pinned": {0: "e0"}}, None),
+    ],
+)
+def test_limits_of_what_may_be_decided(fields: dict, told: str | None) -> None:
+    if told is None:
+        assert PlanConstraints(**fields)
+    else:
+        with pytest.raises(BadInput, match=told):
+            PlanConstraints(**fields)
+
+
+def test_times_of_given_and_free_edges_are_their_own() -> None:
+    positions, system = in_a_row([1.0, 2.0, 4.0])
+    plan = planned(positions, system, constraints=PlanConstraints(pinned=dict.fromkeys(range(30), "e0")))
+    np.testing.assert_allclose(plan.edge_time_s, plan.counts * [1.0, 2.0, 4.0])
+    assert (plan.counts.tolist() == [34, 17, 9] and plan.status == "constrained") or plan.status == "optimal"
+    found = counts_at_least(system, 60, np.array([5, 30, 0]))
+    assert found.counts.tolist() == [24, 30, 6] and found.edge_time_s.tolist() == [24.0, 60.0, 24.0]
