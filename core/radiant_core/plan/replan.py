@@ -324,7 +324,6 @@ def _linear_program(points: FloatArray, owners: Indices, centres: FloatArray, ga
         b_ub=np.ones(num_points),
         A_eq=exactly,
         b_eq=np.concatenate([gains[receivers], losses[losers]]),
-        bounds=(0, 1),
         method="highs-ds",
     )
     assert solved.x is not None, "as many leave as arrive"

@@ -31,7 +31,7 @@ def shortest_order(quotas: Indices, names: Sequence[str], chords_m: FloatArray) 
     Ties go to the order of the names.
     """
     working = sorted(np.flatnonzero(quotas).tolist(), key=lambda device: names[device])
-    extent_m = float(chords_m.max(initial=0.0))
+    extent_m = float(chords_m.max())
     if len(working) < 2 or extent_m == 0:
         return np.array(working, np.int64)
     chords = np.round(chords_m / extent_m * _STEPS).astype(np.int64)

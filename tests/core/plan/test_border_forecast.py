@@ -9,8 +9,8 @@ import pytest
 import shapely
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.border_forecast import RiskModel, band_of, forecast_borders
-from radiant_core.plan.borders import outside_by_m, shared_borders
+from radiant_core.plan.border_forecast import BorderForecast, RiskModel, _band_spots, _evenly, _Seen, band_of, forecast_borders
+from radiant_core.plan.borders import Border, outside_by_m, shared_borders
 from radiant_core.plan.buffers import BufferRule, plan_buffers
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.device_split import split_edges
@@ -203,3 +203,132 @@ def test_a_region_of_three_corners_has_borders() -> None:
     west = np.array([*whole.ends, [0.0, 50.0]])
     (border,) = shared_borders(replace(plan, borders=(west, plan.borders[1])))
     np.testing.assert_array_equal(border.ends, whole.ends)
+
+
+def test_a_border_knows_its_length_its_side_and_its_distances() -> None:
+    border = Border(first=0, second=1, ends=np.array([[3.0, 1.0], [7.0, 4.0]]))
+    assert border.length_m == 5.0
+    np.testing.assert_allclose(border.toward_first, [-0.6, 0.8])
+    points = np.random.default_rng(0).uniform(-5, 12, (200, 2))
+    line = shapely.LineString(border.ends)
+    np.testing.assert_allclose(border.distances_m(points), shapely.distance(shapely.points(points), line), atol=1e-12)
+
+
+def test_a_corner_that_stands_twice_is_no_border() -> None:
+    plan = planned()
+    (whole,) = shared_borders(plan)
+    west = np.array([*whole.ends, whole.ends[1], [0.0, 50.0]])
+    (border,) = shared_borders(replace(plan, borders=(west, plan.borders[1])))
+    np.testing.assert_array_equal(border.ends, whole.ends)
+    assert (border.first, border.second) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("support", "interior", "coverage"),
+    [((3.0, 4.0), (6.0, 4.0), 0.5), ((3.0, 0.25), (3.0, 0.5), 0.5), ((3.0, 2.0), (3.0, 0.0), 0.0), ((3.0, 2.0), (2.0, 2.0), 1.0)],
+)
+def test_coverage_is_that_of_the_worse_side_and_none_where_nothing_is_seen(
+    support: tuple[float, float], interior: tuple[float, float], coverage: float
+) -> None:
+    forecast = BorderForecast(
+        edge_ids=("a", "b"), ends=np.zeros((2, 2)), half_band_m=1.0, num_images=(1, 1), support=support, interior_support=interior,
+        forward_overlap=None, side_overlap=None, risk="low",
+    )  # fmt: skip
+    assert forecast.coverage == coverage
+
+
+@pytest.mark.parametrize(
+    ("count", "at_most", "expected"), [(0, 5, []), (1, 5, [0]), (5, 5, [0, 1, 2, 3, 4]), (9, 5, [0, 2, 4, 6, 8]), (10, 2, [0, 9])]
+)
+def test_a_few_of_many_are_spread_evenly_from_first_to_last(count: int, at_most: int, expected: list[int]) -> None:
+    assert _evenly(count, at_most).tolist() == expected
+
+
+def test_spots_of_a_band_lie_a_quarter_and_three_quarters_into_either_half() -> None:
+    border = Border(first=0, second=1, ends=np.array([[50.0, 0.0], [50.0, 160.0]]))  # the first is to the left: the west
+    spots = _band_spots(border, 8.0)
+    assert spots.shape == (64, 2)
+    along = 5.0 + 10.0 * np.arange(16)
+    expected = [[50 + east, north] for east in (-2, -6, 2, 6) for north in along]
+    np.testing.assert_allclose(spots, expected)
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 4e6])
+def test_who_sees_a_spot_is_what_shapely_says_wherever_the_site_lies(shift_m: float) -> None:
+    rng = np.random.default_rng(1)
+    positions = rng.random((60, 2)) * 100 + shift_m
+    footprints = ground_footprints(views_before_capture(positions, rng.uniform(3, 12, 60), OPTICS, rng.uniform(-80, 80, (60, 2))))
+    owners = rng.integers(0, 2, 60)
+    seen = _Seen(footprints, owners, {1: np.array([0, 1, 2])})
+    spots = rng.random((40, 2)) * 30 + 35 + shift_m
+    images, sees = seen(spots)
+    shapes = [shapely.Polygon(polygon - shift_m) for polygon in footprints.polygons]
+    truth = np.array([[shape.covers(shapely.Point(spot - shift_m)) for spot in spots] for shape in shapes])
+    assert set(np.flatnonzero(truth.any(axis=1))) <= set(images.tolist()) and (np.diff(images) > 0).all()
+    assert (sees != truth[images]).mean() < (1e-3 if shift_m else 1e-9)
+    np.testing.assert_array_equal(seen.own(images, 0), owners[images] == 0)
+    np.testing.assert_array_equal(seen.own(images, 1), (owners[images] == 1) | np.isin(images, [0, 1, 2]))
+
+
+def test_an_edge_known_by_its_curve_takes_no_buffers_and_times_count_what_is_sent() -> None:
+    positions = grid()
+    far = Edge(id="east", position=(75.0, 50.0), aggregate_s=CostCurve(), uplink_bytes_per_s=1e6, devices=(), time_s=CostCurve(linear=1.0))
+    heavy = replace(
+        system().edges[0],
+        aggregate_s=CostCurve(linear=0.5),
+        uplink_bytes_per_s=100.0,
+        devices=(replace(system().edges[0].devices[0], model_bytes=CostCurve(linear=20.0), uplink_bytes_per_s=10.0),),
+    )
+    both = System(edges=(heavy, far))
+    plan = plan_regions(positions, both)
+    assert isinstance(plan, CloudPlan)
+    west, east = plan_buffers(positions, None, plan, split_edges(positions, plan, both), both, BufferRule(within_m=12.0))
+    assert len(east.camera_indices) == 0 and east.num_refused == 0 and east.edge_time_s == east.planned_edge_time_s == plan.edge_time_s[1]
+    count = int(plan.counts[0]) + len(west.camera_indices)
+    assert len(west.camera_indices) > 0
+    # A second of training and two of sending, half of one to join, a fifth to send on: per camera.
+    assert west.device_time_s == pytest.approx([3.0 * count]) and west.edge_time_s == pytest.approx(3.7 * count)
+    assert west.planned_edge_time_s == plan.edge_time_s[0]
+    np.testing.assert_array_equal(west.cameras_of("west-1"), west.camera_indices)
+
+
+def test_a_position_exactly_as_far_as_the_rule_says_is_taken_the_nearest_first() -> None:
+    """The border lies at 50 m, photographs every 10 m from 5 on: 5 and 15 m away."""
+    plan = replace(
+        planned(), borders=(np.array([[0.0, 0.0], [50, 0], [50, 100], [0, 100]]), np.array([[50.0, 0.0], [100, 0], [100, 100], [50, 100]]))
+    )
+    edges = split_edges(grid(), plan, system())
+    for within_m, columns in ((4.99, 0), (5.0, 1), (14.99, 1), (15.0, 2)):
+        west, east = plan_buffers(grid(), None, plan, edges, system(), BufferRule(within_m=within_m))
+        assert (len(west.camera_indices), len(east.camera_indices)) == (10 * columns, 10 * columns)
+    np.testing.assert_array_equal(grid()[west.camera_indices][:, 0], [55.0] * 10 + [65.0] * 10)
+    np.testing.assert_array_equal(grid()[east.camera_indices][:, 0], [45.0] * 10 + [35.0] * 10)
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"min_share": 1.0}, None),
+        ({"min_share": 1e-9}, None),
+        ({"min_share": 1.01}, r"the least share of a buffer capture is 1\.01, expected above 0 and at most 1"),
+        ({"within_m": 1e-9, "deadline_s": 1e-9}, None),
+        ({"within_m": 0.0}, r"the distance of buffer captures is 0\.0, expected a positive number"),
+        ({"within_m": 1.0, "deadline_s": 0.0}, r"the deadline of buffer captures is 0\.0, expected a positive number"),
+        ({"within_m": 1.0, "deadline_s": np.inf}, "the deadline of buffer captures is inf"),
+    ],
+)
+def test_limits_of_a_rule(fields: dict, told: str | None) -> None:
+    if told is None:
+        BufferRule(**fields)
+    else:
+        with pytest.raises(BadInput, match=told):
+            BufferRule(**fields)
+
+
+@pytest.mark.parametrize(("high", "medium", "fits"), [(0, 0, True), (3, 3, True), (3, 2.9, False), (-0.1, 3, False), (0, np.inf, False)])
+def test_thresholds_of_risk_rise(high: float, medium: float, fits: bool) -> None:
+    if fits:
+        assert RiskModel(high_below=high, medium_below=medium).risk(1e9) == "low"
+    else:
+        with pytest.raises(BadInput, match=f"thresholds of support are {high} and {medium}, expected rising numbers of images"):
+            RiskModel(high_below=high, medium_below=medium)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.captured import plan_of_captured, taken_for_others
+from radiant_core.plan.captured import nearest_planned, plan_of_captured, taken_for_others
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import device_time_s
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.region_plan import plan_regions
 from radiant_core.plan.system import System
-from tests.core.plan.instances import random_system
+from tests.core.plan.instances import linear_system, random_system
 
 Planned = tuple[CloudPlan, tuple[EdgePlan, ...]]
 
@@ -144,3 +144,40 @@ def test_where_one_device_captured_all_of_an_edge_nothing_is_joined() -> None:
     device = system.edges[edge].devices[int(plan.device_of_camera[0])]
     sent_s = float(device.model_bytes(len(first))) / system.edges[edge].uplink_bytes_per_s
     assert alone.edge_time_s[edge] == pytest.approx(float(device_time_s(device, len(first))) + 1.0 + sent_s)
+
+
+@pytest.mark.parametrize(("far", "refused"), [(2, False), (3, True)])
+def test_a_plan_of_another_site_is_told_where_more_than_half_lie_beyond_its_width(far: int, refused: bool) -> None:
+    """One spot stands for a site of 100 m: 100 m away still belongs to it, a millimetre more does not."""
+    planned_xy = np.zeros((3, 2))
+    captured = np.zeros((4, 2))
+    captured[:far, 0] = 100.001
+    captured[far:, 0] = 100.0
+    if refused:
+        told = f"{far} of 4 photographs lie farther than 100 m, the width of the plan, from every waypoint, the first by 100 m"
+        with pytest.raises(BadInput, match=told):
+            nearest_planned(planned_xy, captured)
+    else:
+        assert len(nearest_planned(planned_xy, captured)) == 4
+    wide = np.array([[0.0, 0.0], [300.0, 400.0]])
+    assert nearest_planned(wide, np.array([[-500.0, 0.0]])).tolist() == [0]
+    with pytest.raises(BadInput, match="1 of 1 photographs lie farther than 500 m"):
+        nearest_planned(wide, np.array([[-500.1, 0.0]]))
+
+
+def test_the_status_says_how_near_the_captured_counts_are_to_the_best() -> None:
+    positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
+    system = linear_system(np.array([[25.0, 0.0], [75.0, 0.0]]), np.ones(2))
+    cloud, edges = planned(positions, system)
+    for west, east, status in ((50, 50, "optimal"), (52, 48, "converged"), (53, 47, "stopped")):
+        rows = np.concatenate([np.arange(50 - min(west, 50), 50), np.full(max(0, west - 50), 3), np.arange(100 - east, 100)])
+        new, _ = plan_of_captured(cloud, edges, positions, positions[rows], system=system)
+        assert (new.counts.tolist(), new.status, new.lower_bound_s) == ([west, east], status, 50.0)
+
+
+def test_a_device_may_capture_exactly_what_its_memory_holds() -> None:
+    positions, system = np.stack([np.arange(6.0), np.zeros(6)], axis=1), linear_system(np.array([[1.0, 0.0], [4.0, 0.0]]), np.ones(2), 3)
+    cloud, edges = planned(positions, system)
+    assert plan_of_captured(cloud, edges, positions, positions, system=system)[0].counts.tolist() == [3, 3]
+    with pytest.raises(BadInput, match="device 'd0' captured 4 photographs, its memory holds 3: raise max_cameras or leave some out"):
+        plan_of_captured(cloud, edges, positions, positions[[0, 0, 1, 2]], system=system)

@@ -11,6 +11,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.count_raster import (
     CountRaster,
+    _hand_over,
     count_raster,
     followed_by_edges,
     known_to_the_cloud,
@@ -132,3 +133,66 @@ def test_a_raster_that_contradicts_itself_is_refused(cells: list, counts: list) 
 def test_poisoned_positions_are_refused() -> None:
     with pytest.raises(BadInput, match="positions"):
         count_raster([[0.0, np.nan]], 1.0)
+
+
+def test_the_land_of_a_raster_ends_a_tenth_of_its_longer_side_beyond_its_cells() -> None:
+    positions = np.array([[11.0, 21.0], [58.0, 21.0], [35.0, 39.0]])
+    regions = regions_of_raster(
+        count_raster(positions, 10.0), known_to_the_cloud(linear_system(np.array([[20.0, 30.0], [50.0, 30.0]]), np.ones(2)), 3)
+    )
+    assert isinstance(regions, CloudPlan)
+    corners = np.concatenate(regions.borders)
+    np.testing.assert_allclose([corners.min(axis=0), corners.max(axis=0)], [[5.0, 15.0], [65.0, 45.0]])  # cells from 10 to 60 and 20 to 40
+
+
+@pytest.mark.parametrize(("cell_m", "fits"), [(1.0, True), (0.999, False)])
+def test_a_raster_has_some_10_to_the_12_cells_on_a_side(cell_m: float, fits: bool) -> None:
+    positions = [[2.0**40, -(2.0**40)]]
+    if fits:
+        assert count_raster(positions, cell_m).cells.tolist() == [[2**40, -(2**40)]]
+    else:
+        with pytest.raises(BadInput, match=r"a raster of cells of 0\.999 m has more than 10\^12 of them on a side here"):
+            count_raster(positions, cell_m)
+
+
+@pytest.mark.parametrize("cell_m", [0.0, -1.0, np.nan, np.inf])
+def test_a_cell_has_a_side(cell_m: float) -> None:
+    with pytest.raises(BadInput, match=f"the raster's cell is {cell_m} m, expected a positive side: 10 m is usual"):
+        CountRaster(cell_m=cell_m, cells=np.zeros((0, 2), np.int64), counts=np.zeros(0, np.int64))
+
+
+def test_the_status_of_what_edges_make_of_it_is_by_the_bound_and_by_who_was_handed_over() -> None:
+    """Fifty to fifty is the best of 100 cameras; 52 is within a twentieth, 53 is not; who hands over is never optimal."""
+    system = linear_system(np.array([[25.0, 0.0], [75.0, 0.0]]), np.ones(2))
+    positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
+    regions, _ = planned(positions, system, 1.0)
+    for border, status in ((49.5, "optimal"), (51.5, "converged"), (52.5, "stopped")):
+        plan = followed_by_edges(replace(regions, weights=np.array([100 * (border - 50.0), 0.0])), positions, system)
+        assert (plan.counts[0], plan.status, plan.certified, plan.history) == (border + 0.5, status, True, (border + 0.5,))
+    first, second = system.edges
+    full = replace(system, edges=(replace(first, devices=(replace(first.devices[0], max_cameras=50),)), second))
+    plan = followed_by_edges(replace(regions, weights=np.array([150.0, 0.0])), positions, full)
+    assert plan.counts.tolist() == [50, 50] and (plan.num_outside, plan.certified, plan.status) == (2, False, "converged")
+
+
+def test_cameras_handed_over_are_the_cheapest_against_every_choice() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        power = rng.random((7, 3)) * 100
+        room = np.array([2, 3, 4])
+        chosen = power.argmin(axis=1)
+        before, counts = chosen.copy(), np.bincount(chosen, minlength=3)
+        moved = _hand_over(chosen, power, room)
+        assert moved == (chosen != before).sum() or moved >= np.maximum(counts - room, 0).sum()
+        after = np.bincount(chosen, minlength=3)
+        assert (after <= room).all()
+        if moved == 1:
+            full = int((counts > room).argmax())
+            costs = [(power[c, e] - power[c, full], c, e) for c in np.flatnonzero(before == full) for e in range(3) if counts[e] < room[e]]
+            _, camera, edge = min(costs)
+            assert chosen[camera] == edge
+
+
+def test_an_edge_of_which_no_device_has_room_is_told_with_its_place() -> None:
+    edge = known_to_the_cloud(four_edges(max_cameras=0), 10).edges[1]
+    assert (edge.id, edge.position, edge.lat_lon_deg, edge.max_cameras, edge.uplink_bytes_per_s) == ("e1", (400.0, 60.0), None, 0, 1.0)

@@ -243,3 +243,14 @@ def test_small_systems_are_tabulated_whole_up_to_sixty_thousand_entries(monkeypa
     assert fastest_edge_counts(system, 30_000).counts.tolist() == [15_000, 15_000]
     with pytest.raises(TypeError, match="not callable"):
         fastest_edge_counts(system, 30_001)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e6])
+def test_the_unit_of_time_changes_no_quota(scale: float) -> None:
+    seconds = np.array([1.0, 1.5, 2.5, 4.0])
+    plain, scaled = (_Fleet(linear_system(np.eye(4, 2), seconds * factor), 3000).guessed_quotas() for factor in (1.0, scale))
+    np.testing.assert_allclose(scaled, plain, rtol=1e-6, atol=1e-3)
+    flat = CostCurve(constant=3.0 * scale)
+    system = linear_system(np.eye(4, 2), seconds)
+    same = [replace(edge, devices=(replace(edge.devices[0], train_s=flat),)) for edge in system.edges]
+    np.testing.assert_allclose(_Fleet(System(edges=tuple(same)), 3000).guessed_quotas(), 750, atol=1)
