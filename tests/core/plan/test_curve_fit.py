@@ -145,3 +145,44 @@ def test_a_first_sample_scales_a_curve_however_small() -> None:
         assert float(curve(4)) == pytest.approx(20.0) and float(curve(9)) == pytest.approx(40.0)
     nothing = CostCurve()
     assert corrected(nothing, 4, 20.0) == nothing
+
+
+@pytest.mark.parametrize(("last", "is_falling"), [(9.0, False), (7.37, False), (7.36, True)])
+def test_values_fall_where_they_lose_more_than_a_fifth_over_their_range(last: float, is_falling: bool) -> None:
+    """Two values have their line through both: from 9 to 8.1 / 1.1 it falls by a fifth of their mean."""
+    assert falls([10, 20], [9.0, last]) is is_falling and falls([20, 10], [last, 9.0]) is is_falling
+
+
+def test_a_refusal_says_from_where_to_where_values_fall() -> None:
+    with pytest.raises(BadInput, match="the values fall from 9 at 10 cameras to 1 at 40: a cost does not fall with cameras"):
+        fit_curve([40, 10, 20], [1.0, 9.0, 5.0])
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_power_term_needs_four_counts(count: int) -> None:
+    counts = np.array([1, 4, 9, 100])[:count]
+    fitted = fit_curve(counts, 3 * np.sqrt(counts))
+    assert (fitted.curve.power_coefficient > 0) is (count == 4)
+    if count == 4:
+        assert fitted.curve.exponent == 0.5 and fitted.worst_error == pytest.approx(0, abs=1e-9)
+    repeated = fit_curve([1, 4, 9, 9], 3 * np.sqrt([1, 4, 9, 9]))
+    assert repeated.curve.power_coefficient == 0
+
+
+@pytest.mark.parametrize("exponent", [0.25, 2.125, 3.0])
+def test_exponents_from_a_quarter_to_three_are_found(exponent: float) -> None:
+    counts = np.array([1, 3, 10, 30, 100])
+    fitted = fit_curve(counts, 2.0 + 0.5 * counts**exponent)
+    assert fitted.curve.exponent == exponent and fitted.curve.power_coefficient == pytest.approx(0.5, rel=1e-6)
+
+
+def test_errors_may_be_off_by_a_millionth_and_a_correction_needs_cameras() -> None:
+    right = {"curve": CostCurve(linear=1), "smallest_count": 10, "largest_count": 40, "samples": ((10, 10.0), (40, 40.0))}
+    FittedCurve(**right, rmse=1e-6, worst_error=0.0)
+    with pytest.raises(BadInput, match=r"a curve states rmse 0\.0 and worst_error 2e-06, its samples give 0 and 0: profile again"):
+        FittedCurve(**right, rmse=0.0, worst_error=2e-6)
+    FittedCurve(curve=CostCurve(), smallest_count=1, largest_count=1, rmse=0.0, worst_error=0.0)
+    for count, value in ((0, 1.0), (1, 0.0), (1, np.inf)):
+        with pytest.raises(BadInput, match=f"{value} was measured for {count} cameras: give a positive value and at least one camera"):
+            corrected(CostCurve(linear=1), count, value)
+    assert float(corrected(CostCurve(linear=1), 1, 5e-324)(1)) >= 0

@@ -156,3 +156,21 @@ def test_more_cameras_than_memory_are_refused() -> None:
     edge = random_edge(np.random.default_rng(0), "e", 2, limits=(3, 3))
     with pytest.raises(BadInput, match="can hold 6"):
         split_edge(edge, np.random.default_rng(0).random((7, 2)), np.arange(7), BORDER)
+
+
+def test_cameras_of_one_column_are_cut_by_how_far_across_they_lie() -> None:
+    """Four columns of three along the long side, seven and five cameras: the column in the middle is cut across, the lower to the first."""
+    positions = np.array([[10.0 * column, 4.0 * row] for row in (2, 0, 1) for column in range(4)])
+    curve = CostCurve(linear=1.0)
+    edge = random_edge(np.random.default_rng(0), "e", 2)
+    first, second = (replace(device, init_s=CostCurve(), train_s=curve, model_bytes=CostCurve(), max_cameras=most)
+                     for device, most in zip(edge.devices, (5, 7), strict=True))  # fmt: skip
+    plan = split_edge(
+        replace(edge, devices=(first, second)), positions, np.arange(12), np.array([[-5.0, -5], [35, -5], [35, 15], [-5, 15]])
+    )
+    counts = [len(plan.cameras_of(device.id)) for device in (first, second)]
+    assert sorted(counts) == [5, 7] or counts == [6, 6]
+    west, east = sorted((positions[plan.cameras_of(device.id)] for device in (first, second)), key=lambda part: part[:, 0].mean())
+    shared = np.intersect1d(west[:, 0], east[:, 0])
+    for column in shared:
+        assert west[west[:, 0] == column][:, 1].max() < east[east[:, 0] == column][:, 1].min()

@@ -14,9 +14,11 @@ from radiant_core.plan.footprints import (
     Optics,
     RegionShares,
     Views,
+    common_areas_m2,
     ground_footprints,
     observed_shares,
     region_shares,
+    signed_areas_m2,
     views_before_capture,
     views_of_cameras,
 )
@@ -168,3 +170,121 @@ def test_shares_of_what_cameras_observe_are_those_counted_by_hand() -> None:
         frame=Frame(kind="metric", origin_lat_lon_alt=np.zeros(3)),
     )
     np.testing.assert_allclose(observed_shares(scene, plan).dense(), [[2 / 3, 1 / 3], [1, 0], [0, 1], [0, 0]])
+
+
+SQUARE = np.array([[0.0, 0.0], [1, 0], [1, 1], [0, 1]])
+
+
+def of_corners(corners: np.ndarray) -> np.ndarray:
+    """A footprint (8,2) of a convex polygon, its last corner repeated."""
+    return corners[np.minimum(np.arange(8), len(corners) - 1)]
+
+
+@pytest.mark.parametrize(
+    ("polygon", "area"),
+    [
+        ([[-5, -5], [5, -5], [5, 5]], 0.5),  # its side goes through two corners of the square
+        ([[0, 0], [1, 0], [1, 1], [0, 1]], 1.0),
+        ([[0, 0], [1, 0], [1, 1]], 0.5),
+        ([[1, 0], [2, 0], [2, 1], [1, 1]], 0.0),
+        ([[1, 1], [2, 1], [2, 2], [1, 2]], 0.0),
+        ([[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]], 0.25),
+        ([[0.5, -1], [2, 0.5], [0.5, 2], [-1, 0.5]], 1.0),
+        ([[0.5, -0.25], [1.25, 0.5], [0.5, 1.25], [-0.25, 0.5]], 0.875),
+        ([[0, 0], [2, 0], [0, 2]], 1.0),
+        ([[0, 0], [1.5, 0], [0, 1.5]], 0.875),
+        ([[-1, 0.5], [2, 0.5], [2, 3], [-1, 3]], 0.5),
+    ],
+)
+def test_what_two_polygons_share_where_sides_and_corners_meet(polygon: list, area: float) -> None:
+    other = np.array(polygon, float)
+    for turned in (of_corners(SQUARE), of_corners(np.roll(SQUARE, 1, axis=0))):
+        for start in range(len(other)):
+            assert common_areas_m2(turned[None], np.roll(other, start, axis=0)) == pytest.approx([area], abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_polygons_of_many_corners_share_what_shapely_says(seed: int) -> None:
+    """Regions of up to 12 sides cut footprints of up to 8 corners: more corners than either has, and half of one ends in the other."""
+    rng = np.random.default_rng(seed)
+
+    def convex(count: int, radius: float) -> np.ndarray:
+        angles = np.sort(rng.uniform(0, 2 * np.pi, count))
+        return rng.uniform(-1, 1, 2) + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    footprints = np.array([of_corners(convex(int(rng.integers(3, 9)), rng.uniform(0.3, 3))) for _ in range(40)])
+    for count in (3, 5, 12):
+        region = convex(count, 1.5)
+        truth = [shapely.Polygon(f).intersection(shapely.Polygon(region)).area for f in footprints]
+        np.testing.assert_allclose(common_areas_m2(footprints, region), truth, atol=1e-12)
+        moved = common_areas_m2(footprints + 1e6, region + 1e6)
+        np.testing.assert_allclose(moved, truth, atol=1e-8)
+
+
+def test_areas_are_signed_by_the_way_round() -> None:
+    np.testing.assert_allclose(signed_areas_m2(np.array([SQUARE, SQUARE[::-1], 3 * SQUARE])), [1, -1, 9])
+
+
+@pytest.mark.parametrize("horizon", [0.25, 0.5, 1.0, 3.0])
+def test_a_level_view_ends_at_the_horizon_and_a_narrow_one_is_not_cut(horizon: float) -> None:
+    """Looking level to the north with 90° across and 90° up: the ground from one height away on, as far as the horizon lets."""
+    level = views_before_capture([[0.0, 0.0]], [10.0], Optics(field_of_view_deg=90, aspect=1.0), [[0.0, 0.0]])
+    footprint = ground_footprints(level, horizon)
+    far = 10 * horizon
+    # Between the lower edge of the picture, 10 m away, and the horizon; as wide to either side as it is away, to the horizon at most.
+    area = 0.0 if horizon <= 1 else (far**2 - 10.0**2)
+    assert footprint.areas_m2[0] == pytest.approx(area, abs=1e-9)
+    down = views_before_capture([[0.0, 0.0]], [10.0], Optics(field_of_view_deg=2 * np.degrees(np.arctan(0.2)), aspect=1.0), [[0.0, -90.0]])
+    assert ground_footprints(down, horizon).areas_m2[0] == pytest.approx(16.0)
+    for wrong in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(BadInput, match=f"the horizon is {wrong} heights away, expected a positive number"):
+            ground_footprints(down, wrong)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"images": [2, 0]}, "images of shares run from 0 to 2, expected 0 to 1"),
+        ({"images": [-1, 0]}, "images of shares run from -1 to 0, expected 0 to 1"),
+        ({"regions": [0, 3]}, "regions of shares run from 0 to 3, expected 0 to 2"),
+        ({"shares": [0.0, 1.0]}, r"shares run from 0\.0 to 1\.0, expected above 0 and at most 1"),
+        ({"shares": [0.5, 1.001]}, r"shares run from 0\.5 to 1\.001"),
+        ({"images": [1, 0], "regions": [1, 1]}, "shares must come by region, then image, each pair once: sort them"),
+        ({"images": [1, 1], "regions": [1, 1]}, "each pair once"),
+        ({"images": [0, 1], "regions": [2, 1]}, "by region, then image"),
+        ({"images": [0, 1], "regions": [1, 1], "shares": [1.0, 1e-300]}, None),
+        ({"images": [], "regions": [], "shares": []}, None),
+    ],
+)
+def test_limits_of_shares(change: dict, told: str | None) -> None:
+    fields = {"images": [1, 0], "regions": [0, 2], "shares": [0.5, 0.25], "num_images": 2, "num_regions": 3, **change}
+    if told is None:
+        RegionShares(**fields)
+    else:
+        with pytest.raises(BadInput, match=told):
+            RegionShares(**fields)
+
+
+def test_a_sparse_matrix_of_shares_is_the_dense_one() -> None:
+    shares = RegionShares(images=[1, 0, 1], regions=[0, 2, 2], shares=[0.5, 0.25, 1.0], num_images=2, num_regions=3)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(shares.dense(), [[0, 0, 0.25], [0.5, 0, 1]])
+    for region, (images, values) in enumerate((([1], [0.5]), ([], []), ([0, 1], [0.25, 1.0]))):
+        found = shares.of_region(region)
+        assert (found[0].tolist(), found[1].tolist()) == (images, values)
+
+
+@pytest.mark.parametrize("angles", [[[0.0, -90.1]], [[0.0, 90.1]], [[np.inf, 0.0]], [[0.0, 0.0], [0.0, 0.0]], [[0.0]]])
+def test_angles_that_are_none_are_refused(angles: list) -> None:
+    with pytest.raises(BadInput, match="headings and pitches need two angles per position in degrees"):
+        views_before_capture([[0.0, 0.0]], [1.0], Optics(), angles)
+    for pitch in (-90.0, 90.0):
+        assert len(views_before_capture([[0.0, 0.0]], [1.0], Optics(), [[0.0, pitch]])) == 1
+
+
+def test_an_unknown_heading_is_the_way_to_the_next_position_and_of_the_last_from_the_one_before() -> None:
+    positions = [[0.0, 0.0], [5.0, 0.0], [5.0, -3.0], [5.0, -3.0]]
+    views = views_before_capture(positions, np.ones(4), Optics(field_of_view_deg=90, aspect=1.0), np.tile([np.nan, -45.0], (4, 1)))
+    forward = views.corner_rays.sum(axis=1)[:, :2]
+    np.testing.assert_allclose(forward / np.linalg.norm(forward, axis=1, keepdims=True), [[1, 0], [0, -1], [0, 1], [0, 1]], atol=1e-12)
+    alone = views_before_capture(positions[:1], [1.0], Optics(), [[np.nan, -45.0]]).corner_rays.sum(axis=1)[0, :2]
+    assert alone[0] == pytest.approx(0, abs=1e-12) and alone[1] > 0

@@ -11,7 +11,7 @@ from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.prediction import PlannedStage, corrected_system, left_s, makespan_error, planned_stages, stage_errors
+from radiant_core.plan.prediction import PlannedStage, corrected_system, curve_shape, left_s, makespan_error, planned_stages, stage_errors
 from radiant_core.plan.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
 
@@ -173,3 +173,76 @@ def test_an_edge_known_by_its_curve_is_one_stage_and_a_lone_device_joins_alone()
     assert rows["edges/near", "aggregate"] == 1.0
     mended = corrected_system(system, planned_stages(system, plans), {("edges/near", "aggregate"): 2.0}).edges[1]
     assert mended.aggregation_s(5, 1) == 2.0 and mended.aggregation_s(5, 2) == 18.0
+
+
+def test_what_is_told_of_the_makespan() -> None:
+    _, edges, stages = planned()
+    errors = stage_errors(stages, seconds_of(stages))
+    whole = makespan_error(errors, edges)
+    assert whole is not None
+    assert (whole.node, whole.stage, whole.num_cameras, whole.error_percent) == ("all", "makespan", 200, 0.0)
+    spent = {node: sum(row.predicted_s for row in errors if row.node == node) for node in {row.node for row in errors}}
+    ends = [max(spent[f"devices/{name}"] for name in plan.device_ids) + spent[f"edges/{plan.edge_id}"] for plan in edges]
+    assert whole.predicted_s == whole.measured_s == pytest.approx(max(ends), rel=1e-12)
+    late = stage_errors(stages, {**seconds_of(stages), ("edges/b", "aggregate"): 1e6})
+    slow = makespan_error(late, edges)
+    assert slow is not None and slow.measured_s > 1e6 and slow.predicted_s == whole.predicted_s
+    assert stage_errors(stages, {("devices/a1", "train"): 0.0})[0].num_cameras == len(edges[0].cameras_of("a1"))
+    with pytest.raises(BadInput, match=r"edges/a took -1\.0 s to send, expected a finite time of at least 0: measure again"):
+        stage_errors(stages, {("edges/a", "send"): -1.0})
+
+
+def test_bytes_of_all_devices_are_sent_on_by_their_edge() -> None:
+    _, edges, stages = planned()
+    for plan in edges:
+        (send,) = (row for row in stages if row.node == f"edges/{plan.edge_id}" and row.stage == "send")
+        assert send.seconds == pytest.approx(len(plan.camera_indices) * 5e5 / 1e7, rel=1e-9) and send.num_cameras == len(
+            plan.camera_indices
+        )
+        for name in plan.device_ids:
+            (own,) = (row for row in stages if row.node == f"devices/{name}" and row.stage == "send")
+            assert own.seconds == pytest.approx(len(plan.cameras_of(name)) * 5e5 / 5e6, rel=1e-9) and own.num_cameras == len(
+                plan.cameras_of(name)
+            )
+
+
+@pytest.mark.parametrize(
+    ("other", "alike"),
+    [
+        (CostCurve(constant=2, linear=4), True),
+        (CostCurve(constant=1, linear=2, exponent=3), True),
+        (CostCurve(constant=1, linear=2 + 1e-12), True),
+        (CostCurve(constant=1, linear=2 + 1e-6), False),
+        (CostCurve(constant=2, linear=1), False),
+        (CostCurve(constant=1, linear=2, power_coefficient=1), False),
+        (CostCurve(), False),
+    ],
+)
+def test_curves_of_one_shape_are_proportional(other: CostCurve, alike: bool) -> None:
+    assert (curve_shape([CostCurve(constant=1, linear=2)]) == curve_shape([other])) is alike
+    assert curve_shape([CostCurve(constant=1, linear=2), CostCurve(linear=3)]) == pytest.approx(
+        (1 / 6, 2 / 6, 0, 0, 3 / 6, 0, 0, 0), abs=1e-9
+    )
+    power = [CostCurve(power_coefficient=value, exponent=exponent) for value, exponent in ((1, 2), (5, 2), (1, 3))]
+    assert curve_shape(power[:1]) == curve_shape(power[1:2]) != curve_shape(power[2:])
+
+
+def test_several_finished_machines_of_a_class_are_taken_at_their_median() -> None:
+    same = [device(f"d{index}") for index in range(5)]
+    lonely = System(edges=(edge("a", 0, *same),))
+    _, _, stages = planned(lonely)
+    train = {row.node: row.seconds for row in stages if row.stage == "train"}
+    measured = {(f"devices/d{index}", "train"): factor * train[f"devices/d{index}"] for index, factor in enumerate((2.0, 3.0, 10.0))}
+    mended = corrected_system(lonely, stages, measured)
+    scales = [new.train_s.linear / old.train_s.linear for old, new in zip(same, mended.devices, strict=True)]
+    assert scales == pytest.approx([2.0, 3.0, 10.0, 3.0, 3.0])
+    assert [new.init_s.linear / old.init_s.linear for old, new in zip(same, mended.devices, strict=True)] == pytest.approx(scales)
+
+
+@pytest.mark.parametrize(("workers", "left"), [(1, 60.0), (2, 30.0), (3, 30.0), (9, 30.0)])
+def test_an_edge_waits_for_its_own_devices_alone(workers: int, left: float) -> None:
+    """One edge of 10 s waits for 20 s, the other for nothing that is left; a third stands alone with 15 s, and 15 more run beside."""
+    expected = {"e": 10.0, "f": 5.0, "d": 20.0, "alone": 15.0, "beside": 10.0, "gone": 99.0}
+    parents = {"d": "e", "gone": "f"}
+    assert left_s(expected, parents, {}, ("gone",), workers) == pytest.approx(left)
+    assert left_s(expected, parents, {"d": 20.0, "unknown": 3.0}, ("gone", "f", "alone", "beside"), workers) == 10.0

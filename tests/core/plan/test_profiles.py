@@ -136,3 +136,31 @@ def test_sizes_a_tenth_apart_train_alike_and_measured_steps_are_some_of_the_prof
         assert replace(MEASURED, measured_steps=steps).measured_steps == steps
     with pytest.raises(BadInput, match="measured_steps is 0, expected 1 to its 1500"):
         replace(MEASURED, measured_steps=0)
+
+
+def test_every_warning_in_full() -> None:
+    estimate = replace(MEASURED, name="gpu", kind="estimate", machine="some GPU")
+    (one,) = profile_warnings(system(estimate), [10], KEY)
+    assert one == "the times of device d0 are estimates for some GPU, never measured: run `radiant profile` there."
+    scaled = replace(MEASURED, measured_steps=749)
+    (two,) = profile_warnings(system(scaled), [10], KEY)
+    assert two == (
+        f"the times of device d0, profile {MEASURED.name!r}, were measured over 749 steps and multiplied up to 1,500: "
+        "give `radiant profile` more --time for better ones."
+    )
+    assert len(profile_warnings(system(*[estimate] * 4), [10] * 4, KEY)) == 1
+    assert "devices d0, d1, d2, d3 are" in profile_warnings(system(*[estimate] * 4), [10] * 4, KEY)[0]
+    assert "devices d0, d1, d2, d3 and 1 more are" in profile_warnings(system(*[estimate] * 5), [10] * 5, KEY)[0]
+    key = replace(KEY, max_num_splats=2_000_000)
+    assert str(key) == "preset default, 1,500 steps at 576 px, at most 2,000,000 Gaussians"
+    assert str(replace(KEY, max_num_splats=None)) == "preset default, 1,500 steps at 576 px"
+
+
+def test_cameras_of_an_edge_are_those_of_its_own_devices() -> None:
+    first = system(MEASURED, MEASURED, edge_profile=MEASURED).edges[0]
+    second = replace(first, id="f", devices=tuple(replace(d, id=f"x{d.id}") for d in first.devices))
+    both = System(edges=(first, second))
+    assert profile_warnings(both, [50, 50, 50, 50], KEY) == ()
+    (joined,) = profile_warnings(both, [50, 50, 51, 50], KEY)
+    assert joined.startswith("edge f would get up to 101 photographs, profile") and "time of aggregation are extrapolated" in joined
+    assert profile_warnings(both, [100, 0, 0, 100], KEY) == ()

@@ -11,10 +11,24 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_core.plan import region_plan
+from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.deadline import edge_tables
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.power_diagram import assign, polygon_area_m2
-from radiant_core.plan.region_plan import MARGIN, PlanInfeasible, PlanMethod, plan_regions
+from radiant_core.plan.region_plan import (
+    MARGIN,
+    PlanInfeasible,
+    PlanMethod,
+    _even_counts,
+    _largest_m2,
+    _plane,
+    is_certified,
+    num_cameras_outside,
+    plan_regions,
+    regions_around,
+    regions_with_counts,
+)
 from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system, random_system
@@ -255,3 +269,138 @@ def test_a_tolerance_leaves_nearest_edges_alone_where_they_are_good_enough() -> 
     assert planned(positions, full).counts.max() <= 250
     with pytest.raises(BadInput, match="tolerance"):
         plan_regions(positions, system, tolerance=-0.1)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_even_counts_are_the_most_equal_that_capacities_allow(seed: int) -> None:
+    """Water-filling by one camera at a time: always to the edge that has least and still has room, the first of equals."""
+    rng = np.random.default_rng(seed)
+    capacities = rng.integers(0, 9, int(rng.integers(1, 6)))
+    total = int(rng.integers(0, capacities.sum() + 1))
+    system = System(
+        edges=tuple(
+            replace(edge, devices=(replace(edge.devices[0], max_cameras=int(held)),))
+            for edge, held in zip(linear_system(rng.random((len(capacities), 2)), np.ones(len(capacities))).edges, capacities, strict=True)
+        )
+    )
+    counts = [0] * len(capacities)
+    for _ in range(total):
+        open_edges = [index for index in range(len(counts)) if counts[index] < capacities[index]]
+        counts[min(open_edges, key=lambda index: (counts[index], index))] += 1
+    assert _even_counts(system, total).tolist() == counts
+
+
+def test_the_outline_is_the_cameras_box_with_a_tenth_of_its_longer_side() -> None:
+    positions = np.array([[100.0, 50.0], [300.0, 70.0], [200.0, 90.0]])
+    plane = _plane(positions, linear_system(np.array([[150.0, 60.0], [250.0, 80.0]]), np.ones(2)))
+    np.testing.assert_array_equal(plane.centre, [200, 70])
+    np.testing.assert_allclose(plane.box, [[-100, -20], [100, -20], [100, 20], [-100, 20]])
+    np.testing.assert_allclose(plane.outline, [[-120, -40], [120, -40], [120, 40], [-120, 40]])
+    np.testing.assert_allclose(plane.sites, [[-50, -10], [50, 10]])
+    assert plane.side_m == 200
+    assert _largest_m2(plane) == pytest.approx(max(np.sum((site - corner) ** 2) for site in plane.sites for corner in plane.box))
+    assert _plane(np.full((4, 2), 7.0), linear_system(np.eye(1, 2), np.ones(1))).side_m == 1
+
+
+@pytest.mark.parametrize(("coordinate", "fits"), [(1e8, True), (1.0001e8, False)])
+def test_coordinates_end_at_a_hundred_thousand_kilometres(coordinate: float, fits: bool) -> None:
+    for positions, sites in (
+        (np.array([[coordinate, 0.0], [coordinate - 50, 9.0]]), np.eye(2)),
+        (np.eye(2), np.array([[0.0, -coordinate], [1, 1]])),
+    ):
+        if fits:
+            assert isinstance(plan_regions(positions, linear_system(sites, np.ones(2))), CloudPlan)
+        else:
+            with pytest.raises(BadInput, match=r"a camera or edge is 1e\+08 m from the origin, expected at most 1e\+08 m"):
+                plan_regions(positions, linear_system(sites, np.ones(2)))
+
+
+def test_cameras_outside_their_cell_are_counted_whatever_the_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    cameras, sites, weights = rng.random((50, 2)) * 100, rng.random((4, 2)) * 100, rng.random(4) * 100
+    power = np.sum((cameras[:, None] - sites) ** 2, axis=2) - weights
+    owner = power.argmin(axis=1)
+    assert is_certified(cameras, sites, weights, owner)
+    wrong = owner.copy()
+    wrong[:7] = (owner[:7] + 1) % 4
+    for pairs in (1, 12, 200, 500_000):
+        monkeypatch.setattr(region_plan, "_BLOCK_PAIRS", pairs)
+        assert num_cameras_outside(cameras, sites, weights, wrong) == 7 and num_cameras_outside(cameras, sites, weights, owner) == 0
+        assert not is_certified(cameras, sites, weights, wrong)
+
+
+@pytest.mark.parametrize(("off", "outside"), [(0.5, 0), (2.0, 1)])
+def test_a_camera_may_miss_its_cell_by_a_trillionth_of_the_largest_distance(off: float, outside: int) -> None:
+    """The camera in the middle belongs to the right edge; a weight makes it miss by so many trillionths of the largest square."""
+    sites, cameras = np.array([[-1.0, 0.0], [1.0, 0.0]]), np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
+    assert num_cameras_outside(cameras, sites, np.array([4e-12 * off, 0.0]), np.array([1, 1, 0])) == outside
+
+
+def test_regions_of_given_owners_are_nearest_means_or_as_large_as_what_they_own() -> None:
+    positions = np.stack([np.arange(10.0), np.zeros(10)], axis=1)
+    owners = np.array([0] * 3 + [1] * 7)
+    system = linear_system(np.array([[99.0, 9.0], [-99.0, 9.0], [0.0, 5.0]]), np.ones(3))
+    around = regions_around(positions, owners, system)
+    np.testing.assert_allclose(around.sites, [[1, 0], [6, 0], [4.5, 0]])
+    assert (around.method, around.status, around.certified, around.lower_bound_s) == ("captured", "stopped", False, 4.0)
+    assert len(around.borders[2]) == 0 and not around.edge_time_s.any() and around.edge_time_s.shape == (3,)
+    xs = np.concatenate(around.borders)[:, 0]
+    assert around.borders[0][:, 0].max() == pytest.approx(3.5) and (xs.min(), xs.max()) == pytest.approx((-0.9, 9.9))
+    tight = regions_around(positions, owners, linear_system(np.eye(3, 2), np.ones(3), 3))
+    assert tight.lower_bound_s == 0.0, "nine of ten cameras fit"
+    counted = regions_with_counts(positions, owners, system)
+    assert 2.0 < counted.borders[0][:, 0].max() < 3.0
+    assert (counted.method, counted.status, counted.certified, counted.lower_bound_s) == ("captured", "stopped", False, 0.0)
+    np.testing.assert_array_equal(counted.edge_of_camera, owners)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"tolerance": -0.1}, r"tolerance is -0\.1, expected a finite share of at least 0"),
+        ({"tolerance": np.inf}, "tolerance is inf"),
+        ({"slack": 0.99}, r"slack is 0\.99, expected a finite factor of at least 1"),
+        ({"slack": np.inf}, "slack is inf"),
+        ({"slack": 1.0, "tolerance": 0.1}, "tolerance and slack are given together: choose one of them"),
+        ({"slack": 1.0, "method": "even"}, "slack is for method exact, the method is even: leave one of them out"),
+        ({"tolerance": 0.1, "method": "paper"}, "tolerance is for method exact, the method is paper"),
+        ({"method": "best"}, "plan method 'best' is unknown: use one of exact, paper, voronoi, even"),
+        ({"slack": 1.0}, None),
+        ({"tolerance": 0.0, "method": "voronoi"}, None),
+    ],
+)
+def test_options_that_exclude_each_other_are_told(options: dict, told: str | None) -> None:
+    positions, system = np.eye(4, 2) * 9, linear_system(np.array([[0.0, 0.0], [9.0, 9.0]]), np.ones(2))
+    if told is None:
+        assert isinstance(plan_regions(positions, system, **options), CloudPlan)
+    else:
+        with pytest.raises(BadInput, match=told):
+            plan_regions(positions, system, **options)
+
+
+def test_statuses_follow_the_bound_and_the_threshold() -> None:
+    """A hundred cameras on a line: the border in the middle is the best, one elsewhere within or beyond 5 %."""
+    positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
+    for shift, status in ((0.0, "optimal"), (2.0, "converged"), (3.0, "stopped")):
+        system = linear_system(np.array([[24.5 + shift, 0.0], [74.5 + shift, 0.0]]), np.ones(2))
+        plan = plan_regions(positions, system, method="voronoi")
+        assert isinstance(plan, CloudPlan) and plan.status == status and plan.lower_bound_s == 50 and plan.certified
+        within = plan_regions(positions, system, tolerance=0.05)
+        assert isinstance(within, CloudPlan)
+        assert within.counts[0] == (50 if status in ("optimal", "stopped") else plan.counts[0]) and within.num_outside == 0
+    wide = plan_regions(positions, linear_system(np.array([[20.0, 0.0], [60.0, 0.0]]), np.ones(2)), slack=1.1)
+    assert isinstance(wide, CloudPlan) and (wide.status, wide.slack, wide.counts.tolist()) == ("slack", 1.1, [45, 55])
+
+
+def test_a_fixed_slack_of_one_and_memory_that_forbids_voronoi_are_said() -> None:
+    positions = np.stack([np.arange(10.0), np.zeros(10)], axis=1)
+    system = linear_system(np.array([[0.0, 0.0], [2.0, 0.0]]), np.ones(2), 6)
+    found = plan_regions(positions, system, method="voronoi")
+    assert isinstance(found, PlanInfeasible) and (found.capacity, found.num_cameras, found.status) == (12, 10, "infeasible")
+    assert found.reason == "method voronoi gives edge 'e1' 8 cameras, it can hold 6: use method exact."
+    few = plan_regions(positions, linear_system(np.eye(2), np.ones(2), 4))
+    assert isinstance(few, PlanInfeasible)
+    assert few.reason == "the devices can hold 8 of 10 cameras: raise max_cameras or add devices." and few.capacity == 8
+    start, three = planned(positions, linear_system(np.eye(2), np.ones(2))), linear_system(np.eye(3, 2), np.ones(3))
+    with pytest.raises(BadInput, match="the plan to start from has edges e0, e1, the system others: give one of this system"):
+        plan_regions(positions, three, start=start, constraints=PlanConstraints(pinned={0: "e0"}))

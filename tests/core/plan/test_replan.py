@@ -12,10 +12,11 @@ import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_core.plan import replan as replan_module
 from radiant_core.plan.assigned import hull_of
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import device_time_s
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.device_split import long_axis, split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.power_diagram import assign
 from radiant_core.plan.region_plan import plan_regions
@@ -377,3 +378,93 @@ def test_polygons_of_a_replan_are_the_cells_of_its_weights() -> None:
         # Millimetres: polygons have rounded corners where cells meet.
         inside = shapely.distance(shapely.points(plan.positions), shapely.Polygon(border)) < 1e-3
         np.testing.assert_array_equal(inside, cells == index)
+
+
+def test_dead_devices_have_no_time_in_the_new_plan_and_nothing_is_left_to_replan_without_positions() -> None:
+    plan = town()
+    result = solved(plan.replanned(Situation(dead=frozenset({"e2"}))))
+    assert result.edges[1].device_time_s[1] == 0.0 and result.edges[1].device_time_s[0] > 0
+    gone = plan.replanned(Situation(dead=frozenset({"west", "east"})), captured=np.ones(120))
+    assert isinstance(gone, ReplanInfeasible) and (gone.num_positions, gone.capacity, gone.status) == (120, 0, "infeasible")
+    assert gone.reason == "all 120 positions were captured by devices that are dead: plan them anew."
+    everybody = plan.replanned(Situation(dead=frozenset({"west", "east"})))
+    assert isinstance(everybody, ReplanInfeasible)
+    assert everybody.reason == "the machines that are left can hold 0 of 120 positions: let more join, or raise max_cameras."
+
+
+def test_a_slow_edge_slows_its_devices_and_what_it_joins_and_both_factors_multiply() -> None:
+    plan = town()
+    result = solved(plan.replanned(Situation(slow={"west": 2.0, "w1": 3.0})))
+    old, new = plan.system.edges[0], result.system.edges[0]
+    assert [d.train_s.linear / o.train_s.linear for d, o in zip(new.devices, old.devices, strict=True)] == pytest.approx([6.0, 2.0])
+    assert [d.init_s.linear / o.init_s.linear for d, o in zip(new.devices, old.devices, strict=True)] == pytest.approx([6.0, 2.0])
+    assert new.aggregate_s.linear == pytest.approx(2 * old.aggregate_s.linear) and result.system.edges[1] == plan.system.edges[1]
+    busy = solved(plan.replanned(Situation(busy_s={"west": 10.0})))
+    held = counts(busy)
+    for index, name in enumerate(("w1", "w2")):
+        assert busy.time_after_s[index] == pytest.approx(10.0 + float(device_time_s(plan.system.devices[index], held[name])))
+
+
+@pytest.mark.parametrize(
+    ("gains", "total", "parts"),
+    [([3, 0, 1], 4, [3, 0, 1]), ([3, 0, 1], 2, [2, 0, 0]), ([1, 1, 1], 2, [1, 1, 0]), ([0, 0, 0], 0, [0, 0, 0]), ([5, 3, 2], 5, [3, 1, 1])],
+)
+def test_a_part_of_what_is_gained_is_shared_in_proportion(gains: list[int], total: int, parts: list[int]) -> None:
+    shared = replan_module._share(np.array(gains), total)
+    assert shared.sum() == total and (shared <= gains).all()
+    exact = np.array(gains) * total / max(1, sum(gains))
+    assert (np.abs(shared - exact) < 1).all() and np.abs(shared - exact).sum() <= np.abs(np.array(parts) - exact).sum() + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_linear_program_is_the_best_of_all_choices_and_so_is_the_native_way(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, centres = rng.random((6, 2)) * 100, rng.random((4, 2)) * 100
+    owners = np.array([0, 0, 0, 1, 1, 1])
+    losses, gains = np.array([int(rng.integers(1, 4)), int(rng.integers(0, 3)), 0, 0]), np.zeros(4, np.int64)
+    for _ in range(int(losses.sum())):
+        gains[rng.integers(2, 4)] += 1
+    squared = np.sum((points[:, None] - centres) ** 2, axis=2)
+    change = squared - squared[np.arange(6), owners][:, None]
+
+    def cost(after: np.ndarray) -> float:
+        return float(change[np.arange(6), after].sum())
+
+    choices = [
+        np.array(after)
+        for after in product(*[(owner, 2, 3) for owner in owners])
+        if all((np.array(after) == index).sum() == gains[index] for index in (2, 3))
+        and all((np.array(after)[owners == index] != index).sum() == losses[index] for index in (0, 1))
+    ]
+    best = min(map(cost, choices))
+    assert cost(replan_module._linear_program(points, owners, centres, gains, losses)) == pytest.approx(best, abs=1e-9)
+    assert cost(replan_module._transported(points, owners, centres, gains, losses)) == pytest.approx(best, abs=1e-9)
+
+
+def test_beyond_the_arcs_of_the_program_devices_are_emptied_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = town(60)
+    situation = Situation(slow={"w1": 3.0, "w2": 3.0})
+    exact = solved(plan.replanned(situation))
+    monkeypatch.setattr(replan_module, "MAX_ARCS", 0)
+    stepwise = solved(plan.replanned(situation))
+    assert counts(stepwise) == counts(exact) and stepwise.moved.sum() == exact.moved.sum() > 2
+
+
+def test_what_new_devices_of_an_edge_get_together_is_cut_across_its_long_side() -> None:
+    plan = town(200)
+    joining = System(edges=(edge("north", (50.0, 95.0), device("n1"), device("n2"), device("n3")),))
+    result = solved(plan.replanned(Situation(), joining=joining))
+    own = [plan.positions[result.edges[2].cameras_of(f"n{index}")] for index in (1, 2, 3)]
+    axis = long_axis(np.concatenate(own))
+    spans = [(float((part @ axis).min()), float((part @ axis).max())) for part in own]
+    assert spans[0][1] <= spans[1][0] and spans[1][1] <= spans[2][0]
+
+
+def test_where_everything_stays_the_bound_and_the_cells_say_how_good_it_is() -> None:
+    plan = town()
+    same = solved(plan.replanned(Situation()))
+    assert (same.cloud.status, same.cloud.certified, same.cloud.method) == ("optimal", True, "replan")
+    assert same.cloud.history == (same.cloud.makespan_s,) and same.makespan_before_s == pytest.approx(same.cloud.makespan_s)
+    moved = solved(plan.replanned(Situation(dead=frozenset({"e1"}))))
+    assert moved.cloud.status == ("optimal" if moved.cloud.certified else "converged")
+    np.testing.assert_array_equal(moved.cloud.edge_of_camera, np.array([0, 0, 1, 1])[moved.device_after])

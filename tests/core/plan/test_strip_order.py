@@ -9,6 +9,7 @@ import pytest
 import shapely
 
 from radiant_core.numerics import FloatArray
+from radiant_core.plan import strip_order
 from radiant_core.plan.device_split import long_axis, split_edge
 from radiant_core.plan.power_diagram import polygon_area_m2
 from radiant_core.plan.strip_order import MAX_EXCHANGED, chords_across, seams_m, shortest_order
@@ -123,3 +124,54 @@ def test_a_cut_along_a_side_is_as_long_as_the_side() -> None:
     square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]])
     assert chords_across(square, np.array([1.0, 0.0]), np.array([-0.1, 0.0, 1.0, 2.0, 2.1])).tolist() == [0, 3, 3, 3, 0]
     assert chords_across(square, np.array([0.0, 1.0]), np.array([0.0, 3.0])).tolist() == [2, 2]
+
+
+@pytest.mark.parametrize("scale", [1e-6, 0.5, 1e7])
+def test_the_unit_of_length_changes_no_order(scale: float) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        quotas = rng.integers(0, 9, 6)
+        chords = rng.random(int(quotas.sum()) + 1) * 100
+        np.testing.assert_array_equal(shortest_order(quotas, names(6), chords * scale), shortest_order(quotas, names(6), chords))
+
+
+def test_seams_of_an_order_are_the_cuts_behind_all_but_the_last() -> None:
+    chords = np.array([9.0, 1, 2, 3, 4, 5, 8])
+    assert seams_m(np.array([1, 0, 2]), np.array([1, 2, 3]), chords) == 2 + 3
+    assert seams_m(np.array([0]), np.array([6]), chords) == 0
+    assert shortest_order(np.array([0, 6]), names(2), chords).tolist() == [1]
+    assert shortest_order(np.array([3, 3]), ["b", "a"], np.zeros(7)).tolist() == [1, 0]
+    assert shortest_order(np.array([0, 0]), names(2), np.array([0.0])).tolist() == []
+
+
+def test_classes_of_equal_quotas_are_searched_up_to_4096_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eleven equal devices and one of another quota are 24 states; whoever comes first by name takes the first of equal places."""
+    rng = np.random.default_rng(0)
+    quotas = np.array([2] * 11 + [5])
+    chords = rng.random(28) * 10
+    order = shortest_order(quotas, names(12), chords)
+    equal = [device for device in order.tolist() if device < 11]
+    assert equal == sorted(equal)
+    best = min(seams_m(np.array([*range(at), 11, *range(at, 11)]), quotas, chords) for at in range(12))
+    assert seams_m(order, quotas, chords) == pytest.approx(best)
+    monkeypatch.setattr(strip_order, "MAX_STATES", 24)
+    np.testing.assert_array_equal(shortest_order(quotas, names(12), chords), order)
+    monkeypatch.setattr(strip_order, "_exact", None)
+    with pytest.raises(TypeError, match="not callable"):
+        shortest_order(quotas, names(12), chords)
+    monkeypatch.setattr(strip_order, "MAX_STATES", 23)
+    assert seams_m(shortest_order(quotas, names(12), chords), quotas, chords) >= best - 1e-9
+
+
+def test_too_many_devices_for_exchanges_keep_the_best_of_three_orders(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(strip_order, "MAX_STATES", 1)
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        quotas = rng.integers(1, 9, 7)
+        chords = rng.random(int(quotas.sum()) + 1) * 10
+        starts = [np.arange(7), np.argsort(quotas, kind="stable"), np.argsort(-quotas, kind="stable")]
+        best = min(seams_m(start, quotas, chords) for start in starts)
+        for most, exchanged in ((6, False), (7, True)):
+            monkeypatch.setattr(strip_order, "MAX_EXCHANGED", most)
+            found = seams_m(shortest_order(quotas, names(7), chords), quotas, chords)
+            assert found <= best + 1e-8 if exchanged else found == pytest.approx(best)

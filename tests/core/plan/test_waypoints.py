@@ -180,3 +180,163 @@ def test_angles_are_headings_and_pitches_or_refused(angles: list[list[float]], t
     else:
         with pytest.raises(BadInput, match=told):
             build()
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ((90.0, 8.0, 0.0), None),
+        ((-90.0, 8.0, 0.0), None),
+        (
+            (90.1, 8.0, 0.0),
+            r"1 of 1 waypoints off the globe, 'a' \(number 1\) first with latitude 90\.1° and longitude 8°: latitude and longitude",
+        ),
+        ((47.0, 180.0, 0.0), None),
+        ((47.0, -180.0, 0.0), None),
+        ((47.0, 180.5, 0.0), r"longitude 180\.5°: give degrees in WGS84, not metres of a map projection"),
+        ((181.0, 8.0, 0.0), "give degrees in WGS84"),
+        ((180.0, 90.0, 0.0), "probably swapped"),
+        ((180.0, 90.5, 0.0), "give degrees in WGS84"),
+        ((47.0, 8.0, -12_000.0), None),
+        (
+            (47.0, 8.0, -12_001.0),
+            "1 of 1 waypoints at an altitude nobody flies at, 'a' .number 1. first with -12001 m: give altitudes in metres",
+        ),
+        ((47.0, 8.0, 100_000.0), None),
+        ((47.0, 8.0, 100_001.0), "first with 100001 m"),
+    ],
+)
+def test_the_globe_and_the_sky_end_where_they_end(row: tuple[float, float, float], told: str | None) -> None:
+    if told is None:
+        assert len(Waypoints(names=("a",), lat_lon_alt=[row])) == 1
+    else:
+        with pytest.raises(BadInput, match=told):
+            Waypoints(names=("a",), lat_lon_alt=[row])
+
+
+def test_a_waypoint_300_km_from_the_middle_of_all_is_of_another_site() -> None:
+    """A degree of latitude on the equator is 110.574 km: 2.71° are 299.7 km, 2.72° 300.8."""
+    for lat, told in ((2.71, None), (2.72, "more than 300 km from the middle of all, 'c' .number 3. first with 301 km: check whether")):
+        rows = [[0.0, 10.0, 0.0], [0.0, 10.0, 9.0], [lat, 10.0, 5000.0]]
+        if told is None:
+            assert len(Waypoints(names=("a", "b", "c"), lat_lon_alt=rows)) == 3
+        else:
+            with pytest.raises(BadInput, match=told):
+                Waypoints(names=("a", "b", "c"), lat_lon_alt=rows)
+    for row, told in (
+        ([10.0, 0.0, 0.0], "with its latitude and longitude exchanged it lies among the others, so exchange them there"),
+        ([10.0, 2.6, 0.0], "with its latitude and longitude exchanged it lies among the others"),
+        ([10.0, 2.8, 0.0], "check whether its latitude and longitude are right and not swapped, or plan each site on its own"),
+        ([10.0, 100.0, 0.0], "check whether its latitude"),
+    ):
+        with pytest.raises(
+            BadInput, match=rf"1 of 3 waypoints more than 300 km from the middle of all, 'c' \(number 3\) first with [0-9,]+ km: {told}"
+        ):
+            Waypoints(names=("a", "b", "c"), lat_lon_alt=[[0.0, 10.0, 0.0], [0.0, 10.0, 9.0], row])
+    polar = [[89.9, 10.0, 0.0], [89.9, 10.0, 0.0], [10.0, 90.0, 0.0]]
+    with pytest.raises(BadInput, match=r"1 of 3 waypoints more than 300 km .* exchanged it lies among the others"):
+        Waypoints(names=("a", "b", "c"), lat_lon_alt=polar)
+
+
+def test_names_are_numbered_from_two_and_empty_ones_from_one() -> None:
+    rows_named = ["a", "", "a", "a-2", "", "a", "wp-3", ""]
+    spread = grid(8)
+    waypoints, warnings = cleaned_waypoints(rows_named, spread)
+    assert waypoints.names == ("a", "wp-1", "a-3", "a-2", "wp-2", "a-4", "wp-3", "wp-4")
+    assert warnings == ("5 of 8 names are empty or come twice, '' first: they were numbered.",)
+    assert cleaned_waypoints(["b", "b"], spread[:2])[1] == ("1 of 2 names are empty or come twice, 'b' first: they were numbered.",)
+    assert cleaned_waypoints(["b", "c"], spread[:2])[1] == ()
+
+
+@pytest.mark.parametrize(
+    ("step", "same"),
+    [
+        ((0.4e-8, 0, 0), True),
+        ((0.6e-8, 0, 0), False),
+        ((0, 0.4e-8, 0), True),
+        ((0, 0.6e-8, 0), False),
+        ((0, 0, 4e-4), True),
+        ((0, 0, 6e-4), False),
+    ],
+)
+def test_two_positions_are_one_within_a_millimetre(step: tuple[float, float, float], same: bool) -> None:
+    rows = np.array([[47.0, 8.0, 430.0], [47.0, 8.0, 430.0]]) + np.outer([0, 1], step)
+    waypoints, warnings = cleaned_waypoints(["a", "b"], rows)
+    assert len(waypoints) == (1 if same else 2) and bool(warnings) is same
+    if same:
+        assert warnings == ("1 of 2 waypoints at a position that came before, 'b' (number 2) first: planned once.",)
+
+
+def test_no_altitude_is_0_and_said_and_the_first_of_each_spot_stays() -> None:
+    rows = [[47.0, 8.0, 5.0], [47.001, 8.0, 7.0], [47.0, 8.0, 5.0], [47.001, 8.0, 7.0], [47.002, 8.0, 9.0]]
+    waypoints, warnings = cleaned_waypoints(list("abcde"), rows, [False, False, False, False, True], np.arange(10.0).reshape(5, 2))
+    assert waypoints.names == ("a", "b", "e") and waypoints.lat_lon_alt[2, 2] == 0
+    np.testing.assert_array_equal(waypoints.heading_pitch_deg, [[0, 1], [2, 3], [8, 9]])
+    assert warnings == (
+        "1 of 5 waypoints without altitude, 'e' (number 5) first: taken as 0 m.",
+        "2 of 5 waypoints at a position that came before, 'c' (number 3) first: planned once.",
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows_named", "told"),
+    [
+        (("a", ""), "waypoint number 2 has no name: give every waypoint one"),
+        (("a", "b", "a"), "the waypoint name 'a' comes twice: give every waypoint its own"),
+        (("n" * 255,), None),
+        (("n" * 256,), f"the waypoint name '{'n' * 40}'… has 256 characters, expected at most 255"),
+        (("a\x1f",), r"the waypoint name 'a\\x1f' holds a control character: rename it"),
+        (("a\x7f",), "holds a control character"),
+        (("a ", "é~"), None),
+        ((), "there is no waypoint: give at least one"),
+    ],
+)
+def test_limits_of_names(rows_named: tuple[str, ...], told: str | None) -> None:
+    rows = grid(3)[: len(rows_named)]
+    if told is None:
+        assert Waypoints(names=rows_named, lat_lon_alt=rows).names == rows_named
+    else:
+        with pytest.raises(BadInput, match=told):
+            Waypoints(names=rows_named, lat_lon_alt=rows)
+
+
+@pytest.mark.parametrize(
+    ("angles", "told"),
+    [
+        ((720.0, 90.0), None),
+        ((-720.0, -90.0), None),
+        ((np.nan, np.nan), None),
+        (
+            (720.5, 0.0),
+            r"1 of 1 waypoints looking nowhere, 'a' \(number 1\) first with heading 720\.5° and pitch 0°: give headings from north",
+        ),
+        ((0.0, 90.5), r"heading 0° and pitch 90\.5°"),
+        ((np.inf, 0.0), "heading inf°"),
+    ],
+)
+def test_limits_of_angles(angles: tuple[float, float], told: str | None) -> None:
+    if told is None:
+        found = Waypoints(names=("a",), lat_lon_alt=grid(1), heading_pitch_deg=np.array([angles]))
+        np.testing.assert_array_equal(found.heading_pitch_deg, [angles])
+        assert found.heading_pitch_deg is not None and not found.heading_pitch_deg.flags.writeable
+    else:
+        with pytest.raises(BadInput, match=told):
+            Waypoints(names=("a",), lat_lon_alt=grid(1), heading_pitch_deg=np.array([angles]))
+
+
+def test_the_first_position_that_is_no_number_is_named() -> None:
+    rows = grid(3)
+    rows[1:, 2] = np.nan
+    with pytest.raises(BadInput, match=r"2 of 3 waypoints with a position that is not finite, 'wp1' \(number 2\) first: give latitude"):
+        Waypoints(names=("wp0", "wp1", "wp2"), lat_lon_alt=rows)
+
+
+@pytest.mark.parametrize(
+    ("lons", "mean"),
+    [((179.5, -179.5), 180.0), ((-179.5, 179.5), -180.0), ((-179.9, 179.7), 179.9), ((10.0, 10.5), 10.25), ((180.0, 180.0), 180.0)],
+)
+def test_the_mean_longitude_is_counted_the_short_way_round(lons: tuple[float, float], mean: float) -> None:
+    waypoints = Waypoints(names=("a", "b"), lat_lon_alt=[[1.0, lons[0], 2.0], [1.5, lons[1], 4.0]])
+    lat, lon, alt = waypoints.origin
+    assert (lat, alt) == (1.25, 3.0) and abs(lon) == pytest.approx(abs(mean)) and -180 <= lon <= 180
+    assert abs(waypoints.positions_m[:, 0].sum()) < 20
