@@ -63,13 +63,14 @@ def parse_points(data: bytes, path: str) -> ColmapPoints:
         words = line.split()
         if len(words) < 8 or len(words) % 2:
             raise BadInput(f"{place}: {line[:60]!r} is no point: expected id, x y z, r g b, error and pairs of a track.")
-        color = _integers(words[4:7], place)
+        point_id, *color = _integers([words[0], *words[4:7]], place)
+        x, y, z, error_px = _floats([*words[1:4], words[7]], place)
         if max(color) > 255:
             raise BadInput(f"{place}: the colour {color} is not in 0..255.")
-        ids.append(_integers(words[:1], place)[0])
-        xyz.append(_floats(words[1:4], place))
+        ids.append(point_id)
+        xyz.append((x, y, z))
         colors.append(color)
-        errors_px.append(_floats(words[7:8], place)[0])
+        errors_px.append(error_px)
         track = np.array(_integers(words[8:], place), np.int64)
         tracks.append(np.column_stack([np.full(len(track) // 2, index), track[0::2], track[1::2]]))
     return ColmapPoints(

@@ -53,7 +53,7 @@ def save_ply(path: Path, splats: Splats) -> None:
         file.write(f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {len(splats)}\n{properties}end_header\n".encode())
         for start in range(0, len(splats), CHUNK_ROWS):
             rows = _rows(splats.select(np.arange(start, min(start + CHUNK_ROWS, len(splats)))))
-            file.write(rows.astype("<f4", copy=False).tobytes())
+            file.write(np.asarray(rows, "<f4").tobytes())
 
 
 def load_ply(path: Path) -> Splats:

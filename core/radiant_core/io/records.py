@@ -215,4 +215,4 @@ def _parsed(name: str, value: Any) -> Any:
         return float(value)
     if name in ("slack", "num_outside"):
         return None if value is None else float(value) if name == "slack" else int(value)
-    return np.zeros((0, 2)) if name == "sites" and value == [] else value
+    return value

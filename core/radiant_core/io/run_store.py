@@ -227,7 +227,7 @@ def _canonical_bytes(value: Any) -> Iterator[bytes]:
         if array.dtype.hasobject:
             raise TypeError("content_key got an array of Python objects: pass numbers.")
         yield from _tagged("array", f"{array.dtype.newbyteorder('<').str}{value.shape}".encode())
-        yield array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes()
+        yield np.asarray(array, array.dtype.newbyteorder("<")).tobytes()
     elif isinstance(value, Path):
         yield from _tagged("path", b"")
         yield from _canonical_bytes(_folder_hashes(value) if value.is_dir() else file_sha256(value))

@@ -150,7 +150,7 @@ def _quat_bytes(quats: NDArray[np.float32]) -> NDArray[np.uint8]:
     unit = unit_quats(quats)
     largest = np.abs(unit).argmax(axis=1)
     rows = np.arange(len(unit))
-    unit = unit * np.where(unit[rows, largest] < 0, -1.0, 1.0)[:, None]
+    unit = np.where(unit[rows, largest, None] < 0, -unit, unit)
     kept = unit[rows[:, None], _KEPT[largest]]
     return np.column_stack([np.clip(np.rint(255 * (0.5 + kept / np.sqrt(2))), 0, 255), 252 + largest]).astype(np.uint8)
 

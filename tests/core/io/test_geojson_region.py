@@ -93,3 +93,10 @@ def test_what_is_no_such_file_is_told(tmp_path: Path, monkeypatch: pytest.Monkey
         else:
             with pytest.raises(BadInput, match="give the region's outline only"):
                 load_region(path, ORIGIN)
+
+
+def test_a_corner_that_is_no_number_is_told(tmp_path: Path) -> None:
+    ring = square(0, 1)
+    ring[1] = [8.0, "x"]  # type: ignore[list-item]
+    with pytest.raises(BadInput, match=r"cannot use .*a\.json: ring "):
+        load_region(written(tmp_path / "a.json", polygon(ring)), ORIGIN)

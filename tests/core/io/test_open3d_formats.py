@@ -105,3 +105,10 @@ def test_what_a_library_prints_meanwhile_goes_to_standard_error(capfd: pytest.Ca
 def test_a_degree_is_0_to_3(degree: int) -> None:
     with pytest.raises(BadInput, match=f"max_sh_degree is {degree}, expected 0 to 3"):
         open3d_point_cloud(unit_splats(1, 0), max_sh_degree=degree)
+
+
+def test_a_model_that_packs_well_is_no_bomb() -> None:
+    one = unit_splats(1, 1).select(np.zeros(20_000, np.int64))
+    data = spz_bytes(one)
+    assert len(data) < 20_000 * 29 / 100
+    np.testing.assert_allclose(splats_from_spz(data, 20_000, 1).means, one.means, atol=1 / 4096)

@@ -457,6 +457,7 @@ def placemark(body: str, name: str = "") -> str:
         (placemark("<Point><coordinates>x,1</coordinates></Point>", "n"), "a coordinate of the placemark 'n' is 'x', no number"),
         (placemark("<Point><coordinates>1,1,x</coordinates></Point>", "n"), "an altitude of the placemark 'n' is 'x', no number"),
         (placemark("<Polygon/><Track/><Model/>"), "no waypoint but 1 × Polygon, 1 × Track, 1 × Model"),
+        (kml("<MyPlacemark><Point><coordinates>8,47</coordinates></Point></MyPlacemark>"), "it holds no waypoint: give at least one point"),
         ("<!ENTITY a>" + kml(""), "declares a document type or entities"),
     ],
 )

@@ -332,3 +332,43 @@ def test_thresholds_of_risk_rise(high: float, medium: float, fits: bool) -> None
     else:
         with pytest.raises(BadInput, match=f"thresholds of support are {high} and {medium}, expected rising numbers of images"):
             RiskModel(high_below=high, medium_below=medium)
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_a_lone_line_of_photographs_has_neighbours_one_way_alone(across: bool) -> None:
+    """Square pictures of 20 m every 5 m to the east: along the flight where the drone looks east, beside it where it looks north."""
+    positions = np.stack([np.arange(2.5, 100, 5.0), np.full(20, 50.0)], axis=1)
+    plan = plan_regions(positions, system())
+    assert isinstance(plan, CloudPlan)
+    views = views_before_capture(positions, np.full(20, 10.0), OPTICS, np.tile([0.0 if across else 90.0, -90.0], (20, 1)))
+    (forecast,) = forecast_borders(plan, views, ground_footprints(views), half_band_m=2.0)
+    found = (forecast.side_overlap, forecast.forward_overlap) if across else (forecast.forward_overlap, forecast.side_overlap)
+    assert found[0] == pytest.approx(0.75) and found[1] is None
+    # A spot is seen by four photographs; those within 10 m of the border by as many of the neighbour's: two own on average near it.
+    assert forecast.interior_support[0] == pytest.approx(4, abs=0.6) and forecast.num_images == (2, 2)
+
+
+def test_support_beside_the_bands_is_that_of_the_regions_own_pictures() -> None:
+    """Brute force over the middles of own pictures outside the band, all of them where there are up to 64."""
+    positions = grid()
+    plan = planned()
+    views = views_before_capture(positions, np.full(100, 10.0), OPTICS)
+    footprints = ground_footprints(views)
+    (forecast,) = forecast_borders(plan, views, footprints, half_band_m=6.0)
+    shapes = [shapely.Polygon(polygon).buffer(1e-9) for polygon in footprints.polygons]
+    for side in range(2):
+        own = np.flatnonzero(plan.edge_of_camera == side)
+        middles = footprints.polygons[own].mean(axis=1)
+        spots = middles[np.abs(middles[:, 0] - 50) > 6]
+        assert 30 <= len(spots) < 50
+        seen = [sum(shapes[index].covers(shapely.Point(spot)) for index in own) for spot in spots]
+        assert forecast.interior_support[side] == pytest.approx(np.mean(seen))
+
+
+def test_buffers_that_came_into_question_and_did_not_fit_are_counted_by_memory_and_time() -> None:
+    positions, plan = grid(), planned(53)
+    edges = split_edges(positions, plan, system(53))
+    for deadline_s, taken in ((50.5, 0), (51.0, 1), (52.9, 2), (53.0, 3), (99.0, 3)):
+        made = plan_buffers(positions, None, plan, edges, system(53), BufferRule(within_m=6.0, deadline_s=deadline_s))
+        assert [(len(b.camera_indices), b.num_refused) for b in made] == [(taken, 10 - taken)] * 2
+        assert [b.edge_time_s for b in made] == [50.0 + taken] * 2 and [b.device_time_s.tolist() for b in made] == [[50.0 + taken]] * 2

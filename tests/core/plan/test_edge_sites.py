@@ -94,3 +94,41 @@ def test_separated_sites_differ_and_those_apart_do_not_move(seed: int) -> None:
     _, first = np.unique(sites, axis=0, return_index=True)
     np.testing.assert_array_equal(apart[first], sites[first])
     assert np.hypot(*(apart - sites).T).max() <= 1e-3 * 200.0 * np.sqrt(60)
+
+
+@pytest.mark.parametrize("num_given", [0, 2])
+def test_seeding_and_ten_rounds_are_those_written_out(num_given: int) -> None:
+    """k-means++ with the generator's own draws, then ten times every free site to the mean of its cameras; camera by camera."""
+    rng = np.random.default_rng(5)
+    positions = rng.random((60, 2)) * [300.0, 100.0]
+    given = [(10.0, 20.0), (250.0, 80.0)][:num_given]
+    edges = unplaced(num_given + 3).edges
+    system = System(edges=tuple(replace(edge, position=spot) for edge, spot in zip(edges, [*given, None, None, None], strict=True)))
+    draws, sites = np.random.default_rng(9), [np.array(spot) for spot in given]
+    for _ in range(3):
+        if not sites:
+            sites.append(positions[draws.integers(60)])
+            continue
+        squared = np.array([min(float(np.sum((x - site) ** 2)) for site in sites) for x in positions])
+        sites.append(positions[draws.choice(60, p=squared / squared.sum())])
+    for _ in range(10):
+        nearest = [min(range(len(sites)), key=lambda index: float(np.sum((x - sites[index]) ** 2))) for x in positions]
+        own = [positions[np.array(nearest) == index] for index in range(len(sites))]
+        sites = [site if index < num_given or not len(own[index]) else own[index].mean(axis=0) for index, site in enumerate(sites)]
+    np.testing.assert_allclose(sites_of(place_edges(system, positions, None, seed=9)), sites, rtol=1e-9)
+
+
+def test_more_edges_than_spots_and_an_altitude_of_the_origin() -> None:
+    placed = sites_of(place_edges(unplaced(3), np.array([[5.0, 5.0], [5.0, 5.0]]), None, seed=0))
+    np.testing.assert_array_equal(placed, np.full((3, 2), 5.0))
+    edge = replace(unplaced(1).edges[0], lat_lon_deg=(47.371, 8.54))
+    for altitude in (0.0, 4000.0):
+        (site,) = sites_of(place_edges(System(edges=(edge,)), np.zeros((1, 2)), (47.37, 8.54, altitude), seed=0))
+        assert site[1] == pytest.approx(111.178 * (1 + altitude / 6.37e6), abs=0.02)
+    with pytest.raises(BadInput, match="no camera positions were given to place the edges among: give at least one"):
+        place_edges(unplaced(1), np.zeros((0, 2)), None, seed=0)
+    told = r"edge 'e0' stands at latitude and longitude \(47\.371, 8\.54\), but the scene has no GPS: give the edge position_m"
+    with pytest.raises(BadInput, match=told):
+        place_edges(System(edges=(replace(edge, id="e0"),)), np.zeros((1, 2)), None, seed=0)
+    with pytest.raises(BadInput, match="origin_lat_lon_alt has shape"):
+        place_edges(System(edges=(edge,)), np.zeros((1, 2)), (47.37, 8.54), seed=0)

@@ -8,7 +8,7 @@ import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.power_diagram import assign, cell_polygons, clip_polygon, polygon_area_m2, rectangle
+from radiant_core.plan.power_diagram import assign, bounds, cell_polygons, clip_polygon, polygon_area_m2, rectangle
 
 OUTLINE = rectangle(np.array([0.0, 0.0]), np.array([500.0, 250.0]))
 # Clipping rounds corners by about 1e-13 m; times 500 m of border and a few borders.
@@ -96,3 +96,28 @@ def test_a_cut_along_a_side_keeps_all_or_nothing() -> None:
 def test_poisoned_sites_and_weights_are_refused(sites: list, weights: list) -> None:
     with pytest.raises(BadInput):
         cell_polygons(sites, weights, OUTLINE)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_cut_polygon_is_what_shapely_cuts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 7))
+    polygon = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    normal, offset = rng.normal(size=2), float(rng.normal() * 0.5)
+    along = np.array([-normal[1], normal[0]])
+    foot = normal * offset / (normal @ normal)
+    half = shapely.Polygon([foot + 9 * along, foot - 9 * along, foot - 9 * along - 9 * normal, foot + 9 * along - 9 * normal])
+    expected = shapely.Polygon(polygon).intersection(half)
+    cut = clip_polygon(polygon, normal, offset)
+    assert (expected.area < 1e-9) if not len(cut) else shapely.Polygon(cut).symmetric_difference(expected).area < 1e-9
+    assert polygon_area_m2(polygon) == pytest.approx(shapely.Polygon(polygon).area) == pytest.approx(-polygon_area_m2(polygon[::-1]))
+
+
+def test_a_cut_through_a_corner_and_figures_without_area() -> None:
+    square = np.array([[0.0, 0.0], [2, 0], [2, 2], [0, 2]])
+    np.testing.assert_array_equal(clip_polygon(square, np.array([1.0, 1.0]), 2.0), [[0, 0], [2, 0], [0, 2]])
+    assert clip_polygon(square, np.array([1.0, 1.0]), 0.0).shape == (0, 2)
+    assert polygon_area_m2(square[:2]) == polygon_area_m2(square[:0]) == 0.0 and polygon_area_m2(square[:3]) == 2.0
+    low, high = bounds(np.array([[3.0, -1], [2, 5], [9, 0]]))
+    assert (low.tolist(), high.tolist()) == ([2, -1], [9, 5])
+    np.testing.assert_array_equal(rectangle(low, high), [[2, -1], [9, -1], [9, 5], [2, 5]])

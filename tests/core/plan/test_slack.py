@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
+from radiant_core.plan import slack as slack_module
+from radiant_core.plan.borders import shared_borders
 from radiant_core.plan.deadline import edge_tables
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.power_diagram import rectangle
@@ -85,3 +87,32 @@ def test_slack_that_cannot_be_meant_is_refused() -> None:
     assert isinstance(plan_regions(positions, system, slack=2.0), PlanInfeasible)
     with pytest.raises(BadInput, match="no slack curve"):
         slack_curve(positions, system)
+
+
+def test_every_figure_of_the_curve_is_that_of_its_plan() -> None:
+    rng = np.random.default_rng(4)
+    positions, system = LAYOUTS["uniform"](rng, 80), random_system(rng, 3)
+    heard: list[float] = []
+    for point in slack_curve(positions, system, (1.0, 1.5), progress=heard.append):
+        plan = plan_regions(positions, system, slack=point.slack)
+        assert isinstance(plan, CloudPlan)
+        away_m = np.hypot(*(positions - plan.sites[plan.edge_of_camera]).T)
+        assert (point.makespan_s, point.certified) == (plan.makespan_s, True)
+        assert point.mean_distance_m == pytest.approx(away_m.mean(), rel=1e-12)
+        assert point.rms_distance_m == pytest.approx(np.sqrt(np.mean(away_m**2)), rel=1e-12)
+        assert point.border_m == pytest.approx(sum(border.length_m for border in shared_borders(plan)), rel=1e-6)
+    assert heard == [0.0, 0.5]
+    with pytest.raises(BadInput, match="there is no slack curve: the devices can hold 4 of 80 cameras"):
+        slack_curve(positions, linear_system(np.eye(2), np.ones(2), 2))
+
+
+@pytest.mark.parametrize("entries", [0, 59, 60])
+def test_capacities_are_the_same_by_halving_and_by_table(entries: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By counting: how many of 0, 1, 2 … cameras an edge is done with in time; to the last bit of the deadline."""
+    monkeypatch.setattr(slack_module, "SMALL_TABLE_ENTRIES", entries)
+    for seed in range(6):
+        system = random_system(np.random.default_rng(seed), 4, (5, 40) if seed % 2 else None)
+        tables = edge_tables(system, 60)
+        for deadline_s in (float(tables[0].edge_time_s[3]), float(np.nextafter(tables[1].edge_time_s[2], 0)), 0.0, 1e9):
+            expected = [max(c for c in range(len(t.edge_time_s)) if t.edge_time_s[c] <= deadline_s) for t in tables]
+            np.testing.assert_array_equal(capacities_within(system, 60, deadline_s), expected)
