@@ -354,12 +354,12 @@ def test_support_beside_the_bands_is_that_of_the_regions_own_pictures() -> None:
     plan = planned()
     views = views_before_capture(positions, np.full(100, 10.0), OPTICS)
     footprints = ground_footprints(views)
-    (forecast,) = forecast_borders(plan, views, footprints, half_band_m=6.0)
+    (forecast,) = forecast_borders(plan, views, footprints, half_band_m=11.0)
     shapes = [shapely.Polygon(polygon).buffer(1e-9) for polygon in footprints.polygons]
     for side in range(2):
         own = np.flatnonzero(plan.edge_of_camera == side)
         middles = footprints.polygons[own].mean(axis=1)
-        spots = middles[np.abs(middles[:, 0] - 50) > 6]
+        spots = middles[np.abs(middles[:, 0] - 50) > 11]
         assert 30 <= len(spots) < 50
         seen = [sum(shapes[index].covers(shapely.Point(spot)) for index in own) for spot in spots]
         assert forecast.interior_support[side] == pytest.approx(np.mean(seen))
