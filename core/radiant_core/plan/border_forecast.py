@@ -208,10 +208,10 @@ def _overlaps(views: Views, footprints: Footprints, tree: Any, images: NDArray[n
     best: tuple[list[float], list[float]] = ([], [])
     if not len(images):
         return None, None
-    near: NDArray[np.int64] = tree.query(views.positions[images], k=min(NEIGHBOURS, len(views)))[1]
+    near: NDArray[np.int64] = tree.query(views.positions[images], k=range(1, min(NEIGHBOURS, len(views)) + 1))[1]
     rays = views.corner_rays[images]
     tops = (rays[:, 0] + rays[:, 1] - rays[:, 2] - rays[:, 3])[:, :2]
-    for image, others, top in zip(images.tolist(), near.reshape(len(images), -1), tops, strict=True):
+    for image, others, top in zip(images.tolist(), near, tops, strict=True):
         steps = views.positions[others] - views.positions[image]
         moved = np.linalg.norm(steps, axis=1) > 0
         along = np.abs(steps @ top) >= np.abs(steps @ np.array([top[1], -top[0]]))

@@ -207,8 +207,7 @@ class _Flow:
         while ((lower := (reduced + raised).min(axis=1)) < raised).any():
             raised = np.minimum(raised, lower)
         greatest = np.where(room, 0.0, self.weights + raised)
-        middle = (least + greatest) / 2
-        return middle - max(float(middle.max()), 0.0)
+        return np.minimum((least + greatest) / 2, 0.0)
 
     def violation_m2(self, weights: FloatArray) -> float:
         """max over cameras and edges of how much nearer, in power, another edge is than the camera's own."""

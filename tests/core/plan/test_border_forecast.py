@@ -10,7 +10,7 @@ import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.border_forecast import BorderForecast, RiskModel, _band_spots, _evenly, _Seen, band_of, forecast_borders
-from radiant_core.plan.borders import Border, outside_by_m, shared_borders
+from radiant_core.plan.borders import Border, neighbours_across, outside_by_m, shared_borders
 from radiant_core.plan.buffers import BufferRule, plan_buffers
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.device_split import split_edges
@@ -372,3 +372,27 @@ def test_buffers_that_came_into_question_and_did_not_fit_are_counted_by_memory_a
         made = plan_buffers(positions, None, plan, edges, system(53), BufferRule(within_m=6.0, deadline_s=deadline_s))
         assert [(len(b.camera_indices), b.num_refused) for b in made] == [(taken, 10 - taken)] * 2
         assert [b.edge_time_s for b in made] == [50.0 + taken] * 2 and [b.device_time_s.tolist() for b in made] == [[50.0 + taken]] * 2
+
+
+@pytest.mark.parametrize("half_band_m", [0.0, -1.0, np.inf, np.nan])
+def test_a_band_has_a_finite_width(half_band_m: float) -> None:
+    views = views_before_capture(grid(), np.full(100, 10.0), OPTICS)
+    with pytest.raises(BadInput, match=f"half_band_m is {half_band_m}, expected a positive width of the band beside a border"):
+        forecast_borders(planned(), views, ground_footprints(views), half_band_m=half_band_m)
+
+
+@pytest.mark.parametrize("size_m", [1.0, 1e4])
+def test_a_border_is_found_though_its_corners_are_rounded_to_a_ten_millionth_of_the_scene(size_m: float) -> None:
+    plan = planned()
+    middle = shared_borders(plan)[0].ends.mean(axis=0) * size_m
+    plan = replace(plan, sites=plan.sites * size_m, weights=plan.weights * size_m**2, borders=tuple(b * size_m for b in plan.borders))
+    off = np.array([[1e-7 * 100 * size_m, 0.0], [0.0, 0.0], [-1e-7 * 100 * size_m, 0.0], [100 * size_m / 50, 0.0]])
+    for edge in (0, 1):
+        assert neighbours_across(plan, edge, middle + off).tolist() == [1 - edge] * 3 + [-1]
+
+
+def test_a_single_view_has_no_neighbour() -> None:
+    plan = plan_regions(np.array([[25.0, 50.0]]), system())
+    assert isinstance(plan, CloudPlan)
+    views = views_before_capture([[25.0, 50.0]], [10.0], OPTICS)
+    assert all(made.forward_overlap is None for made in forecast_borders(plan, views, ground_footprints(views)))

@@ -288,3 +288,9 @@ def test_an_unknown_heading_is_the_way_to_the_next_position_and_of_the_last_from
     np.testing.assert_allclose(forward / np.linalg.norm(forward, axis=1, keepdims=True), [[1, 0], [0, -1], [0, 1], [0, 1]], atol=1e-12)
     alone = views_before_capture(positions[:1], [1.0], Optics(), [[np.nan, -45.0]]).corner_rays.sum(axis=1)[0, :2]
     assert alone[0] == pytest.approx(0, abs=1e-12) and alone[1] > 0
+
+
+@pytest.mark.parametrize(("height_m", "area"), [(0.5, 1.0), (1e-3, 4e-6), (0.0, 0.0), (-0.5, 0.0)])
+def test_a_camera_sees_ground_from_however_low(height_m: float, area: float) -> None:
+    down = views_before_capture([[0.0, 0.0]], [height_m], Optics(field_of_view_deg=90, aspect=1.0), [[0.0, -90.0]])
+    assert ground_footprints(down).areas_m2[0] == pytest.approx(area)

@@ -246,3 +246,14 @@ def test_an_edge_waits_for_its_own_devices_alone(workers: int, left: float) -> N
     parents = {"d": "e", "gone": "f"}
     assert left_s(expected, parents, {}, ("gone",), workers) == pytest.approx(left)
     assert left_s(expected, parents, {"d": 20.0, "unknown": 3.0}, ("gone", "f", "alone", "beside"), workers) == 10.0
+
+
+def test_an_edge_without_cameras_takes_no_part_in_the_makespan() -> None:
+    quick = System(
+        edges=tuple(
+            replace(e, aggregate_s=CostCurve(), devices=tuple(replace(d, train_s=CostCurve()) for d in e.devices)) for e in SYSTEM.edges
+        )
+    )
+    _, edges, stages = planned(quick, 1)
+    whole = makespan_error(stage_errors(stages, seconds_of(stages)), edges)
+    assert whole is not None and 0 < whole.predicted_s == whole.measured_s < 0.5 and whole.num_cameras == 1

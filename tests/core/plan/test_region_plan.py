@@ -404,3 +404,13 @@ def test_a_fixed_slack_of_one_and_memory_that_forbids_voronoi_are_said() -> None
     start, three = planned(positions, linear_system(np.eye(2), np.ones(2))), linear_system(np.eye(3, 2), np.ones(3))
     with pytest.raises(BadInput, match="the plan to start from has edges e0, e1, the system others: give one of this system"):
         plan_regions(positions, three, start=start, constraints=PlanConstraints(pinned={0: "e0"}))
+
+
+def test_nearest_edges_that_are_filled_exactly_are_left_alone_within_the_tolerance() -> None:
+    positions = np.array([[0.0, 0.0], [1.0, 3.0], [9.0, 1.0], [8.0, 2.0]])
+    sites = np.array([[0.0, 0.0], [9.0, 0.0]])
+    for most, alone in ((2, True), (3, True)):
+        plan = plan_regions(positions, linear_system(sites, np.ones(2), most), tolerance=0.1)
+        assert isinstance(plan, CloudPlan) and plan.counts.tolist() == [2, 2] and (not plan.weights.any()) is alone
+    crowded = plan_regions(np.vstack([positions, [[2.0, 2.0], [3.0, 1.0]]]), linear_system(sites, np.ones(2), 3), tolerance=9.0)
+    assert isinstance(crowded, CloudPlan) and crowded.counts.tolist() == [3, 3] and crowded.weights.any()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -161,3 +162,24 @@ def test_a_machine_is_ready_after_what_it_already_does() -> None:
     assert [busy.time_s(quota) for quota in (0, 1, 4)] == [0.0, 10.0, 19.0]
     closed = machine("a", 2.0, 1, busy_s=7.0, closed=True)
     assert [closed.time_s(quota) for quota in (0, 1, 4)] == [0.0, 7.0, 7.0]
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_where_devices_send_unequally_quotas_keep_the_fastest_deadline_and_what_is_fixed(seed: int) -> None:
+    """Nothing is proved of moves there; the makespan is that of the quickest quotas all the same."""
+    rng = np.random.default_rng(seed)
+    loads = []
+    for index in range(2):
+        machines = []
+        for name in range(2):
+            now = int(rng.integers(0, 12))
+            one = machine(f"d{index}-{name}", rng.uniform(0.3, 3), now, int(rng.integers(0, now + 1)))
+            sent = replace(one.device, model_bytes=CostCurve(constant=rng.uniform(0, 200), linear=rng.uniform(1, 90)))
+            machines.append(replace(one, device=sent))
+        loads.append(edge(f"e{index}", *machines))
+    total = sum(load.now for load in loads) + 2
+    found = new_counts(loads, total)
+    assert found is not None and not found.proved and sum(map(sum, found.quotas)) == total
+    for load, own in zip(loads, found.quotas, strict=True):
+        assert load.time_s(own) <= found.deadline_s * (1 + 1e-9)
+        assert all(quota >= one.fixed for one, quota in zip(load.machines, own, strict=True))
