@@ -120,6 +120,7 @@ def test_a_share_that_is_no_number_is_told_by_its_name() -> None:
         ({"edge_of_device": np.array([1, 1])}, "must rise from 0 to E − 1"),
         ({"edge_of_device": np.array([0])}, "a fleet of 2 edges and 1 devices cannot be simulated"),
         ({"edge_of_device": np.array([0, 1, 0, 1])}, "must rise"),
+        ({"edge_of_device": np.array([0, 1, 2])}, "must rise from 0 to E − 1"),
         ({"edge_of_device": np.array([0, 2, 1, 1])}, "must rise"),
         ({"aggregate_s": np.zeros(0)}, "a fleet of 0 edges and 2 devices"),
     ],
