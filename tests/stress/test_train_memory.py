@@ -28,7 +28,7 @@ def growing(*arguments):
     # Every round doubles the model at most, so that it is at its limit soon; then it goes on for as long again.
     return replace(config, densify=densify, num_steps=70, schedule_steps=70, densify_from_step=1, densify_until_step=60,
                    densify_every=2 if densify == "planned" else 1, densify_min_gradient=0.0, reset_opacity_every=1000,
-                   long_side_px=576), decisions
+                   pixels_per_splat=None, long_side_px=576), decisions
 command.fit_to_backend = growing
 request = command.TrainRequest(source=Path(source), out=Path(out), memory_bytes=int(memory), checkpoint_every_s=1.0)
 metrics = command.train(request)
