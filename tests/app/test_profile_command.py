@@ -20,8 +20,8 @@ from radiant_app.config import RunConfig
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted
 from radiant_app.nodes import run_node
 from radiant_app.plan_command import PlanRequest, plan
-from radiant_app.profile_command import ProfileRequest, check_table, profile, profile_of_run
 from radiant_app.predictions import planned_training
+from radiant_app.profile_command import ProfileRequest, check_table, profile, profile_of_run
 from radiant_app.profile_file import load_profile
 from radiant_app.profiling import MIN_PHOTOGRAPHS, Measuring, chosen_counts, shortened
 from radiant_app.progress import ProgressDisplay
