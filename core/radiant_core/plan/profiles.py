@@ -70,7 +70,7 @@ class Profile:
     model_bytes: FittedCurve
     """H: bytes of the model as float32."""
     aggregate_s: FittedCurve | None = None
-    """F_m where several devices' models are joined, against the edge's cameras: their views are all retrained on, or drawn for the cloud."""
+    """F_m where several devices' models are joined, over the edge's cameras: all their views are retrained on, or drawn for the cloud."""
     aggregate_alone_s: FittedCurve | None = None
     """F_m where one device has all the edge's cameras, so that nothing is joined."""
     memory_bytes: float | None = None
