@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from radiant_core.aggregate.retrain import Joined
     from radiant_core.aggregate.synthetic_views import Rendered
 
-CLOUD_BYTES = 1e9
+CLOUD_BYTES = 1.1e9
 """Memory that the default joining may take at a cloud whose system file sets no limit: beyond it a scene is cut, however large it is."""
 BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 

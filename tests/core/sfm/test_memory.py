@@ -33,6 +33,11 @@ def test_mapping_fits_by_fewer_features_of_each_photograph() -> None:
         assert ("features each" in decision.choice) == (config.max_num_features < WANTED.max_num_features)
         before = config.max_num_features
     assert before == WANTED.max_num_features
+    # 200 photographs of 4,096 features: 1,000 MB for the incremental mapper, 1,819 with the global one.
+    for limit, mapper in ((1_100, "incremental"), (1_900, "auto")):
+        assert within_memory(SfmConfig(memory_bytes=limit * 1e6), sizes_wh)[0].mapper == mapper
+    by_global = within_memory(SfmConfig(memory_bytes=1_100e6, mapper="global"), sizes_wh)[0]
+    assert by_global.mapper == "global" and mapping_bytes(200, by_global.max_num_features, "global") <= 1_100e6
     with pytest.raises(BadInput, match=r"too few to place 2,000 photographs, even with 512 features each: give 1,204 MB"):
         within_memory(SfmConfig(num_threads=1, memory_bytes=1200e6), sizes_wh * 10)
 
