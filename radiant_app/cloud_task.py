@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from radiant_core.aggregate.retrain import Joined
     from radiant_core.aggregate.synthetic_views import Rendered
 
-CLOUD_BYTES = 1e9
+CLOUD_BYTES = 1.1e9
 """Memory that the default joining may take at a cloud whose system file sets no limit: beyond it a scene is cut, however large it is."""
 BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
@@ -66,14 +66,13 @@ def edge_pools(task: dict[str, Any], inbox: Inbox, stage: str) -> Decision | Non
     if cloud is None or len(inbox.models) < 2 or inbox.uncertainty is not None or cloud["limits"]["time_s"] is not None:
         return None
     needs = pooled_needs(inbox.models, inbox.cameras, task["train"]["long_side_px"], cloud["share"])
-    retrains, decision = choose_at_cloud(needs, _limits(cloud["limits"], AggregateConfig(**task["aggregate"])), stage)
+    retrains, decision = choose_at_cloud(needs, cloud_limits(Cloud(**cloud["limits"]), AggregateConfig(**task["aggregate"])), stage)
     choice = "left to the cloud, with the devices' pictures"
     return replace(decision, topic="retraining", choice=choice) if retrains else None
 
 
-def _limits(limits: dict[str, Any], aggregate: AggregateConfig) -> Cloud:
+def cloud_limits(cloud: Cloud, aggregate: AggregateConfig) -> Cloud:
     """The cloud's limits, that of memory set by the default where the system sets none."""
-    cloud = Cloud(**limits)
     return replace(cloud, memory_bytes=CLOUD_BYTES) if aggregate.preset == "default" and cloud.memory_bytes is None else cloud
 
 
@@ -116,7 +115,7 @@ def retrained_at_cloud(folder: Path, task: dict[str, Any], inbox: Inbox, emit: C
     times_s = task["edge_times_s"]
     own_times_s = None if times_s is None else [times_s[task["edges"].index(name)] for name in inbox.senders]
     needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, own_times_s)
-    retrains, decision = choose_at_cloud(needs, _limits(task["limits"], aggregate), stage)
+    retrains, decision = choose_at_cloud(needs, cloud_limits(Cloud(**task["limits"]), aggregate), stage)
     emit(Decided(decision=decision))
     if not retrains:
         return None

@@ -61,32 +61,14 @@ CHECKPOINTS = "checkpoints"
 CHECKPOINT_EVERY_S = 10.0
 UNKEYED = ("teachers", "checkpoint_every_s")
 """What a task.json says that changes no bit of the result: who rendered a view, how often a training is saved."""
+_OTHER_KINDS = ("positions", "field", "score", "regions", "evaluate", "run")
 MASKS = "masks"
 """Folder of masks beside a node's photographs, where there are any."""
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json."""
-    from radiant_app.batch import run_job
-    from radiant_app.cloud_planning import run_regions
-    from radiant_app.evaluation import run_evaluate
-    from radiant_app.field_nodes import run_field, run_positions, run_score
-
-    runners = {
-        "sfm": run_sfm,
-        "positions": run_positions,
-        "regions": run_regions,
-        "device": run_device,
-        "field": run_field,
-        "teacher": run_teacher,
-        "edge": run_edge,
-        "cloud": run_cloud,
-        "evaluate": run_evaluate,
-        "score": run_score,
-        "run": run_job,
-    }
-    if kind not in runners:
-        raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join(runners)}.")
+    runner = _runner_of(kind)
     notes: dict[str, list[Any]] = {"decisions": [], "warnings": []}
 
     def emit_and_note(event: Event) -> None:
@@ -96,9 +78,33 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
             notes["warnings"].append(event.message)
         emit(event)
 
-    outputs = runners[kind](folder, stage, emit_and_note)
+    outputs = runner(folder, stage, emit_and_note)
     write_json(folder / "notes.json", notes)
     return [*outputs, "notes.json"]
+
+
+def _runner_of(kind: str) -> Callable[[Path, str, Emit], Sequence[str]]:
+    """What runs nodes of a kind; imports no more than that needs: most nodes are short, and starting a process is most of their time."""
+    own = {"sfm": run_sfm, "device": run_device, "teacher": run_teacher, "edge": run_edge, "cloud": run_cloud}
+    if kind in own:
+        return own[kind]
+    if kind in ("positions", "field", "score"):
+        from radiant_app.field_nodes import run_field, run_positions, run_score
+
+        return {"positions": run_positions, "field": run_field, "score": run_score}[kind]
+    if kind == "regions":
+        from radiant_app.cloud_planning import run_regions
+
+        return run_regions
+    if kind == "evaluate":
+        from radiant_app.evaluation import run_evaluate
+
+        return run_evaluate
+    if kind == "run":
+        from radiant_app.batch import run_job
+
+        return run_job
+    raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join((*own, *_OTHER_KINDS))}.")
 
 
 def read_notes(folder: Path, stage: str) -> list[Event]:

@@ -94,7 +94,8 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
         seconds = clock() - begun_s
         listen(StageDone(stage=STAGE, seconds=seconds))
     what = "the sample town" if request.source is None else f"{len(training.cameras)} photographs"
-    source = f"radiant profile on {what}, {measured.num_steps:,} steps, {measured.num_epochs} epochs of retraining, {seconds:.0f} s"
+    joining = f"{measured.num_epochs} epochs of retraining at edges" if measured.num_epochs else "edges that leave joining to the cloud"
+    source = f"radiant profile on {what}, {measured.num_steps:,} steps, {joining}, {seconds:.0f} s"
     key = training_key_of(train, request.preset)
     machine = request.machine or machine_label(request.num_threads)
     return _written(request.out, measured, key, machine, source)
@@ -136,7 +137,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     key = ProfileKey(preset=config["train_preset"], aggregate_preset=config["aggregate_preset"], **sizes)
     distinct = sorted({sample.num_cameras for sample in devices})
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
-    measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=10, held_out=held_out)
+    measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out)
     source = f"stage times of a run, {len(devices)} devices and {len(edges)} edges, run side by side as it did"
     return _written(out, measured, key, machine or machine_label(None), source)
 

@@ -2,7 +2,10 @@
 
     pilot           the largest count of photographs, a few steps      → seconds per step, hence how many steps the time allows
     G, F_n, H (c)   a device node per count                            → start-up, steps, bytes
-    F_m (c)         an edge node per count with two devices' models    → a + b · views; and with one device's: nothing is retrained
+    F_m (c)         an edge node per count with two devices' models    → a + b · views; and with one device's: nothing is joined
+
+An edge does what it would in a run of this scene by several edges: it leaves joining to the cloud where that is expected to retrain (it
+then pools models and makes pictures of them), else it retrains itself. Which one is settled once, by the pilot's model.
 
 Where the time does not allow all the steps that a run takes, all trainings get the same smaller number and their seconds are multiplied:
 every schedule of a preset follows the share of its steps, and density control gets as many rounds. The two models of an edge are one model
@@ -21,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_app.cloud_task import cloud_limits
 from radiant_app.dealing import deal_files
 from radiant_app.events import Event, Listener, StageProgress
 from radiant_app.executors.local import LocalExecutor, worker_command
@@ -28,9 +32,10 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
-from radiant_core.io.records import save_cameras, save_scene
+from radiant_core.io.records import load_splats, save_cameras, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.device_split import long_axis
+from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
 
@@ -45,6 +50,8 @@ _TRAINING_SHARE = 0.7
 _RETRAIN_STEP_COST = 2.0
 """A step of retraining against one of training, at a guess: twice the Gaussians. Only divides the time."""
 UPLOAD = "float16"
+_UNLIMITED_CLOUD = {"limits": asdict(Cloud(memory_bytes=1e18)), "share": 1.0}
+"""What an edge's task says of the cloud where the edge is to pool."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +82,7 @@ class Measured:
     edges: tuple[EdgeSample, ...]
     num_steps: int
     num_epochs: int
+    """Of an edge's retraining; 0 where edges leave joining to the cloud, and where it is not known."""
     held_out: int | None
     """Count of photographs that a check leaves out of the fit."""
 
@@ -116,6 +124,8 @@ class Measuring:
     left_s: list[float] = field(default_factory=list)
     """What the nodes still to come are expected to take."""
     note: str = ""
+    edges_pool: bool = False
+    """Whether edges leave joining to the cloud; settled by the pilot."""
     _begun_s: float = 0.0
 
     def measured(self, time_s: float) -> Measured:
@@ -127,17 +137,19 @@ class Measuring:
         steps = min(PILOT_STEPS, self.train.num_steps)
         self.left_s, self.note = [time_s], f"pilot on {counts[-1]} photographs"
         pilot, seconds = self._device(counts[-1], steps), self._elapsed_s
+        self.edges_pool = self._cloud_would_retrain(counts[-1], steps)
         step_s = pilot.train_s / self.train.num_steps
         start_s = seconds - step_s * steps
         free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + len(joined) + 2))
-        num_steps = int(np.clip(_TRAINING_SHARE * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
+        training_share = 1.0 if self.edges_pool else _TRAINING_SHARE
+        num_steps = int(np.clip(training_share * free_s / (len(sizes) * step_s), steps, self.train.num_steps))
         retrain_s = _RETRAIN_STEP_COST * step_s * sum(joined)
         all_epochs = aggregate_preset("default").num_epochs
 
         def epochs_in(seconds: float) -> int:
-            return int(np.clip(seconds / retrain_s, 1, all_epochs))
+            return 0 if self.edges_pool else int(np.clip(seconds / retrain_s, 1, all_epochs))
 
-        num_epochs = epochs_in((1 - _TRAINING_SHARE) * free_s)
+        num_epochs = epochs_in((1 - training_share) * free_s)
         self.left_s = [start_s + step_s * num_steps] * len(sizes)
         self.left_s += [start_s + _RETRAIN_STEP_COST * step_s * num_epochs * count for count in joined] + [start_s] * 2
         devices, edges = [], []
@@ -188,12 +200,22 @@ class Measuring:
             save_cameras(place / "cameras.safetensors", cameras.select(np.sort(rows)))
         aggregate = aggregate_preset("default")
         # A model agrees with itself: it is retrained all the same.
-        joined = asdict(replace(aggregate, num_epochs=num_epochs, agreement_db=None))
+        joined = asdict(replace(aggregate, num_epochs=max(1, num_epochs), agreement_db=None))
         common = {"train": asdict(self.train), "backend": self.backend, "upload": UPLOAD, "teachers": [], "strips": [[]] * num_devices}
-        task = {"devices": names, "aggregate": joined, **common}
+        task = {"devices": names, "aggregate": joined, "cloud": _UNLIMITED_CLOUD if self.edges_pool else None, **common}
         seconds = self._run("edge", folder, task)
         train_s = read_json(folder / "summary.json", ("train_s",))["train_s"]
-        return EdgeSample(num_cameras=count, num_devices=num_devices, seconds=seconds + train_s * (aggregate.num_epochs / num_epochs - 1))
+        left_s = train_s * (aggregate.num_epochs / num_epochs - 1) if num_epochs else 0.0
+        return EdgeSample(num_cameras=count, num_devices=num_devices, seconds=seconds + left_s)
+
+    def _cloud_would_retrain(self, count: int, num_steps: int) -> bool:
+        """Whether the cloud of a run of these photographs, with a system file that sets it no limit, is expected to retrain."""
+        from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
+
+        model = load_splats(self.work / f"devices/{count}-{num_steps}" / "model.safetensors")
+        own = self.scene.cameras.select(np.sort(self._order[:count]))
+        needs = cloud_needs([model], [own], self.train.long_side_px, None)
+        return choose_at_cloud(needs, cloud_limits(Cloud(), aggregate_preset("default")), STAGE)[0]
 
     @property
     def _order(self) -> NDArray[np.int64]:

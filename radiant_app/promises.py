@@ -53,5 +53,5 @@ def _of_the_cloud(config: RunConfig, cluster: str | None) -> dict[str, Any]:
         return {"holds": False, "reason": "who plans has all poses (--frames shared)"}
     if config.cell_m is None:
         return {"holds": False, "reason": "who plans has all positions (--raster-cell-m 0)"}
-    given = "it is dealt edges' models, virtual cameras and borders; where it plans, counts in cells and one curve per edge"
+    given = "it is dealt models and virtual cameras of edges, with pictures, and borders; where it plans, counts in cells, a curve per edge"
     return {"holds": True, "reason": given}

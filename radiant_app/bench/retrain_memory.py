@@ -1,4 +1,5 @@
-"""A process of its own that retrains two made-up edge models as the cloud does, and prints by how many bytes its memory grew at most.
+"""A process of its own that retrains two made-up edge models as the cloud does, and prints by how many bytes its memory grew at most, or,
+within a limit, how many it held at most.
 
 python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE        (the constants of `aggregate/cloud_choice.py`)
 python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE BYTES  as an edge does within so many (`join_memory.py`)
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 
@@ -25,7 +27,10 @@ from radiant_core.train.trainer import FitOptions
 
 
 def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, memory_bytes: int | None = None) -> None:
-    """Print the growth of the peak resident memory in bytes, of a process of `PROCESS_BYTES`; every view is shown once."""
+    """Print the growth of the peak resident memory in bytes, within a limit the peak itself; every view is shown once."""
+    for name in ("radiant_app.nodes", "radiant_app.task_schema"):
+        # What a worker holds besides.
+        import_module(name)
     splats, camera = drone_scene(SceneSize(num_splats=num_splats, width=long_side_px, height=long_side_px * 3 // 4))
     splats = replace(splats, shN=np.zeros((num_splats, SH_BASES[sh_degree] - 1, 3), np.float32))
     half = num_splats // 2
@@ -44,7 +49,7 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, mem
     teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
     retrain_on_synthetic_views(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, options)
     # The models themselves were there before the count began.
-    print(peak_bytes() - before + model_bytes)
+    print(peak_bytes() if memory_bytes is not None else peak_bytes() - before + model_bytes)
 
 
 def _halves(count: int) -> tuple[range, range]:

@@ -13,11 +13,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from radiant_app import cloud_task
 from radiant_app.cli_profile import profile as profile_cli
+from radiant_app.commands import training_part
 from radiant_app.config import RunConfig
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted
 from radiant_app.nodes import run_node
 from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.predictions import planned_training
 from radiant_app.profile_command import ProfileRequest, check_table, profile, profile_of_run
 from radiant_app.profile_file import load_profile
 from radiant_app.profiling import MIN_PHOTOGRAPHS, Measuring, chosen_counts, shortened
@@ -26,7 +29,7 @@ from radiant_app.run_folder import Manifest, recorded_config
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
-from radiant_core.io.records import load_plan, save_plan, save_scene
+from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.region_plan import plan_regions
@@ -87,6 +90,7 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     assert made.init_s.curve(5) > 0.2 and made.train_s.curve(5) > 0
     assert 92 * 100 < made.model_bytes.curve(5) <= 92 * 600 * 1.3
     assert made.aggregate_s is not None and made.aggregate_alone_s is not None
+    assert "edges that leave joining to the cloud" in made.source
     rows = {row["quantity"]: row for row in result["check"]}
     assert {"start-up", "training", "device", "model"} <= rows.keys()
     assert all(row["error"] == pytest.approx(row["predicted"] / row["measured"] - 1) for row in rows.values())
@@ -98,6 +102,37 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     warnings = planned_with(tmp_path, scene, "long_side_px", 48)
     assert warnings == "none"
     assert "profile 'mine.toml', are of preset default, 24 steps at 48 px" in planned_with(tmp_path, scene, "long_side_px", 96)
+
+
+@pytest.mark.parametrize("cloud_bytes", [1e9, 2e8])
+def test_edges_are_timed_at_what_a_run_would_have_them_do(
+    cloud_bytes: float, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the cloud has memory for the scene they pool and draw pictures; where it has not they retrain all views, which takes longer."""
+    monkeypatch.setattr(cloud_task, "CLOUD_BYTES", cloud_bytes)
+    monkeypatch.setattr(Measuring, "_run", in_this_process)
+    measuring = measuring_in(tmp_path, scene)
+    measured = measuring.measured(1.0)
+    summaries = {path.parent.name: read_json(path) for path in (tmp_path / "edges").glob("*/summary.json")}
+    pictures = {path.parent.name: path.stat().st_size for path in (tmp_path / "edges").glob("*/virtual_views.safetensors")}
+    joined = [name for name in summaries if name.endswith("-2")]
+    assert len(joined) >= 2 and measuring.edges_pool == (cloud_bytes == 1e9) == (measured.num_epochs == 0)
+    for name in joined:
+        assert (summaries[name]["num_steps"] == 0) == measuring.edges_pool
+        assert (pictures[name] > 1000 * int(name.split("-")[0])) == measuring.edges_pool
+
+
+def measuring_in(folder: Path, scene: Path) -> Measuring:
+    """A measuring whose nodes run in this process."""
+    return Measuring(
+        work=folder,
+        scene=training_part(load_scene(scene / "scene.safetensors")),
+        images=scene / "images",
+        train=planned_training("default", QUICK),
+        backend="native",
+        num_threads=1,
+        listen=lambda event: None,
+    )
 
 
 def planned_with(folder: Path, scene: Path, name: str, value: int) -> str:

@@ -24,7 +24,7 @@ def test_the_prediction_is_above_the_peak_and_below_twice_it(num_splats: int, nu
     assert measured <= predicted <= 2 * measured, f"{measured / 1e6:.0f} MB measured, {predicted / 1e6:.0f} MB predicted"
 
 
-@pytest.mark.parametrize(("share", "num_splats"), [(0.5, 20_000), (0.3, 20_000), (0.5, 150_000)])
+@pytest.mark.parametrize(("share", "num_splats"), [(0.5, 20_000), (0.35, 20_000), (0.5, 150_000)])
 def test_joining_within_a_share_of_what_it_needs_stays_below_that(
     share: float, num_splats: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -33,7 +33,7 @@ def test_joining_within_a_share_of_what_it_needs_stays_below_that(
     limit = round(share * retrain_memory_bytes(num_splats, 4 * (11 + 3 * SH_BASES[sh_degree]), pixels))
     numbers = (num_splats, num_views, long_side_px, sh_degree, limit)
     command = [sys.executable, "-m", "radiant_app.bench.retrain_memory", *map(str, numbers)]
-    measured = int(subprocess.run(command, capture_output=True, text=True, check=True).stdout) + PROCESS_BYTES
+    measured = int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     with capsys.disabled():
         print(f"{num_splats:,} Gaussians, {limit / 1e6:,.0f} MB allowed ({share:.0%} of the need): {measured / 1e6:,.0f} MB held at most")
     assert measured <= limit

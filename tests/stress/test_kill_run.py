@@ -38,6 +38,9 @@ NUM_KILLS = 50
 KILLS_PER_STORY = 5
 NUM_MAIN_KILLS = 6
 SYSTEM = """
+# A cloud with a limit of time wants to know what retraining takes: edges retrain, and do not pool.
+[cloud]
+time_s = 3600
 [[edge]]
 id = "a"
 position_m = [-10, 0]

@@ -1,11 +1,11 @@
 """How models are joined within a limit of memory: retrained on views as large as fit, or cut at their borders. Once per edge.
 
-    needs(s) = 0.3 GB + N (7 b + 500) + 4 Σ_v p_v(s) + 136 max_v p_v(s)      bytes, and what the loss keeps: up to 36 Σ_v p_v(s)
+    needs(s) = 0.39 GB + N (7 b + 500) + 4 Σ_v p_v(s) + 136 max_v p_v(s)      bytes, and what the loss keeps: up to 36 Σ_v p_v(s)
 
 N Gaussians of b bytes each, p_v(s) pixels of view v with a long side of s; as `cloud_choice`, and 36 more for the loss of a view whose
 statistics are not kept. The largest s up to the asked one is taken at which that fits, and what is left is the loss's. Views below a
 quarter of their size would teach little of what is seen: then models are cut, which takes a few copies of them.
-Within 50 and 30 % of what 20,000 Gaussians need, and 50 % of 150,000, `tests/stress/test_cloud_memory.py` holds the peak below the limit.
+Within 50 and 35 % of what 20,000 Gaussians need, and 50 % of 150,000, `tests/stress/test_cloud_memory.py` holds the peak below the limit.
 """
 
 from __future__ import annotations

@@ -70,9 +70,9 @@ class Profile:
     model_bytes: FittedCurve
     """H: bytes of the model as float32."""
     aggregate_s: FittedCurve | None = None
-    """F_m where several devices' models are joined, against the edge's cameras: all of their views are retrained on."""
+    """F_m where several devices' models are joined, over the edge's cameras: all their views are retrained on, or drawn for the cloud."""
     aggregate_alone_s: FittedCurve | None = None
-    """F_m where one device has all the edge's cameras, so that nothing is retrained."""
+    """F_m where one device has all the edge's cameras, so that nothing is joined."""
     memory_bytes: float | None = None
     """What training may hold there; None for unknown."""
     measured_steps: int | None = None

@@ -68,9 +68,9 @@ class Edge:
     lat_lon_deg: tuple[float, float] | None = None
     """Latitude and longitude instead of `position`; turned into metres when the scene's origin is known."""
     aggregate_s: CostCurve
-    """F_m: seconds to aggregate against cameras. Retraining shows every view of an edge whose cameras several devices share, so that it
-    takes a + b · views whatever the cut; were only views at the borders shown, it would depend on where these run, and makespan over
-    bound could only be reported for this model."""
+    """F_m: seconds to aggregate against cameras. An edge whose cameras several devices share takes a + b · views whatever the cut, as it
+    retrains on every view, or pools and makes a picture per view; were only views at the borders shown, it would depend on where these
+    run, and makespan over bound could only be reported for this model."""
     uplink_bytes_per_s: float
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]
@@ -78,7 +78,7 @@ class Edge:
     speed: float | None = None
     """As a device's."""
     aggregate_alone_s: CostCurve | None = None
-    """F_m where one device has all the edge's cameras and nothing is retrained, at most `aggregate_s`; None: the same."""
+    """F_m where one device has all the edge's cameras and nothing is joined, at most `aggregate_s`; None: the same."""
     profile: Profile | None = None
     """What the curves of aggregation come from; None where they were spelt out."""
     costs_from: str | None = None

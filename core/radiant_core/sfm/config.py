@@ -41,7 +41,7 @@ class SfmConfig:
     seed: int = 0
     """Seed of every random choice; with more than one thread results still differ in the last digits."""
     memory_bytes: float | None = None
-    """What finding features may hold: fewer threads, then smaller photographs; None without a limit."""
+    """What it may hold: fewer threads, then smaller photographs, while finding features; fewer features to map. None without a limit."""
 
     def __post_init__(self) -> None:
         if self.memory_bytes is not None and not 0 < self.memory_bytes < math.inf:

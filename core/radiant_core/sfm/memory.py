@@ -1,9 +1,13 @@
-"""How structure from motion keeps to a limit of memory: fewer threads, then smaller photographs, while it finds features. Once per scene.
+"""How structure from motion keeps to a limit of memory: fewer threads, then smaller photographs, and fewer features. Once per scene.
 
-    peak = 180 MB + t · 330 p        bytes, t threads and p pixels of the largest photograph, reduced to `max_image_size_px`
+    finding features   180 MB + t · 330 p      bytes, t threads and p pixels of the largest photograph, reduced to `max_image_size_px`
+    mapping            180 MB + 1,000 n f      bytes, n photographs with `max_num_features` f each; by the global mapper 2,000 n f
 
-Each thread holds the scale space of one photograph at twice its side; matching takes less. What mapping holds grows with the scene and
-is not limited: a scene too large for that is one for several devices. tests/stress/test_sfm_memory.py measures the whole.
+Each thread holds the scale space of one photograph at twice its side; matching takes less. Mapping holds keypoints, and of each point who
+sees it and what bundle adjustment makes of that: 110 bytes a keypoint and 950 an observation. How many there will be nobody knows before;
+of each of 4,096 features asked for, brighton, lewis, caliterra and the town took 530 to 900 bytes, by the global mapper lewis and caliterra
+1,030 and 1,780 (18 to 75 photographs; beyond that it is extrapolated). A mapper that would not fit is not tried.
+tests/stress/test_sfm_memory.py measures the whole.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from dataclasses import replace
 
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
-from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.config import Mapper, SfmConfig
 
 Sizes = Sequence[tuple[int, int]]
 """Width and height in pixels of every photograph."""
@@ -22,6 +26,9 @@ PROCESS_BYTES = 180e6
 THREAD_BYTES_PER_PX = 330
 LEAST_SIDE_PX = 400
 """Smaller photographs have too few features to be matched."""
+MAPPING_BYTES_PER_FEATURE, GLOBAL_BYTES_PER_FEATURE = 1_000, 2_000
+LEAST_FEATURES, FEATURES_STEP = 512, 64
+"""With fewer, photographs of little texture find no place."""
 
 
 def features_bytes(num_threads: int, side_px: float, sizes_wh: Sizes) -> float:
@@ -30,10 +37,16 @@ def features_bytes(num_threads: int, side_px: float, sizes_wh: Sizes) -> float:
     return PROCESS_BYTES + num_threads * THREAD_BYTES_PER_PX * max(pixels, default=0.0)
 
 
+def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "incremental") -> float:
+    """Peak memory in bytes of mapping so many photographs with so many features asked of each; of auto: of all that it may try."""
+    each = MAPPING_BYTES_PER_FEATURE if mapper == "incremental" else GLOBAL_BYTES_PER_FEATURE
+    return PROCESS_BYTES + each * float(num_photographs) * num_features
+
+
 def within_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
     """The configuration within its `memory_bytes` for photographs of these sizes, and the decision where there is a limit.
 
-    Raises BadInput where not even one thread on photographs of 400 px fits.
+    Raises BadInput where not even one thread on photographs of 400 px fits, or mapping with 512 features a photograph.
     """
     if config.memory_bytes is None:
         return config, ()
@@ -42,19 +55,40 @@ def within_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[
         threads -= 1
     while side_px > LEAST_SIDE_PX and features_bytes(threads, side_px, sizes_wh) > limit:
         side_px = max(LEAST_SIDE_PX, side_px - 16)
-    needed = features_bytes(threads, side_px, sizes_wh)
-    if needed > limit:
+    found = features_bytes(threads, side_px, sizes_wh)
+    if found > limit:
         raise BadInput(
             f"{limit / 1e6:,.0f} MB of memory are too few to find features, even in photographs of {side_px} px: "
-            f"give {needed / 1e6:,.0f} MB."
+            f"give {found / 1e6:,.0f} MB."
         )
+    least: Mapper = "global" if config.mapper == "global" else "incremental"
+    features = _features_within(limit, len(sizes_wh), config.max_num_features, least)
+    mapper = config.mapper if mapping_bytes(len(sizes_wh), features, config.mapper) <= limit else least
+    mapped = mapping_bytes(len(sizes_wh), features, mapper)
+    fewer = "" if features == config.max_num_features else f", {features:,} of {config.max_num_features:,} features each"
+    only = "" if mapper == config.mapper else ", the incremental mapper alone"
     decision = Decision(
         stage="sfm",
         topic="memory",
-        choice=f"{threads} of {config.threads} threads, photographs of {side_px:,} of {config.max_image_size_px:,} px",
+        choice=f"{threads} of {config.threads} threads, photographs of {side_px:,} of {config.max_image_size_px:,} px{fewer}{only}",
         figure=limit / 1e6,
         unit="MB allowed",
-        reason=f"finding features is predicted to take {needed / 1e6:,.0f} MB; what mapping takes is not limited",
+        reason=f"finding features is predicted to take {found / 1e6:,.0f} MB, mapping {mapped / 1e6:,.0f} MB",
         forced=True,
     )
-    return replace(config, num_threads=threads, max_image_size_px=side_px), (decision,)
+    config = replace(config, num_threads=threads, max_image_size_px=side_px, max_num_features=features, mapper=mapper)
+    return config, (decision,)
+
+
+def _features_within(limit_bytes: float, num_photographs: int, most: int, mapper: Mapper) -> int:
+    """The most features per photograph, at most `most`, whose mapping fits; BadInput where too few do."""
+    features = most
+    while features > LEAST_FEATURES and mapping_bytes(num_photographs, features, mapper) > limit_bytes:
+        features = max(LEAST_FEATURES, features - FEATURES_STEP)
+    needed = mapping_bytes(num_photographs, features, mapper)
+    if needed > limit_bytes:
+        raise BadInput(
+            f"{limit_bytes / 1e6:,.0f} MB of memory are too few to place {num_photographs:,} photographs, even with {features:,} features "
+            f"each: give {needed / 1e6:,.0f} MB, or fewer photographs."
+        )
+    return features

@@ -1,4 +1,4 @@
-"""Structure from motion within a limit of memory: threads go first, then pixels; what cannot be done is said."""
+"""Structure from motion within a limit of memory: threads go first, then pixels, and features; what cannot be done is said."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.sfm.config import SfmConfig
-from radiant_core.sfm.memory import LEAST_SIDE_PX, features_bytes, within_memory
+from radiant_core.sfm.memory import LEAST_FEATURES, LEAST_SIDE_PX, features_bytes, mapping_bytes, within_memory
 
 WANTED = SfmConfig(num_threads=4)
 
@@ -22,6 +22,24 @@ def test_threads_go_first_then_pixels_and_what_is_chosen_fits() -> None:
         before = (config.threads, config.max_image_size_px)
         assert decision.forced and f"{config.threads} of 4 threads" in decision.choice
     assert before == (4, WANTED.max_image_size_px)
+
+
+def test_mapping_fits_by_fewer_features_of_each_photograph() -> None:
+    sizes_wh, before = [(640, 480)] * 200, LEAST_FEATURES
+    for limit in range(290, 1300, 10):
+        config, (decision,) = within_memory(SfmConfig(num_threads=1, memory_bytes=limit * 1e6), sizes_wh)
+        assert LEAST_FEATURES <= before <= config.max_num_features, "more memory never means less"
+        assert mapping_bytes(len(sizes_wh), config.max_num_features) <= limit * 1e6
+        assert ("features each" in decision.choice) == (config.max_num_features < WANTED.max_num_features)
+        before = config.max_num_features
+    assert before == WANTED.max_num_features
+    # 200 photographs of 4,096 features: 1,000 MB for the incremental mapper, 1,819 with the global one.
+    for limit, mapper in ((1_100, "incremental"), (1_900, "auto")):
+        assert within_memory(SfmConfig(memory_bytes=limit * 1e6), sizes_wh)[0].mapper == mapper
+    by_global = within_memory(SfmConfig(memory_bytes=1_100e6, mapper="global"), sizes_wh)[0]
+    assert by_global.mapper == "global" and mapping_bytes(200, by_global.max_num_features, "global") <= 1_100e6
+    with pytest.raises(BadInput, match=r"too few to place 2,000 photographs, even with 512 features each: give 1,204 MB"):
+        within_memory(SfmConfig(num_threads=1, memory_bytes=1200e6), sizes_wh * 10)
 
 
 def test_no_limit_decides_nothing_and_too_low_a_one_is_refused() -> None:
