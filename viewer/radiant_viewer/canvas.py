@@ -12,8 +12,9 @@ import numpy as np
 import pyvista as pv
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
-from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
+from vtkmodules.vtkCommonCore import vtkCommand
 from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray, checked_array
@@ -23,6 +24,7 @@ from radiant_viewer.layers import CLOUD_SIZE, Layer
 from radiant_viewer.map_labels import add_map_labels
 from radiant_viewer.offscreen import aim_camera
 from radiant_viewer.point_detail import PointDetail
+from radiant_viewer.scale_bar import ScaleBar
 from radiant_viewer.themes import LIGHT, Theme, themed
 from radiant_viewer.view_pose import ViewPose
 
@@ -38,7 +40,7 @@ Clicked = Callable[["Canvas", tuple[int, int]], bool]
 class Canvas:
     """A plotter in a frame with a heading; `click_takers` are asked in order until one takes a click."""
 
-    def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray) -> None:
+    def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray, unit: str = "m") -> None:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
         self.actors: dict[str, list[vtkProp]] = {}
         self.click_takers: list[Clicked] = []
@@ -48,7 +50,9 @@ class Canvas:
         layout.setSpacing(2)
         heading = QLabel(title)
         heading.setStyleSheet("font-weight: 600")
-        layout.addWidget(heading)
+        top = QHBoxLayout()
+        top.addWidget(heading, stretch=1)
+        layout.addLayout(top)
         self.plotter = QtInteractor(self.frame, auto_update=False, multi_samples=4)
         # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its own.
         self.plotter.reset_key_events()
@@ -58,6 +62,10 @@ class Canvas:
         layout.addWidget(self.plotter, stretch=1)
         # By Qt: some of VTK's styles keep the release of a button to themselves.
         self._clicks = _ClickFilter(self.plotter, self._on_click)
+        if is_map:
+            self.scale_bar = ScaleBar(self.frame, unit)
+            top.addWidget(self.scale_bar)
+            self.plotter.renderer.AddObserver(vtkCommand.StartEvent, self._show_scale)
         self.set_theme(LIGHT)
 
     def set_theme(self, theme: Theme) -> None:
@@ -178,6 +186,9 @@ class Canvas:
         per_px = 2 * camera.parallel_scale / max(height, 1)
         offset = (np.array(pixel, np.float64) + 0.5 - (width / 2, height / 2)) * per_px
         return np.array(camera.focal_point[:2]) + offset + self.origin[:2]
+
+    def _show_scale(self, *_: object) -> None:
+        self.scale_bar.show_scale(2 * float(self.plotter.camera.parallel_scale) / max(self.plotter.height(), 1))
 
     def _on_click(self, x: float, y: float) -> None:
         scale = self.plotter.devicePixelRatioF()

@@ -99,6 +99,8 @@ QHeaderView::section {{ background: {panel}; color: {soft}; border: none; border
 QTableCornerButton::section {{ background: {panel}; border: none; }}
 QToolBar {{ background: {panel}; border: none; border-bottom: 1px solid {line}; spacing: 2px; padding: 2px 4px; }}
 QToolBar QToolButton {{ background: transparent; color: {text}; border: 1px solid transparent; border-radius: 4px; padding: 3px 8px; }}
+QToolBar QToolButton[popupMode="2"] {{ padding-right: 18px; }}
+QToolBar QToolButton::menu-indicator {{ subcontrol-origin: padding; subcontrol-position: right center; right: 5px; }}
 QToolBar QToolButton:hover {{ border-color: {accent}; }}
 QToolBar QToolButton:checked {{ background: {chosen}; border-color: {accent}; }}
 QTabBar::tab {{ background: {panel}; color: {soft}; padding: 4px 10px; border: none; border-bottom: 2px solid transparent; }}
