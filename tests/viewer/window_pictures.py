@@ -106,7 +106,9 @@ def main(run: Path, folder: Path, names: list[str]) -> None:
 
             def act(window: InspectorWindow, picture: Callable[[User, Path], None] = picture, png: Path = png) -> None:
                 if (window.width(), window.height()) != SIZE_WH:
-                    raise BadInput(f"the screen leaves the window {window.width()} x {window.height()} px: give it {SIZE_WH[0]} x {SIZE_WH[1]}.")
+                    raise BadInput(
+                        f"the screen leaves the window {window.width()} x {window.height()} px: give it {SIZE_WH[0]} x {SIZE_WH[1]}."
+                    )
                 picture(User(window), out)
                 said = window.statusBar().currentMessage()
                 splats = window.docks.splats

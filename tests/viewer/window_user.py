@@ -35,10 +35,10 @@ class User:
         self.actions.append(f"press {keys}")
         QTest.keySequence(self.window, QKeySequence(keys))
 
-    def click(self, widget: QWidget, what: str, spot: QPoint = QPoint()) -> None:
+    def click(self, widget: QWidget, what: str, spot: QPoint | None = None) -> None:
         """Once, in the middle of a widget or at a spot of it."""
         self.actions.append(f"click {what}")
-        QTest.mouseClick(widget, LEFT, pos=spot)
+        QTest.mouseClick(widget, LEFT, pos=spot or QPoint())
 
     def click_tab(self, title: str) -> None:
         """The tab of a panel."""
@@ -137,7 +137,7 @@ def use_window(path: Path, act: Callable[[InspectorWindow], None]) -> None:
             until(window.isActiveWindow, "the window never got the keyboard")
             QTest.qWait(100)
             act(window)
-        except BaseException as error:
+        except BaseException as error:  # noqa: BLE001 (raised below, once Qt has let go)
             failures.append(error)
         finally:
             QApplication.closeAllWindows()
