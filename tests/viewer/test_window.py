@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image as Pictures
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -427,6 +428,8 @@ def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_pat
     written = ["cameras.csv", "dragged.ply", "inside.ply", "layers.gif", "ours.npz", "part.ply", "shot.png", "window.png"]
     assert sorted(path.name for path in out.iterdir()) == written
     assert (out / "shot.png").stat().st_size > 5000
+    with Pictures.open(out / "layers.gif") as film:
+        assert getattr(film, "n_frames", 1) == 6, "the film of the layers stands still"
     ours = np.load(out / "ours.npz")
     height, width = ours["image"].shape[:2]
     camera = Cameras(names=("view",), Ks=ours["K"], cam_from_world=ours["cam_from_world"], sizes_wh=np.array([[width, height]]))

@@ -123,6 +123,9 @@ class Canvas:
     def screenshot(self) -> Image:
         """What is seen (H,W,3), once it is at rest."""
         self.detail.refine()
+        # Now, whatever frame waits for Qt.
+        self.plotter.renderer.reset_camera_clipping_range()
+        self.plotter.render()
         pixels = self.plotter.screenshot(return_img=True)
         assert pixels is not None
         return np.asarray(pixels, np.uint8)
