@@ -63,7 +63,9 @@ THEMES: dict[ThemeName, Theme] = {"light": LIGHT, "dark": DARK}
 def themed(layer: Layer, theme: Theme) -> Layer:
     """The layer as it is drawn under a theme, its legend too: ink becomes the theme's, pale fills become dark ones, what is left white
     the theme's field, and a heat scale begins where it can be seen; other colours of data stay."""
-    if theme.name == "light":
+    is_plain = not (len(layer.segments) or layer.polygons or layer.heat or any(entry.marker == "line" for entry in layer.legend))
+    if theme.name == "light" or is_plain:
+        # The same object: both views then share what they keep of a cloud.
         return layer
     strokes = np.array([entry.color for entry in layer.legend if entry.marker == "line"], np.uint8).reshape(-1, 3)
     inked = iter(_reinked(strokes, theme).tolist())
