@@ -47,6 +47,8 @@ class LoadDock(QDockWidget):
             self._fill(rows)
         for column in (CAMERAS, TIME):
             self.tree.resizeColumnToContents(column)
+            # Before the window is shown its headings are measured in a narrower font.
+            self.tree.setColumnWidth(column, self.tree.columnWidth(column) + 8)
         self.tree.viewport().update()
 
     def _fill(self, rows: Sequence[LoadRow]) -> None:
