@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_viewer.camera_layer import camera_layer, pyramid_segments
 from radiant_viewer.camera_roles import NOBODY, camera_roles
 from radiant_viewer.layers import Layer, drawn_positions
-from radiant_viewer.page import nice_length
+from radiant_viewer.measure import nice_length
 from radiant_viewer.palette import BLUE, VERMILLION, category_colors, heat_colors
 from radiant_viewer.region_layer import duration_text, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.seam_layer import color_steps, seam_layer, seam_pieces

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image as Pictures
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -20,6 +21,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_viewer.desktop import require_desktop
 from tests.viewer.made_up_run import made_up_town, save_run
 
+ROOT = Path(__file__).parents[2]
 DRIVER = """
 import json, sys
 from pathlib import Path
@@ -402,11 +404,12 @@ def display() -> Iterator[str]:
     server.wait(10)
 
 
-def run_python(code: str, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_python(code: str | list[str], *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code, or a module named by `["-m", …]`, in a process of its own in which every warning is an error."""
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     env = {name: value for name, value in os.environ.items() if name not in hidden} | environment
-    command = [sys.executable, "-W", "error", "-c", code, *arguments]
-    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=300, check=False)
+    command = [sys.executable, "-W", "error", *(["-c", code] if isinstance(code, str) else code), *arguments]
+    return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
 
 
 def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_path: Path, display: str) -> None:
@@ -425,6 +428,8 @@ def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_pat
     written = ["cameras.csv", "dragged.ply", "inside.ply", "layers.gif", "ours.npz", "part.ply", "shot.png", "window.png"]
     assert sorted(path.name for path in out.iterdir()) == written
     assert (out / "shot.png").stat().st_size > 5000
+    with Pictures.open(out / "layers.gif") as film:
+        assert getattr(film, "n_frames", 1) == 6, "the film of the layers stands still"
     ours = np.load(out / "ours.npz")
     height, width = ours["image"].shape[:2]
     camera = Cameras(names=("view",), Ks=ours["K"], cam_from_world=ours["cam_from_world"], sizes_wh=np.array([[width, height]]))

@@ -21,10 +21,15 @@ Coloring = Literal["region", "device", "split", "psnr"]
 """region: the edge's colour; device: a shade of it; split: trained or held out; psnr: the error of held-out photographs."""
 
 
-def camera_layer(cameras: Cameras, roles: CameraRoles, coloring: Coloring, psnr_db: Mapping[str, float] | None = None) -> Layer:
-    """All C cameras as dots and pyramids; BadInput for an unknown colouring, or "psnr" without figures."""
+def camera_layer(
+    cameras: Cameras, roles: CameraRoles, coloring: Coloring, psnr_db: Mapping[str, float] | None = None, *, pyramids: bool = True
+) -> Layer:
+    """All C cameras as dots and, where they are coloured by region, with or without their pyramids.
+
+    BadInput for an unknown colouring, or "psnr" without figures.
+    """
     if coloring == "region":
-        return _layer(cameras, "Cameras by region", _region_colors(roles), _held_out_legend(roles))
+        return _layer(cameras, "Cameras by region", _region_colors(roles), _held_out_legend(roles), pyramids=pyramids)
     if coloring == "device":
         return _layer(cameras, "Cameras by device", _device_colors(roles), _held_out_legend(roles))
     if coloring == "split":
@@ -65,7 +70,15 @@ def pyramid_segments(cameras: Cameras, depth: float) -> FloatArray:
     return lines.reshape(-1, 2, 3)
 
 
-def _layer(cameras: Cameras, name: str, colors: ColorArray, legend: tuple[LegendEntry, ...], heat: HeatScale | None = None) -> Layer:
+def _layer(
+    cameras: Cameras,
+    name: str,
+    colors: ColorArray,
+    legend: tuple[LegendEntry, ...],
+    heat: HeatScale | None = None,
+    *,
+    pyramids: bool = True,
+) -> Layer:
     # White stands for "not trained" and would vanish as a thin line on white ground.
     strokes = np.where((colors == 255).all(axis=1, keepdims=True), np.array(GREY, np.uint8), colors)
     return Layer(
@@ -75,8 +88,8 @@ def _layer(cameras: Cameras, name: str, colors: ColorArray, legend: tuple[Legend
         # Dots shrink with their number: 2,000 cameras would hide the map under 7 px each.
         point_size_px=float(np.clip(100 / np.sqrt(max(len(cameras), 1)), 3.0, 7.0)),
         point_rim=True,
-        segments=pyramid_segments(cameras, _pyramid_depth(cameras)),
-        segment_colors=np.repeat(strokes, 8, axis=0),
+        segments=pyramid_segments(cameras, _pyramid_depth(cameras)) if pyramids else np.zeros((0, 2, 3)),
+        segment_colors=np.repeat(strokes, 8, axis=0) if pyramids else strokes[:0],
         line_width_px=1.1,
         legend=legend,
         heat=heat,

@@ -7,22 +7,25 @@ Needs the `desktop` extra.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import numpy as np
 import pyvista as pv
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
 from PySide6.QtGui import QMouseEvent
-from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
 from pyvistaqt import QtInteractor
+from vtkmodules.vtkCommonCore import vtkCommand
 from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer
+from radiant_viewer.drawing import SLOTS_PER_LAYER, add_layer, is_alike, update_layer
 from radiant_viewer.images import Image
 from radiant_viewer.layers import CLOUD_SIZE, Layer
 from radiant_viewer.map_labels import add_map_labels
 from radiant_viewer.offscreen import aim_camera
 from radiant_viewer.point_detail import PointDetail
+from radiant_viewer.scale_bar import ScaleBar
 from radiant_viewer.themes import LIGHT, Theme, themed
 from radiant_viewer.view_pose import ViewPose
 
@@ -38,9 +41,10 @@ Clicked = Callable[["Canvas", tuple[int, int]], bool]
 class Canvas:
     """A plotter in a frame with a heading; `click_takers` are asked in order until one takes a click."""
 
-    def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray) -> None:
+    def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray, unit: str = "m") -> None:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
         self.actors: dict[str, list[vtkProp]] = {}
+        self._drawn: dict[str, tuple[Theme, int, Layer]] = {}
         self.click_takers: list[Clicked] = []
         self.frame = QWidget(parent)
         layout = QVBoxLayout(self.frame)
@@ -48,16 +52,29 @@ class Canvas:
         layout.setSpacing(2)
         heading = QLabel(title)
         heading.setStyleSheet("font-weight: 600")
-        layout.addWidget(heading)
-        self.plotter = QtInteractor(self.frame, auto_update=False, multi_samples=4)
+        top = QHBoxLayout()
+        top.addWidget(heading, stretch=1)
+        layout.addLayout(top)
+        self.plotter = _View(self.frame, auto_update=False, multi_samples=4)
+        # Else the first look at the camera, and the first layer, would each draw a frame.
+        self.plotter.camera_set = True
         # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its own.
         self.plotter.reset_key_events()
         self.plotter.iren.interactor.RemoveObservers("CharEvent")
         self.plotter.setToolTip("")
-        self.detail = PointDetail(self.plotter, later=lambda seconds, call: QTimer.singleShot(int(1000 * seconds), self.frame, call))
+        self.plotter.draw_once()
+        self.detail = PointDetail(
+            self.plotter,
+            later=lambda seconds, call: QTimer.singleShot(int(1000 * seconds), self.frame, call),
+            redraw=self.plotter.update,
+        )
         layout.addWidget(self.plotter, stretch=1)
         # By Qt: some of VTK's styles keep the release of a button to themselves.
         self._clicks = _ClickFilter(self.plotter, self._on_click)
+        if is_map:
+            self.scale_bar = ScaleBar(self.frame, unit)
+            top.addWidget(self.scale_bar)
+            self.plotter.renderer.AddObserver(vtkCommand.StartEvent, self._show_scale)
         self.set_theme(LIGHT)
 
     def set_theme(self, theme: Theme) -> None:
@@ -67,12 +84,18 @@ class Canvas:
 
     def draw(self, layer: Layer, slot: int, *, visible: bool = True) -> None:
         """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
-        self.remove(layer.name)
         height = float(SLOTS_PER_LAYER * slot)
-        actors = add_layer(
-            self.plotter, themed(layer, self.theme), self.origin, flat_height=height if self.is_map else None, detail=self.detail
-        )
-        self.actors[layer.name] = [*actors]
+        flat_height = height if self.is_map else None
+        shown, before = themed(layer, self.theme), self._drawn.get(layer.name)
+        if before is not None and before[:2] == (self.theme, slot) and is_alike(before[2], shown) and _same_labels(before[2], shown):
+            actors = self.actors[layer.name][: -1 if layer.labels and self.is_map else None]
+            update_layer(cast("list[pv.Actor]", actors), shown, self.origin, flat_height)
+            self._drawn[layer.name] = (self.theme, slot, shown)
+            self.show(layer.name, visible)
+            return
+        self.remove(layer.name)
+        actors = add_layer(self.plotter, shown, self.origin, flat_height=flat_height, detail=self.detail)
+        self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in actors[-1:]:
                 # A view of the window is a quarter of a picture's size: points as large would bury what lies below.
@@ -83,6 +106,7 @@ class Canvas:
 
     def remove(self, name: str) -> None:
         """Take a layer away, if it is drawn."""
+        self._drawn.pop(name, None)
         for actor in self.actors.pop(name, []):
             self.plotter.remove_actor(actor, render=False)
 
@@ -92,13 +116,16 @@ class Canvas:
             actor.SetVisibility(visible)
 
     def render(self) -> None:
-        """Draw the frame now."""
+        """Draw a frame, as soon as Qt paints; several calls before that give one."""
         self.plotter.renderer.reset_camera_clipping_range()
-        self.plotter.render()
+        self.plotter.update()
 
     def screenshot(self) -> Image:
         """What is seen (H,W,3), once it is at rest."""
         self.detail.refine()
+        # Now, whatever frame waits for Qt.
+        self.plotter.renderer.reset_camera_clipping_range()
+        self.plotter.render()
         pixels = self.plotter.screenshot(return_img=True)
         assert pixels is not None
         return np.asarray(pixels, np.uint8)
@@ -179,10 +206,34 @@ class Canvas:
         offset = (np.array(pixel, np.float64) + 0.5 - (width / 2, height / 2)) * per_px
         return np.array(camera.focal_point[:2]) + offset + self.origin[:2]
 
+    def _show_scale(self, *_: object) -> None:
+        self.scale_bar.show_scale(2 * float(self.plotter.camera.parallel_scale) / max(self.plotter.height(), 1))
+
     def _on_click(self, x: float, y: float) -> None:
         scale = self.plotter.devicePixelRatioF()
         pixel = (int(x * scale), int(self.size_wh[1] - 1 - y * scale))
         _first_taker(self.click_takers, self, pixel)
+
+
+class _View(QtInteractor):
+    """A view that draws a frame when Qt paints it, and only then: pyvistaqt 0.13 draws it once for VTK and once more for Qt."""
+
+    _is_painting = False
+
+    def draw_once(self) -> None:
+        """From the next paint on, ask Qt for a paint where VTK's mouse styles ask for a frame."""
+        self.iren.interactor.AddObserver(vtkCommand.RenderEvent, lambda *_: None if self._is_painting else self.update())
+
+    def paintGL(self) -> None:
+        """Qt calls it, by way of versions of pyvistaqt that are widgets of OpenGL; others go on drawing as they did."""
+        interactor = self.iren.interactor
+        self._is_painting = True
+        interactor.EnableRenderOn()
+        try:
+            super().paintGL()
+        finally:
+            interactor.EnableRenderOff()
+            self._is_painting = False
 
 
 class _ClickFilter(QObject):
@@ -208,3 +259,8 @@ class _ClickFilter(QObject):
 
 def _first_taker(takers: Sequence[Clicked], canvas: Canvas, pixel: tuple[int, int]) -> bool:
     return any(taker(canvas, pixel) for taker in takers)
+
+
+def _same_labels(layer: Layer, other: Layer) -> bool:
+    texts = [[(label.text.splitlines()[0], label.position.tolist()) for label in one.labels] for one in (layer, other)]
+    return texts[0] == texts[1]

@@ -30,6 +30,7 @@ def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
         point_colors=np.tile(np.array(YELLOW, np.uint8), (len(shown), 1)),
         point_size_px=_ring_px(len(positions)),
         point_rim=True,
+        behind=True,
         legend=legend,
     )
 

@@ -13,9 +13,10 @@ from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
 from radiant_viewer.images import Image
-from radiant_viewer.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, new_figure
+from radiant_viewer.page import INK_COLOR, axes_at, figure_image, new_figure
 from radiant_viewer.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW, tinted
 from radiant_viewer.region_layer import duration_text
+from radiant_viewer.themes import LIGHT, Theme, hex_color
 
 ROW_PX, TOP_PX, FOOT_PX, LABEL_PX, RIGHT_PX = 26, 92, 52, 150, 96
 STAGE_COLORS = {"initialise": SKY, "train": BLUE, "send": ORANGE, "aggregate": GREEN, "merge": PURPLE, "evaluate": YELLOW, "whole": GREY}
@@ -119,20 +120,22 @@ def time_unit(end_s: float) -> tuple[float, str]:
     return (1.0, "s") if end_s < 100 else (60.0, "min") if end_s < 6000 else (3600.0, "h")
 
 
-def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, label: str) -> None:
+def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, label: str, theme: Theme = LIGHT) -> None:
     """Rows, each a name and whether it is bold, from the top down; time from 0 to `end` along the bottom."""
+    ink, soft = hex_color(theme.ink), hex_color(theme.soft_text)
     axes.set(xlim=(0, end * 1.01), ylim=(len(rows) - 0.4, -0.6))
-    axes.set_yticks(range(len(rows)), [name for name, _ in rows], size=9.5, color=INK_COLOR)
+    axes.set_facecolor("none")
+    axes.set_yticks(range(len(rows)), [name for name, _ in rows], size=9.5, color=ink)
     for text, (_, strong) in zip(axes.get_yticklabels(), rows, strict=True):
         text.set_fontweight("bold" if strong else "normal")
-    axes.set_xlabel(label, size=9.5, color=INK_COLOR)
-    axes.tick_params(axis="x", labelsize=9, color=SOFT_COLOR, labelcolor=INK_COLOR)
+    axes.set_xlabel(label, size=9.5, color=ink)
+    axes.tick_params(axis="x", labelsize=9, color=soft, labelcolor=ink)
     axes.tick_params(axis="y", length=0)
-    axes.grid(axis="x", color="#d9dce1", linewidth=0.8)
+    axes.grid(axis="x", color=hex_color(theme.line), linewidth=0.8)
     axes.set_axisbelow(True)
     for side, spine in axes.spines.items():
         spine.set_visible(side == "bottom")
-        spine.set_color(SOFT_COLOR)
+        spine.set_color(soft)
 
 
 def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[float, ...]]) -> None:

@@ -87,6 +87,8 @@ class LayerFrames:
         camera.position, camera.focal_point = tuple(pose.position - self._origin), tuple(pose.focal_point - self._origin)
         camera.up, camera.view_angle = tuple(pose.up), pose.angle_deg
         self._plotter.renderer.reset_camera_clipping_range()
+        # A picture alone would be of the frame drawn last, which is the first one's for the whole flight.
+        self._plotter.render()
         pixels = self._plotter.screenshot(return_img=True)
         assert pixels is not None
         image = np.asarray(pixels, np.uint8)

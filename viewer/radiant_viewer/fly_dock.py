@@ -109,6 +109,7 @@ class FlyDock(QDockWidget):
         self.job.ended.connect(self._on_ended)
         self.bar.setRange(0, len(poses))
         self._update()
+        self.note.setText(f"Writing {len(poses)} frames to {path.name} …")
         self.job.begin()
 
     def stop(self) -> None:

@@ -13,6 +13,7 @@ from radiant_viewer.gantt_chart import gantt_picture
 from radiant_viewer.images import Image
 from radiant_viewer.picture_label import pixmap_of
 from radiant_viewer.run_feeds import RunFeeds
+from radiant_viewer.themes import ThemeName
 
 if TYPE_CHECKING:
     from radiant_viewer.window import InspectorWindow
@@ -28,7 +29,7 @@ class GanttDock(QDockWidget):
         self.setObjectName("timeline")
         self._window, self._feeds = window, feeds
         self.image: Image | None = None
-        self._width_px = 0
+        self._drawn: tuple[int, ThemeName] | None = None
         self.label = QLabel("")
         self.label.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         area = QScrollArea()
@@ -47,25 +48,28 @@ class GanttDock(QDockWidget):
         if self.isVisible():
             self._draw()
 
+    def follow_theme(self) -> None:
+        """Draw in the window's colours."""
+        if self.isVisible():
+            self._draw()
+
     def reload(self) -> None:
         """Read plan and times anew."""
-        self._width_px = 0
+        self._drawn = None
         if self.isVisible():
             self._draw()
 
     def _draw(self) -> None:
-        width_px = max(MIN_WIDTH_PX, self.width() - 24)
-        if width_px == self._width_px:
+        width_px, theme = max(MIN_WIDTH_PX, self.width() - 24), self._window.theme
+        if self._drawn == (width_px, theme.name):
             return
-        self._width_px = width_px
+        self._drawn = (width_px, theme.name)
         try:
             rows = self._feeds.gantt_rows()
             if not rows:
                 self.label.setText("This run keeps no timeline: it was planned without a system, or by an older version.")
                 return
-            happened = any(row.measured for row in rows)
-            title = "Predicted and measured" if happened else "Predicted stages"
-            self.image = gantt_picture(rows, title, self._feeds.gantt_detail(), width_px)
+            self.image = gantt_picture(rows, "", self._feeds.gantt_detail(), width_px, theme)
             self.label.setPixmap(pixmap_of(self.image))
         except RadiantError as error:
             self.label.setText(str(error))

@@ -6,17 +6,18 @@ from collections.abc import Callable, Sequence
 from textwrap import fill
 
 import numpy as np
-from PySide6.QtCore import Qt
-from PySide6.QtGui import QIcon, QImage, QPixmap
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QIcon, QImage, QPainter, QPen, QPixmap
 from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidgetItem, QWidget
 
 from radiant_core.errors import BadInput
 from radiant_viewer.detail import moving_note
-from radiant_viewer.layers import Layer
-from radiant_viewer.palette import GREY, ColorArray, heat_table
+from radiant_viewer.layers import Layer, LegendEntry
+from radiant_viewer.palette import GREY, INK, heat_table
 
 NAME, SOLO = 0, 1
 MAX_OPEN_ROWS = 8
+ICON_PX, HEAT_PX = 14, 64
 LEGEND_COLUMNS = 36
 """Longer texts of a legend take a second line: the dock is some 40 letters wide in a window of 1280 px."""
 
@@ -35,6 +36,7 @@ class LayerDock(QDockWidget):
         self.tree.header().setSectionResizeMode(SOLO, QHeaderView.ResizeMode.ResizeToContents)
         self.tree.headerItem().setToolTip(SOLO, "Show this layer alone; clear the box to see the others again")
         self.tree.setIndentation(12)
+        self.tree.setIconSize(QSize(HEAT_PX, ICON_PX))
         self.tree.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self._items: dict[str, QTreeWidgetItem] = {}
         for layer in reversed(layers):
@@ -111,10 +113,10 @@ class LayerDock(QDockWidget):
 
 
 def _add_legend(item: QTreeWidgetItem, layer: Layer) -> None:
-    rows = [(entry.text, color_icon(np.array([[entry.color]], np.uint8))) for entry in layer.legend]
+    rows = [(entry.text, marker_icon(entry)) for entry in layer.legend]
     if layer.heat is not None:
         rows += [
-            (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", color_icon(heat_table(layer.heat.start)[None])),
+            (f"{layer.heat.low:.4g} to {layer.heat.high:.4g}", heat_icon(layer.heat.start)),
             (fill(layer.heat.label, LEGEND_COLUMNS), QIcon()),
         ]
     rows += [(note, QIcon()) for note in [moving_note(layer)] if note]
@@ -129,9 +131,30 @@ def _check_state(checked: bool) -> Qt.CheckState:
     return Qt.CheckState.Checked if checked else Qt.CheckState.Unchecked
 
 
-def color_icon(colors: ColorArray) -> QIcon:
-    """An icon with a grey rim, seen on light and on dark ground, from colours (1,K,3), one or a whole scale from left to right."""
-    icon = np.tile(np.array(GREY, np.uint8), (14, 14, 1))
-    columns = np.linspace(0, colors.shape[1] - 1, 12).round().astype(int)
-    icon[1:-1, 1:-1] = colors[:, columns]
-    return QIcon(QPixmap.fromImage(QImage(icon.tobytes(), 14, 14, 42, QImage.Format.Format_RGB888)))
+def marker_icon(entry: LegendEntry) -> QIcon:
+    """How a layer draws what an entry is about: a fill, a stroke, a dot, or a mark with a dark rim."""
+    picture = QPixmap(ICON_PX, ICON_PX)
+    picture.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(picture)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    color, place = QColor(*entry.color), QRectF(1.5, 1.5, ICON_PX - 3, ICON_PX - 3)
+    # A grey rim is seen on light and on dark ground.
+    painter.setPen(QPen(QColor(*(INK if entry.marker in ("ring", "square") else GREY)), 1.5))
+    painter.setBrush(color)
+    if entry.marker == "line":
+        painter.setPen(QPen(color, 3))
+        painter.drawLine(QPointF(1, ICON_PX / 2), QPointF(ICON_PX - 1, ICON_PX / 2))
+    elif entry.marker in ("dot", "ring"):
+        painter.drawEllipse(place.adjusted(1, 1, -1, -1))
+    else:
+        painter.drawRect(place if entry.marker == "area" else place.adjusted(1.5, 1.5, -1.5, -1.5))
+    painter.end()
+    return QIcon(picture)
+
+
+def heat_icon(start: float) -> QIcon:
+    """The colours of a heat scale from left to right, with a grey rim."""
+    icon = np.tile(np.array(GREY, np.uint8), (ICON_PX, HEAT_PX, 1))
+    columns = np.linspace(0, 255, HEAT_PX - 2).round().astype(int)
+    icon[1:-1, 1:-1] = heat_table(start)[columns]
+    return QIcon(QPixmap.fromImage(QImage(icon.tobytes(), HEAT_PX, ICON_PX, 3 * HEAT_PX, QImage.Format.Format_RGB888)))

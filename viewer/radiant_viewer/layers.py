@@ -83,6 +83,8 @@ class Layer:
     """Whether points and rims are square instead of round."""
     in_front: bool = False
     """Whether a 3D view shows it through whatever stands before it, as borders under a model need."""
+    behind: bool = False
+    """Whether a 3D view draws it a trace farther away than it is, so that what stands in the same place covers its middle."""
     segments: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
     segment_colors: ColorArray = field(default_factory=_no_colors)
     line_width_px: float = 1.5

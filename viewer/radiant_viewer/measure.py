@@ -1,4 +1,4 @@
-"""Lengths and areas of what a user draws on the map. Once per click; K corners.
+"""Lengths and areas of what a user draws on the map, and of its scale bar. Once per click; K corners.
 
 length = Σ ‖x_{k+1} − x_k‖,  area = ½ |Σ x_k y_{k+1} − x_{k+1} y_k|  (the shoelace formula, about the first corner)
 """
@@ -29,6 +29,12 @@ def polygon_area(corners: FloatArray) -> float:
     if polygon.area > 0 and not polygon.is_valid:
         raise BadInput("the sides of the measured polygon cross: undo the last corner, or begin again.")
     return float(polygon.area)
+
+
+def nice_length(limit: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is at most `limit` > 0: 73 gives 50."""
+    power = 10.0 ** np.floor(np.log10(limit))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= limit * (1 + 1e-9)))
 
 
 def length_text(length: float, unit: str) -> str:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 from radiant_viewer.images import Drawing, Image
 from radiant_viewer.layers import HeatScale, Layer, LegendEntry
+from radiant_viewer.measure import nice_length
 from radiant_viewer.palette import INK, heat_table
 
 DPI = 100
@@ -92,12 +93,6 @@ def figure_image(figure: Figure) -> Image:
     assert isinstance(canvas, FigureCanvasAgg)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[:, :, :3].copy()
-
-
-def nice_length(limit: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is at most `limit` > 0: 73 gives 50."""
-    power = 10.0 ** np.floor(np.log10(limit))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= limit * (1 + 1e-9)))
 
 
 def _add_title(figure: Figure, text: PageText, left_px: int) -> None:

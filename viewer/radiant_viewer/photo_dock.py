@@ -40,7 +40,7 @@ class PhotoDock(QDockWidget):
         psnr_db = run.psnr_db or {}
         self.worst_first = sorted(psnr_db, key=lambda name: psnr_db[name])
         self._pictures: dict[str, Image] = {}
-        self.name = QLabel("No camera is selected")
+        self.name = QLabel("No camera selected")
         self.name.setStyleSheet("font-weight: 600")
         self.name.setSizePolicy(self.name.sizePolicy().horizontalPolicy().Ignored, self.name.sizePolicy().verticalPolicy())
         self.previous, self.next, self.worst = QToolButton(), QToolButton(), QToolButton()

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QSignalBlocker, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QSignalBlocker, QSize, Qt
 from PySide6.QtWidgets import (
     QComboBox,
     QDockWidget,
@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
     QProgressBar,
     QPushButton,
     QScrollArea,
+    QSizePolicy,
     QVBoxLayout,
     QWidget,
 )
@@ -76,26 +77,24 @@ class PlanDock(QDockWidget):
         self.slack.setDecimals(2)
         self.slack.setToolTip("How many times the shortest makespan the plan may take where that brings cameras nearer to their edges")
         self.buttons: dict[str, QPushButton] = {}
-        body = QWidget()
-        layout = QVBoxLayout(body)
-        layout.setContentsMargins(4, 4, 4, 8)
-        layout.setSpacing(5)
+        body, tools = QWidget(), QWidget()
+        layout, inner = QVBoxLayout(body), QVBoxLayout(tools)
+        layout.setContentsMargins(4, 4, 4, 4)
+        inner.setContentsMargins(0, 0, 0, 0)
+        inner.setSpacing(4)
+        self._add_cameras(inner)
+        self._add_regions(inner)
+        self._add_files(inner)
+        inner.addStretch(1)
+        area = _area(tools)
+        area.setMinimumWidth(tools.minimumSizeHint().width() + area.verticalScrollBar().sizeHint().width() + HEADLINE_PX)
         for widget in (self.working, self.headline):
             layout.addWidget(widget)
         layout.addLayout(self._history_row())
-        self._add_cameras(layout)
-        self._add_regions(layout)
-        self._add_files(layout)
-        # Below the buttons, which would move with every longer text, and be missed.
-        for label in (self.certificate, self.changes):
-            layout.addWidget(label)
-        layout.addStretch(1)
-        area = self._area = QScrollArea()
-        area.setWidgetResizable(True)
-        area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        area.setWidget(body)
-        area.setMinimumWidth(body.minimumSizeHint().width() + area.verticalScrollBar().sizeHint().width() + HEADLINE_PX)
-        self.setWidget(area)
+        layout.addWidget(area, stretch=1)
+        # Below the buttons, which would move with every longer text, and be missed; always in sight, whatever is scrolled above.
+        layout.addWidget(_Results(self.changes, self.certificate))
+        self.setWidget(body)
 
     def choose(self, edge: str, device: str | None) -> None:
         """Make an edge, and a device of it where one is named, what the buttons are for."""
@@ -129,8 +128,6 @@ class PlanDock(QDockWidget):
     def show_comparison(self, other: str, text: str, rows: Sequence[ComparedRow]) -> None:
         """What differs from another plan, and the figures of both; those of edges beyond `MAX_COMPARED` are left out."""
         self.changes.setText(_comparison_html(other, text, rows))
-        # Once the text has its place: at 1280×800 it lies below what is seen.
-        QTimer.singleShot(0, lambda: self._area.ensureWidgetVisible(self.changes))
 
     def show_selected(self, count: int, target: str | None = None) -> None:
         """How many cameras are selected, and the edge they would most likely be pinned to."""
@@ -252,6 +249,51 @@ def _comparison_html(other: str, text: str, rows: Sequence[ComparedRow]) -> str:
     return f"<p>Against {escape(other)}: {escape(text)}</p><table>{head}{''.join(cells)}</table>{more}"
 
 
+class _Results(QScrollArea):
+    """Texts below each other, as high as they are, at most half of the panel; more is scrolled."""
+
+    def __init__(self, *labels: QLabel) -> None:
+        super().__init__()
+        self._body = QWidget()
+        layout = QVBoxLayout(self._body)
+        layout.setContentsMargins(0, 4, 0, 0)
+        for label in labels:
+            layout.addWidget(label)
+        layout.addStretch(1)
+        self.setWidgetResizable(True)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setWidget(self._body)
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+        self._body.installEventFilter(self)
+
+    def sizeHint(self) -> QSize:
+        """Qt asks for it."""
+        panel = self.parentWidget()
+        room = 0 if panel is None else panel.height() // 2
+        layout = self._body.layout()
+        assert layout is not None
+        # Its width is the panel's: it asks for none.
+        return QSize(0, min(room, layout.heightForWidth(self.viewport().width())))
+
+    def minimumSizeHint(self) -> QSize:
+        """Qt asks for it: what is less would be squeezed out by the tools above."""
+        return self.sizeHint()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """A text became longer or shorter."""
+        if watched is self._body and event.type() in (QEvent.Type.LayoutRequest, QEvent.Type.Resize):
+            self.updateGeometry()
+        return super().eventFilter(watched, event)
+
+
+def _area(body: QWidget) -> QScrollArea:
+    area = QScrollArea()
+    area.setWidgetResizable(True)
+    area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    area.setWidget(body)
+    return area
+
+
 def _label(*, strong: bool = False, soft: bool = False) -> QLabel:
     label = QLabel()
     label.setWordWrap(True)
@@ -266,7 +308,7 @@ def _label(*, strong: bool = False, soft: bool = False) -> QLabel:
 def _heading(text: str) -> QWidget:
     frame = QFrame()
     layout = QVBoxLayout(frame)
-    layout.setContentsMargins(0, 6, 0, 0)
+    layout.setContentsMargins(0, 2, 0, 0)
     label = QLabel(text)
     label.setStyleSheet("font-weight: 600")
     layout.addWidget(label)

@@ -32,6 +32,7 @@ def load_rows(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, const
     pins = {edge: list(constraints.pinned.values()).count(edge) for edge in set(constraints.pinned.values())}
     dealt = {plan.edge_id: plan for plan in edges}
     rows: list[LoadRow] = []
+    counts = cloud.counts
     for index, edge in enumerate(system.edges):
         notes = [
             *(["locked"] if edge.id in constraints.locked else []),
@@ -44,7 +45,7 @@ def load_rows(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, const
                 name=edge.id,
                 edge=edge.id,
                 is_edge=True,
-                num_cameras=int(cloud.counts[index]),
+                num_cameras=int(counts[index]),
                 time_s=time_s,
                 share=time_s / makespan_s,
                 note=", ".join(notes),

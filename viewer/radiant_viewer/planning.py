@@ -341,6 +341,7 @@ class Planning:
         editor = self.session.editor
         if not self.tools.is_dragging:
             return
+        self.window.map.detail.stir()
         self._draw(edited_layers(self.run, editor.subject, plan, editor.base), both=False)
         difference = plan_difference((editor.state.cloud, ()), (plan.cloud, ()))
         self.dock.show_figures(plan.cloud, difference.text)

@@ -87,10 +87,10 @@ class _Cloud:
 
 
 class PointDetail:
-    """The large clouds of one plotter; `later(seconds, call)` runs a call on the window's own thread."""
+    """The large clouds of one plotter; `later(seconds, call)` runs a call on the window's own thread, `redraw` draws a frame."""
 
-    def __init__(self, plotter: pv.Plotter, later: Later | None = None) -> None:
-        self._plotter, self._later = plotter, later
+    def __init__(self, plotter: pv.Plotter, later: Later | None = None, redraw: Callable[[], object] | None = None) -> None:
+        self._plotter, self._later, self._redraw = plotter, later, redraw or plotter.render
         self._clouds: list[_Cloud] = []
         self._seen: View | None = None
         self._num_moves = 0
@@ -103,6 +103,10 @@ class PointDetail:
         cloud = _Cloud(local=local, height=height, colors=colors, actor=actor)
         self._draw(cloud, np.zeros(0, np.int64), shown=None)
         self._clouds.append(cloud)
+
+    def stir(self) -> None:
+        """Draw the next frame, and those soon after it, with few points, as in a drag under a view that stands still."""
+        self._seen = None
 
     def refine(self) -> None:
         """Bring every visible cloud to full detail for the camera as it stands, without drawing."""
@@ -139,7 +143,7 @@ class PointDetail:
                 later(REST_S, rest)
                 return
             self.refine()
-            self._plotter.render()
+            self._redraw()
 
         later(REST_S, rest)
 

@@ -63,7 +63,9 @@ THEMES: dict[ThemeName, Theme] = {"light": LIGHT, "dark": DARK}
 def themed(layer: Layer, theme: Theme) -> Layer:
     """The layer as it is drawn under a theme, its legend too: ink becomes the theme's, pale fills become dark ones, what is left white
     the theme's field, and a heat scale begins where it can be seen; other colours of data stay."""
-    if theme.name == "light":
+    is_plain = not (len(layer.segments) or layer.polygons or layer.heat or any(entry.marker == "line" for entry in layer.legend))
+    if theme.name == "light" or is_plain:
+        # The same object: both views then share what they keep of a cloud.
         return layer
     strokes = np.array([entry.color for entry in layer.legend if entry.marker == "line"], np.uint8).reshape(-1, 3)
     inked = iter(_reinked(strokes, theme).tolist())
@@ -99,6 +101,8 @@ QHeaderView::section {{ background: {panel}; color: {soft}; border: none; border
 QTableCornerButton::section {{ background: {panel}; border: none; }}
 QToolBar {{ background: {panel}; border: none; border-bottom: 1px solid {line}; spacing: 2px; padding: 2px 4px; }}
 QToolBar QToolButton {{ background: transparent; color: {text}; border: 1px solid transparent; border-radius: 4px; padding: 3px 8px; }}
+QToolBar QToolButton[popupMode="2"] {{ padding-right: 18px; }}
+QToolBar QToolButton::menu-indicator {{ subcontrol-origin: padding; subcontrol-position: right center; right: 5px; }}
 QToolBar QToolButton:hover {{ border-color: {accent}; }}
 QToolBar QToolButton:checked {{ background: {chosen}; border-color: {accent}; }}
 QTabBar::tab {{ background: {panel}; color: {soft}; padding: 4px 10px; border: none; border-bottom: 2px solid transparent; }}

@@ -74,7 +74,7 @@ class InspectorWindow(QMainWindow):
         self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
         self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
         splitter = QSplitter(Qt.Orientation.Horizontal)
-        self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin)
+        self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin, unit=subject.unit)
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
         splitter.setSizes([320, 320])
         self.setCentralWidget(splitter)
@@ -178,10 +178,7 @@ class InspectorWindow(QMainWindow):
             row = self.docks.cameras.cameras.rows[index]
             self.tell("   ·   ".join(str(cell) for cell in row[:4] if cell))
         if self.isVisible():
-            center = self.run.scene.cameras.centers[[index]]
-            pixel = self.map.pixels_of(center)[0]
-            if not ((pixel >= 0) & (pixel <= self.map.size_wh)).all():
-                self.map.center_on(center[0, :2])
+            self._show_on_map(self.run.scene.cameras.centers[index])
         self.render_views()
 
     def fly_to_selected(self) -> None:
@@ -193,10 +190,16 @@ class InspectorWindow(QMainWindow):
         distance = max(float(abs(center[2] - self.subject.ground)), 1e-3)
         pose = pose_of_camera(self.run.scene.cameras, self.selected, distance)
         self.view.set_pose(pose)
-        self.map.center_on(center[:2])
+        self._show_on_map(center)
         self.render_views()
         if self.docks.splats is not None:
             self.raise_dock(self.docks.splats)
+
+    def _show_on_map(self, place: FloatArray) -> None:
+        """Move the map where a place (3,) lies outside of it."""
+        pixel = self.map.pixels_of(place[None])[0]
+        if not ((pixel >= 0) & (pixel <= self.map.size_wh)).all():
+            self.map.center_on(place[:2])
 
     def raise_dock(self, dock: QDockWidget | None) -> None:
         """Bring a dock to the front."""
@@ -222,6 +225,8 @@ class InspectorWindow(QMainWindow):
             canvas.set_theme(self.theme)
         for layer in self.layers:
             self.layer_dock.update_legend(themed(layer, self.theme))
+        if self.docks.gantt is not None:
+            self.docks.gantt.follow_theme()
         self._draw_all()
 
     def reset_views(self) -> None:
