@@ -33,6 +33,8 @@ class BenchOptions:
     """CPU seconds of training (train); empty for its own."""
     num_seeds: int | None = None
     """Models per preset and budget (train)."""
+    num_splits: int = 1
+    """How many eighths of the photographs are held out, one after the other (train)."""
     long_side_px: int | None = None
     """Size of the training images (train)."""
     ablations: bool = False
@@ -59,6 +61,8 @@ def run_bench(name: str, json_file: Path | None, options: BenchOptions) -> None:
         raise BadInput(f"--scene is for sfm, train, methods, paper, {' and '.join(_OF_A_RUN)}, not for {name}: leave it out.")
     if name != "train" and (options.presets or options.budgets_s or options.ablations):
         raise BadInput(f"--preset, --budget and --ablations are for the benchmark train, not for {name}: leave them out.")
+    if name != "train" and options.num_splits > 1:
+        raise BadInput(f"--splits is for the benchmark train, not for {name}: leave it out.")
     if name not in ("train", "methods", "paper") and options.num_seeds:
         raise BadInput(f"--seeds is for the benchmarks train, methods and paper, not for {name}: leave it out.")
     if name not in ("methods", "paper", "train") and (options.methods or options.out):
@@ -144,7 +148,8 @@ def _measure_training(options: BenchOptions) -> Sequence[Metric]:
         from radiant_viewer.images import save_png
 
         num_seeds = f"{len(bench.seeds)} seed" + ("s" if len(bench.seeds) > 1 else "")
-        detail = f"{bench.scene.name}, {bench.long_side_px} px, {num_seeds}; every dot is one model"
+        num_splits = f", {len(bench.splits)} splits" if len(bench.splits) > 1 else ""
+        detail = f"{bench.scene.name}, {bench.long_side_px} px, {num_seeds}{num_splits}; every dot is one model"
         save_png(options.plot, curve_picture(curves_of(rows), "Training: quality against time and size", detail))
         typer.echo(f"written: {options.plot}")
     return metrics

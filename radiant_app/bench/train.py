@@ -3,7 +3,9 @@
 One model of all training photographs of a scene, no tiers. Budgets are CPU seconds of the whole process, in which a loaded machine counts
 no more than an idle one. Equal for all presets: scene, photographs, size, budgets, seeds, held-out photographs; every row has its Gaussians
 beside it. A preset is also given half of each budget, and the difference to the reference at the full one is stated with the 95 % bounds of
-a bootstrap over images and seeds. `ablations`: the first preset with one thing switched off at a time, at the first budget, paired.
+a bootstrap over images and seeds. More `splits` hold out other photographs, each split with models of its own, so that a single photograph
+weighs less: the bootstrap draws among the images of all. `ablations`: the first preset with one thing switched off at a time, at the first
+budget, paired.
 With a folder for its rows a run that ended early is gone on with.
 """
 
@@ -36,6 +38,7 @@ from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.masks import pixel_weights, used_pixels
 from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
@@ -81,6 +84,8 @@ class TrainBench:
     presets: tuple[str, ...] = ("default", REFERENCE)
     budgets_s: tuple[float, ...] = BUDGETS_S
     seeds: tuple[int, ...] = (0,)
+    splits: tuple[int, ...] = (0,)
+    """Which photographs are held out: `first` of `held_out_mask`."""
     long_side_px: int = LONG_SIDE_PX
     ablations: bool = False
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: ABLATIONS)
@@ -88,8 +93,10 @@ class TrainBench:
     """Folder of the rows; those that are there already are not measured again."""
 
     def __post_init__(self) -> None:
-        if not self.presets or not self.budgets_s or not self.seeds or not all(np.isfinite(s) and s > 0 for s in self.budgets_s):
-            raise BadInput(f"bench train was given {self.presets}, {self.budgets_s} s and seeds {self.seeds}: give one or more of each.")
+        given = self.presets, self.budgets_s, self.seeds, self.splits
+        if not all(given) or not all(np.isfinite(s) and s > 0 for s in self.budgets_s):
+            presets, budgets_s, seeds, splits = given
+            raise BadInput(f"bench train was given {presets}, {budgets_s} s, seeds {seeds} and splits {splits}: give one or more of each.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,6 +115,8 @@ class TrainedRow:
     num_gaussians: int
     psnr_db: tuple[float, ...]
     psnr_cc_db: tuple[float, ...]
+    split: int = 0
+    """Which photographs were held out."""
 
     @property
     def mean_psnr_db(self) -> float:
@@ -121,12 +130,19 @@ class TrainedRow:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Loaded:
+class _Source:
     name: str
-    training: SfmScene
-    held_out: SfmScene
+    scene: SfmScene
     images: Path
     masks: Path | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Split:
+    source: _Source
+    first: int
+    training: SfmScene
+    held_out: SfmScene
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
@@ -135,24 +151,26 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
     `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs. BadInput where nothing can be held out.
     """
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
-        loaded = _load(bench.scene, Path(folder))
+        source = _load(bench.scene, Path(folder))
+        splits = [_split(source, first) for first in bench.splits]
         if bench.ablations:
-            return _ablations(bench, loaded)
+            return _ablations(bench, splits)
         halves = {budget_s / 2 for budget_s in bench.budgets_s}
         jobs = [
-            (preset, _config(preset, bench.long_side_px), budget_s, seed)
+            (split, preset, _config(preset, bench.long_side_px), budget_s, seed)
+            for split in splits
             for budget_s in sorted({*bench.budgets_s, *halves})
             # The reference first: with its largest budget done, every difference at half the time is known.
             for preset in sorted(bench.presets, key=lambda preset: preset != REFERENCE)
             for seed in bench.seeds
             if budget_s in bench.budgets_s or preset != REFERENCE
         ]
-        rows = [_row(bench.out, loaded, *job) for job in tracked(jobs, "bench train")]
-    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(loaded.name, group)]
+        rows = [_row(bench.out, *job) for job in tracked(jobs, "bench train")]
+    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(source.name, group)]
     for preset in bench.presets:
         for budget_s in bench.budgets_s if preset != REFERENCE and REFERENCE in bench.presets else ():
             for share, label in ((1.0, "equal_time"), (0.5, "half_time")):
-                key = f"train.{loaded.name}.{preset}.{budget_s:g}s.over_{REFERENCE}_at_{label}"
+                key = f"train.{source.name}.{preset}.{budget_s:g}s.over_{REFERENCE}_at_{label}"
                 metrics += _difference_metrics(key, rows, (preset, share * budget_s), (REFERENCE, budget_s))
     return rows, metrics
 
@@ -172,6 +190,7 @@ def bench_of(options: BenchOptions) -> TrainBench:
         presets=options.presets or (("default",) if ablations else ("default", REFERENCE)),
         budgets_s=tuple(sorted(set(budgets_s))),
         seeds=tuple(range(num_seeds)),
+        splits=tuple(range(options.num_splits)),
         long_side_px=size,
         ablations=ablations,
         changes={name: change for name, change in ABLATIONS.items() if not options.methods or name in options.methods},
@@ -188,18 +207,19 @@ def curves_of(rows: Sequence[TrainedRow]) -> dict[str, list[CurvePoint]]:
     return curves
 
 
-def _ablations(bench: TrainBench, loaded: _Loaded) -> tuple[list[TrainedRow], list[Metric]]:
+def _ablations(bench: TrainBench, splits: Sequence[_Split]) -> tuple[list[TrainedRow], list[Metric]]:
     whole, budget_s = bench.presets[0], bench.budgets_s[0]
     base = _config(whole, bench.long_side_px)
     variants = {whole: base, **{name: replace(base, **change) for name, change in bench.changes.items()}}
     # What is switched off already, or on, is no ablation.
     variants = {name: config for name, config in variants.items() if name == whole or config != base}
-    jobs = [(name, config, budget_s, seed) for seed in bench.seeds for name, config in variants.items()]
-    rows = [_row(bench.out, loaded, *job) for job in tracked(jobs, "bench train")]
-    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(loaded.name, group)]
+    jobs = [(split, name, config, budget_s, seed) for split in splits for seed in bench.seeds for name, config in variants.items()]
+    rows = [_row(bench.out, *job) for job in tracked(jobs, "bench train")]
+    scene = splits[0].source.name
+    metrics = [metric for group in _groups(rows).values() for metric in _row_metrics(scene, group)]
     for name in variants:
         if name != whole:
-            key = f"train.{loaded.name}.{_key(name)}.{budget_s:g}s.over_{whole}"
+            key = f"train.{scene}.{_key(name)}.{budget_s:g}s.over_{whole}"
             metrics += _difference_metrics(key, rows, (name, budget_s), (whole, budget_s))
     return rows, metrics
 
@@ -209,7 +229,7 @@ def _config(preset: str, long_side_px: int) -> TrainConfig:
     return replace(config, num_steps=UNLIMITED_STEPS)
 
 
-def _load(source: Path, work: Path) -> _Loaded:
+def _load(source: Path, work: Path) -> _Source:
     from radiant_app.sources import reconstruct_source
 
     try:
@@ -219,39 +239,43 @@ def _load(source: Path, work: Path) -> _Loaded:
         with stage_bar(ProgressDisplay(Console(stderr=True)), "sfm") as report:
             result = reconstruct_source(task, work / "sfm", lambda at: report(at.done, at.total, at.phase))
         scene, images, masks = result.scene, result.undistorted_folder, None
-    held = held_out_mask(scene.cameras.names)
-    if held.all() or held.sum() < 2:
-        raise BadInput(f"{source} has {len(scene.cameras)} placed photographs, of which {held.sum()} are held out: at least 2 are needed.")
     name = source.resolve().parent.name if source.name in ("images", "sfm") else source.resolve().name
-    training, held_out = (scene.restricted_to(np.flatnonzero(part)) for part in (~held, held))
-    return _Loaded(name=name, training=training, held_out=held_out, images=images, masks=masks)
+    return _Source(name=name, scene=scene, images=images, masks=masks)
 
 
-def _row(out: Path | None, loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
+def _split(source: _Source, first: int) -> _Split:
+    held = held_out_mask(source.scene.cameras.names, first=first)
+    if held.all() or held.sum() < 2:
+        raise BadInput(f"{source.name} has {len(held)} placed photographs, of which {held.sum()} are held out: at least 2 are needed.")
+    training, held_out = (source.scene.restricted_to(np.flatnonzero(part)) for part in (~held, held))
+    return _Split(source=source, first=first, training=training, held_out=held_out)
+
+
+def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     if out is None:
-        return _trained(loaded, variant, config, budget_s, seed)
-    key = content_key(__version__, {"scene": loaded.training.cameras.names, "config": asdict(config)})[:16]
-    record = out / "rows" / f"{loaded.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
+        return _trained(split, variant, config, budget_s, seed)
+    key = content_key(__version__, {"scene": split.training.cameras.names, "config": asdict(config)})[:16]
+    record = out / "rows" / f"{split.source.name}-{_key(variant)}-{budget_s:g}s-{seed}-{key}.json"
     if record.is_file():
         fields = read_json(record)
         return TrainedRow(**{**fields, "psnr_db": tuple(fields["psnr_db"]), "psnr_cc_db": tuple(fields["psnr_cc_db"])})
-    row = _trained(loaded, variant, config, budget_s, seed)
+    row = _trained(split, variant, config, budget_s, seed)
     record.parent.mkdir(parents=True, exist_ok=True)
     write_json(record, asdict(row))
     return row
 
 
-def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
+def _trained(split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
     from radiant_core.render.rendered_view import render_views
     from radiant_core.train.initialize import first_splats
     from radiant_core.train.needs import fit_to_scene
     from radiant_core.train.trainer import FitOptions, fit_splats
     from radiant_core.train.worth import worth_training
 
-    cameras = loaded.training.cameras.scaled(config.long_side_px)
-    views = load_training_views(loaded.images, cameras, loaded.masks)
+    cameras = split.training.cameras.scaled(config.long_side_px)
+    views = load_training_views(split.source.images, cameras, split.source.masks)
     begun_s = time.process_time()
-    training, views, _ = worth_training(loaded.training, views, config)
+    training, views, _ = worth_training(split.training, views, config)
     config, _ = fit_to_scene(replace(config, seed=seed, budget_s=budget_s), training, views)
     initial, _ = first_splats(training, views, config)
     # What was decided and placed before the first step belongs to the budget as well.
@@ -259,9 +283,9 @@ def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float
     config = replace(config, budget_s=max(1e-3, budget_s - spent_s))
     result = fit_splats(initial, views, config, FitOptions(clock=time.process_time))
     cpu_s = time.process_time() - begun_s
-    scored = loaded.held_out.cameras.scaled(config.long_side_px)
-    photographs = load_images(loaded.images, scored)
-    weights = pixel_weights(loaded.masks, scored)
+    scored = split.held_out.cameras.scaled(config.long_side_px)
+    photographs = load_images(split.source.images, scored)
+    weights = pixel_weights(split.source.masks, scored)
     used = [None] * len(photographs) if weights is None else [used_pixels(each) for each in weights]
     triples = zip(render_views(result.splats, scored), photographs, used, strict=True)
     figures = [_psnrs_db(view.image, photograph / 255, own) for view, photograph, own in triples]
@@ -274,6 +298,7 @@ def _trained(loaded: _Loaded, variant: str, config: TrainConfig, budget_s: float
         num_gaussians=len(result.splats),
         psnr_db=tuple(plain for plain, _ in figures),
         psnr_cc_db=tuple(corrected for _, corrected in figures),
+        split=split.first,
     )
 
 
@@ -309,11 +334,17 @@ def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, fl
     groups = _groups(rows)
     metrics = []
     for figure, mark in (("psnr_db", ""), ("psnr_cc_db", "cc_")):
-        one_db, other_db = (np.array([getattr(row, figure) for row in groups[group]]) for group in (one, other))
-        difference = paired_bootstrap(one_db, other_db)
+        difference = paired_bootstrap(_by_seed_and_image(groups[one], figure), _by_seed_and_image(groups[other], figure))
         bounds = {"mean_db": difference.mean, "at_least_db": difference.at_least, "low_db": difference.low, "high_db": difference.high}
         metrics += [Metric(key=f"{key}.{mark}{name}", value=value, unit="dB", direction="info") for name, value in bounds.items()]
     return metrics
+
+
+def _by_seed_and_image(rows: Sequence[TrainedRow], figure: str) -> FloatArray:
+    """A figure (S,I) of every seed's models, over the held-out images of all splits one after the other."""
+    seeds = sorted({row.seed for row in rows})
+    of_seed = [sorted((row for row in rows if row.seed == seed), key=lambda row: row.split) for seed in seeds]
+    return np.array([np.concatenate([getattr(row, figure) for row in own]) for own in of_seed])
 
 
 def _key(variant: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from radiant_app.bench.runner import BenchOptions, run_bench
-from radiant_app.bench.train import TrainBench, _load, _trained, bench_of, bench_train, curves_of
+from radiant_app.bench.train import TrainBench, _load, _split, _trained, bench_of, bench_train, curves_of
 from radiant_app.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from radiant_core.train.config import train_preset
@@ -50,6 +50,23 @@ def test_presets_meet_at_their_budgets_and_the_difference_has_bounds(project: Pa
     assert {name: len(points) for name, points in curves.items()} == {"default": 4, "standard": 2}
 
 
+def test_more_splits_hold_out_other_photographs_and_all_of_them_are_compared(project: Path) -> None:
+    bench = TrainBench(scene=project, budgets_s=(0.4,), splits=(0, 1), seeds=(0, 1), long_side_px=96)
+    rows, metrics = bench_train(bench)
+    assert {(row.split, row.seed) for row in rows if row.variant == "standard"} == set(product((0, 1), (0, 1)))
+    splits = [_split(_load(project, project), first) for first in (0, 1)]
+    names = [set(split.held_out.cameras.names) for split in splits]
+    assert not names[0] & names[1] and all(not own & set(split.training.cameras.names) for own, split in zip(names, splits, strict=True))
+    means = [
+        np.mean([row.psnr_db for row in rows if (row.variant, row.budget_s, row.split) == ("default", 0.2, split)]) for split in (0, 1)
+    ]
+    references = [np.mean([row.psnr_db for row in rows if (row.variant, row.split) == ("standard", split)]) for split in (0, 1)]
+    found = {metric.key: metric.value for metric in metrics}
+    # The hamlet holds out as many photographs in either split.
+    expected = np.mean(means) - np.mean(references)
+    assert found["train.hamlet.default.0.4s.over_standard_at_half_time.mean_db"] == pytest.approx(expected)
+
+
 def test_ablations_are_paired_with_the_whole(project: Path) -> None:
     changes = {"no densification": {"densify": "none"}, "as it is": {}}
     bench = TrainBench(scene=project, presets=("default",), budgets_s=(0.5,), seeds=(0,), long_side_px=96, ablations=True, changes=changes)
@@ -76,11 +93,12 @@ def test_masked_pixels_are_neither_trained_on_nor_scored(tmp_path: Path) -> None
     project = tmp_path / "hamlet"
     shutil.copytree(sample_scenes_folder() / "hamlet" / "images", project / "images")
     shutil.copytree(sample_scenes_folder() / "hamlet" / "known", project / "sparse" / "0")
-    assert _load(project, tmp_path).masks is None
-    loaded = replace(_load(project, tmp_path), masks=_masks_of_the_left_half(tmp_path / "masks", project / "images"))
+    source = _load(project, tmp_path)
+    assert source.masks is None
+    masks = _masks_of_the_left_half(tmp_path / "masks", project / "images")
     config = replace(train_preset("default"), long_side_px=96)
-    whole = _trained(replace(loaded, masks=None), "default", config, 0.3, 0)
-    masked = _trained(loaded, "default", config, 0.3, 0)
+    whole = _trained(_split(source, 0), "default", config, 0.3, 0)
+    masked = _trained(_split(replace(source, masks=masks), 0), "default", config, 0.3, 0)
     assert np.isfinite(masked.psnr_db).all() and masked.psnr_db != whole.psnr_db
 
 
@@ -111,6 +129,8 @@ def test_options_that_do_not_belong_together_are_refused(project: Path, tmp_path
         run_bench("train", None, BenchOptions(scene=project, plot=tmp_path / "nowhere" / "a.png"))
     with pytest.raises(BadInput, match="give one or more of each"):
         TrainBench(scene=project, budgets_s=(float("nan"),))
+    with pytest.raises(BadInput, match="--splits is for the benchmark train"):
+        run_bench("raster", None, BenchOptions(num_splits=2))
     with pytest.raises(BadInput, match="train preset 'best' is unknown"):
         bench_train(TrainBench(scene=project, presets=("best",), budgets_s=(0.1,)))
     with pytest.raises(BadInput, match="ablation 'no magic' is unknown"):

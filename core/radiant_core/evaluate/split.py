@@ -15,15 +15,23 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 
 
-def held_out_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
+def held_out_mask(names: Sequence[str], every: int = 8, first: int = 0) -> NDArray[np.bool_]:
     """Mask (C,) of the first, ninth, … of `names` (C) in sorted order; it moves with the names when they are reordered.
 
+    `first` from 1 to `every` − 1 begins that many later: `every` splits of one set hold each photograph out once (cross-validation).
     Where some names begin with "train/" and all others with "val/" the set brings its own split, and "val/" is held out.
-    Raises BadInput when `every` is below 2 (nothing would be left to train on) or a name comes twice.
+    Raises BadInput when `every` is below 2 (nothing would be left to train on), a name comes twice, or `first` is none of these or
+    asked of a set with its own split.
     """
-    everything = _every_nth(names, np.ones(len(names), bool), every)
+    everything = _every_nth(names, np.ones(len(names), bool), every, first)
+    if not 0 <= first < every:
+        raise BadInput(f"split {first} of {every} is asked for, expected 0 to {every - 1}.")
     folders = [name.split("/")[0] for name in names]
-    return np.array([folder == "val" for folder in folders]) if set(folders) == {"train", "val"} else everything
+    if set(folders) != {"train", "val"}:
+        return everything
+    if first:
+        raise BadInput(f"split {first} is asked for, but this set has its own, train/ and val/: ask for one split.")
+    return np.array([folder == "val" for folder in folders])
 
 
 def validation_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
@@ -44,12 +52,12 @@ def training_validation_mask(training_names: Sequence[str], every: int = 8) -> N
     return mask if len(training_names) >= every else np.zeros(len(training_names), bool)
 
 
-def _every_nth(names: Sequence[str], candidates: NDArray[np.bool_], every: int) -> NDArray[np.bool_]:
+def _every_nth(names: Sequence[str], candidates: NDArray[np.bool_], every: int, first: int = 0) -> NDArray[np.bool_]:
     if every < 2:
         raise BadInput(f"every {every}. photograph is to be held out, expected 2 or more: nothing would be left to train on.")
     if len(set(names)) != len(names):
         raise BadInput("a photograph's name comes twice, so that the split is not determined: give every one its own name.")
     ordered = sorted((index for index in range(len(names)) if candidates[index]), key=names.__getitem__)
     mask = np.zeros(len(names), bool)
-    mask[ordered[::every]] = True
+    mask[ordered[first::every]] = True
     return mask

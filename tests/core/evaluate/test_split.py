@@ -19,6 +19,20 @@ def test_the_first_and_every_eighth_after_it_are_held_out() -> None:
     assert chosen(NAMES, held_out_mask(NAMES)) == set(NAMES[::8])
 
 
+def test_the_splits_of_a_set_hold_each_photograph_out_once() -> None:
+    splits = [held_out_mask(NAMES, first=first) for first in range(8)]
+    assert (np.sum(splits, axis=0) == 1).all()
+    assert chosen(NAMES, splits[3]) == set(NAMES[3::8]) and (splits[0] == held_out_mask(NAMES)).all()
+
+
+def test_a_split_that_there_is_not_is_refused() -> None:
+    for first in (-1, 8):
+        with pytest.raises(BadInput, match="expected 0 to 7"):
+            held_out_mask(NAMES, first=first)
+    with pytest.raises(BadInput, match="this set has its own"):
+        held_out_mask(["train/a.jpg", "train/b.jpg", "val/c.jpg"], first=1)
+
+
 def test_held_out_and_validation_are_disjoint_and_leave_the_rest() -> None:
     held, validation = held_out_mask(NAMES), validation_mask(NAMES)
     assert not (held & validation).any()
