@@ -1,6 +1,7 @@
 """The event stream of a run as events.jsonl in its folder, for whoever watches from another process: written as it goes, read anew.
 
-One event per line, as `events.encode` writes it. Of progress, at most two lines a second and stage; a run that is resumed begins anew.
+One event per line, as `events.encode` writes it. Of progress, at most two lines a second and stage, and the first of every phase, which
+begins anew: else a long phase would show the end of the one before. A run that is resumed begins anew.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class EventFile:
     def __init__(self, run: Path, listen: Listener, clock: Callable[[], float] = time.monotonic) -> None:
         self._path, self._listen, self._clock = run / EVENTS_NAME, listen, clock
         self._file: IO[str] | None = None
-        self._told_s: dict[str, float] = {}
+        self._told: dict[str, tuple[float, StageProgress]] = {}
 
     def __enter__(self) -> Self:
         with suppress(OSError):
@@ -69,9 +70,11 @@ class EventFile:
         if not isinstance(event, StageProgress):
             return False
         now_s = self._clock()
-        if now_s - self._told_s.get(event.stage, float("-inf")) < SECONDS_BETWEEN:
-            return True
-        self._told_s[event.stage] = now_s
+        if event.stage in self._told:
+            told_s, last = self._told[event.stage]
+            if now_s - told_s < SECONDS_BETWEEN and event.total == last.total and event.done >= last.done:
+                return True
+        self._told[event.stage] = now_s, event
         return False
 
 

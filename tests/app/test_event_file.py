@@ -52,6 +52,19 @@ def test_a_watcher_reads_what_the_run_told(tmp_path: Path) -> None:
     assert after.stages[-1].state == "failed"
 
 
+def test_a_new_phase_is_told_at_once(tmp_path: Path) -> None:
+    phases = [(9.0, 10.0, "checking"), (10.0, 10.0, "checking"), (0.0, 10.0, "features"), (3.0, 10.0, "features"), (0.0, 45.0, "matching")]
+    with EventFile(tmp_path, lambda event: None, clock=lambda: 0.0) as tell:
+        tell(StageStarted(stage="sfm"))
+        for done, total, note in phases:
+            tell(StageProgress(stage="sfm", done=done, total=total, note=note))
+            shown = read_progress(tmp_path).stages[0]
+            # Within a phase the first half second shows its beginning.
+            assert shown.note == note
+    told = (tmp_path / EVENTS_NAME).read_text()
+    assert [told.count(f'"{note}"') for note in ("checking", "features", "matching")] == [1, 1, 1]
+
+
 def test_no_stream_a_broken_one_and_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     assert read_progress(tmp_path).stages == ()
     assert feeds_of(tmp_path).progress().stages == ()

@@ -41,7 +41,7 @@ from radiant_viewer.window import InspectorWindow
 
 out, tasks = Path(sys.argv[1]), [task.split("=", 1) for task in sys.argv[2:]]
 failures = []
-progress = RunProgress(stages=(StageState(stage="devices/a", state="running", done=1, total=4),), is_running=True, status="running")
+progress = RunProgress(stages=(StageState(stage="devices/a", state="running", done=1, total=4),), is_running=True, status="running", seconds_left=0.566)
 begun = RunProgress(stages=(StageState(stage="sfm", state="running"),), is_running=True, status="running")
 begun_feeds = RunFeeds(progress=lambda: begun)
 row = GanttRow(name="devices/a", predicted=(TimelineSpan(stage="train", start_s=0, stop_s=9),))
@@ -298,6 +298,7 @@ def live(window):
     until(lambda: gantt.image is not None)
     assert gantt.image.std() > 10
     assert dock.table.rowCount() == 1 and dock.table.cellWidget(0, 2).value() == 25
+    assert dock.summary.text().endswith("about 1 s left")
     done = StageState(stage="devices/a", state="done", seconds=9.0)
     progress = RunProgress(stages=(done, StageState(stage="edges/e", state="done", seconds=2.0)), status="done")
     dock.read()

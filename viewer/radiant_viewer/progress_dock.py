@@ -118,7 +118,7 @@ def _summary(progress: RunProgress) -> str:
     done = sum(stage.state in ("done", "skipped") for stage in progress.stages)
     parts = [f"Run {progress.status or 'unknown'}", f"{done} of {len(progress.stages)} stages that began are finished"]
     if progress.is_running and progress.seconds_left is not None:
-        parts.append(f"devices and edges: about {duration_text(progress.seconds_left)} left")
+        parts.append(f"devices and edges: about {duration_text(max(1, round(progress.seconds_left)))} left")
     if progress.warnings:
         parts.append(f"{len(progress.warnings)} warning{'s' * (len(progress.warnings) > 1)}")
     return "   ·   ".join(parts)

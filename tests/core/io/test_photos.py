@@ -131,6 +131,8 @@ def test_full_folders_of_a_camera_are_named_because_they_are_not_read(tmp_path: 
         (tmp_path / name).parent.mkdir(exist_ok=True)
         write(tmp_path / name, picture(3))
     (tmp_path / "notes").mkdir()
+    (tmp_path / "101MEDIA" / "album.jpg").mkdir()
+    (tmp_path / "prints" / "album.jpg").mkdir(parents=True)
     listing = list_photographs(tmp_path)
     assert [photo.name for photo in listing.photographs] == ["a.jpg", "b.jpg"]
     assert [(skipped.name, "2 photographs" in skipped.reason) for skipped in listing.skipped] == [("101MEDIA/", True)]
