@@ -66,6 +66,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "any number of Gaussians": {"pixels_per_splat": None},
     "all photographs": {"skip_images": "none"},
     "any number of steps": {"max_epochs": None},
+    "rates that never settle": {"settle_epochs": None},
     "black background": {"background": "black"},
     "random background": {"background": "random"},
     "antialiased": {"antialiased": True},

@@ -41,7 +41,8 @@ from radiant_viewer.window import InspectorWindow
 
 out, tasks = Path(sys.argv[1]), [task.split("=", 1) for task in sys.argv[2:]]
 failures = []
-progress = RunProgress(stages=(StageState(stage="devices/a", state="running", done=1, total=4),), is_running=True, status="running", seconds_left=0.566)
+stages = (StageState(stage="devices/a", state="running", done=1, total=4),)
+progress = RunProgress(stages=stages, is_running=True, status="running", seconds_left=0.566)
 begun = RunProgress(stages=(StageState(stage="sfm", state="running"),), is_running=True, status="running")
 begun_feeds = RunFeeds(progress=lambda: begun)
 row = GanttRow(name="devices/a", predicted=(TimelineSpan(stage="train", start_s=0, stop_s=9),))

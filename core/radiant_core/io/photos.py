@@ -158,9 +158,13 @@ def _promises_too_much(size_wh: tuple[int, int], data: bytes) -> bool:
 def _subfolders(folder: Path) -> list[Skipped]:
     """The folders in `folder` that hold JPEG files, as a camera starts one when the last is full; they are not read."""
     inner_folders = [inner for inner in folder.iterdir() if inner.is_dir() and os.access(inner, os.R_OK | os.X_OK)]
-    counts = {inner.name: sum(path.suffix.lower() in SUFFIXES[:2] and path.is_file() for path in inner.iterdir()) for inner in inner_folders}
+    counts = {inner.name: sum(_is_jpeg(path) for path in inner.iterdir()) for inner in inner_folders}
     told = "is a subfolder with {} photographs (move them beside the others to use them)"
     return [Skipped(name=f"{name}/", reason=told.format(count)) for name, count in sorted(counts.items()) if count]
+
+
+def _is_jpeg(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES[:2] and path.is_file()
 
 
 def _inspected(folder: Path, names: list[str]) -> Iterator[Photograph | Skipped]:

@@ -40,6 +40,8 @@ class TrainConfig:
     """Learning rate of the centres, in units of the cameras' extent."""
     means_lr_end: float = 0.01
     """Share of `means_lr` to which it falls over the run, exponentially."""
+    settle_epochs: int | None = None
+    """In runs of more steps per photograph, and of more than 700, rates but the centres' fall towards the end; None: never."""
     scales_lr: float = 5e-3
     """Learning rate of the logarithmic scales."""
     quats_lr: float = 1e-3
@@ -117,7 +119,7 @@ class TrainConfig:
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise BadInput(f"{name} is {value}, expected a positive number, or None for no limit.")
-        for name in ("pixels_per_splat", "max_epochs"):
+        for name in ("pixels_per_splat", "max_epochs", "settle_epochs"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise BadInput(f"{name} is {value}, expected at least 1, or None for no limit.")
@@ -148,6 +150,7 @@ class TrainConfig:
 # Short runs have no time for small steps: rates, Adam and growth were found on validation photographs (docs/experiments/training.md).
 _SHORT = TrainConfig(
     max_epochs=120,
+    settle_epochs=12,
     means_lr=6.4e-4,
     scales_lr=2e-2,
     quats_lr=5e-3,

@@ -35,6 +35,8 @@ from radiant_core.train.views import TrainingViews
 
 STEPS_BETWEEN_LIMITS = 50
 """How often sizes are held below their limit; it follows centres that move slowly."""
+MIN_SETTLING = 700.0
+"""Steps that rates keep their size for at least, however few the photographs."""
 MAX_FAILURES = 20
 """Steps in a row that may end in something not finite before training gives up."""
 
@@ -190,8 +192,9 @@ class Training:
         view = view_of_step(self.step, len(self._full), config.seed)
         if self.step % STEPS_BETWEEN_LIMITS == 0:
             self._limit_shapes()
+        end = self._options.steps.end**progress * settled(self.step, progress, len(self._full), config.settle_epochs)
         for name, rate in self._rates.items():
-            self._optimizer.set_rate(name, rate * (config.means_lr_end if name == "means" else self._options.steps.end) ** progress)
+            self._optimizer.set_rate(name, rate * (config.means_lr_end**progress if name == "means" else end))
         try:
             loss = self._fit_view(view, progress)
         except StageFailed as error:
@@ -367,6 +370,18 @@ class Training:
             num_steps = max(self.step, min(self._config.num_steps, round(self.step / max(self.progress, 1e-9))))
             self._options.report(TrainProgress(step=self.step, num_steps=num_steps, loss=float(np.mean(losses))))
             self._reported_s, self._num_reported = now_s, len(self._losses)
+
+
+def settled(step: int, progress: float, num_views: int, settle_epochs: int | None) -> float:
+    """The share of its rates that a run of N steps still has at step p N: T / (p² N), at most 1; T is `settle_epochs` steps per view, at
+    least `MIN_SETTLING`.
+
+    Rates fall the further the longer a run is, and begin to fall the earlier: 1,500 steps end with half of them, 6,000 with an eighth. N is
+    what the steps so far and their share of the run, `progress`, make of it, so that a budget of time needs no forecast.
+    """
+    if settle_epochs is None or step <= 0 or progress <= 0:
+        return 1.0
+    return min(1.0, max(MIN_SETTLING, settle_epochs * num_views) / (step * min(1.0, progress)))
 
 
 def view_of_step(step: int, num_views: int, seed: int) -> int:

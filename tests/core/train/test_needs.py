@@ -55,6 +55,8 @@ class TestLength:
     def test_a_limit_below_one_is_refused(self, epochs: int) -> None:
         with pytest.raises(BadInput, match="max_epochs is"):
             TrainConfig(max_epochs=epochs)
+        with pytest.raises(BadInput, match="settle_epochs is"):
+            TrainConfig(settle_epochs=epochs)
 
 
 class TestSize:

@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.density import DensityCounts
-from radiant_core.train.trainer import MAX_FAILURES, FitOptions, Training, TrainState, fit_splats, view_of_step
+from radiant_core.train.trainer import MAX_FAILURES, FitOptions, Steps, Training, TrainState, fit_splats, settled, view_of_step
 from radiant_core.train.validation import validation_psnr_db
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
@@ -53,9 +53,10 @@ def stopped_after(num_steps: int, config: TrainConfig, options: FitOptions) -> T
 
 @pytest.mark.parametrize("densify", ["none", "adc", "planned", "mcmc"])
 @pytest.mark.parametrize("stop_at", [1, 13, 16, 39])
-def test_a_run_stopped_anywhere_goes_on_with_the_same_bits(densify, stop_at: int) -> None:
+def test_a_run_stopped_anywhere_goes_on_with_the_same_bits(densify, stop_at: int, monkeypatch: pytest.MonkeyPatch) -> None:
     views = photographs()
-    config = replace(CONFIG, densify=densify)
+    monkeypatch.setattr("radiant_core.train.trainer.MIN_SETTLING", 1.0)
+    config = replace(CONFIG, densify=densify, settle_epochs=1)
     options = FitOptions(validation=views.select([0, 3]))
     whole = fit_splats(start(), views, config, options)
     state = stopped_after(stop_at, config, options).state()
@@ -104,6 +105,31 @@ def test_what_comes_first_of_steps_and_time_ends_a_run() -> None:
     ticks = iter(range(10**6))
     options = FitOptions(clock=lambda: float(next(ticks)))
     assert fit_splats(start(), photographs(), replace(CONFIG, num_steps=7, budget_s=1e6), options).num_steps == 7
+
+
+def test_the_rates_of_a_long_run_fall_and_those_of_a_short_one_do_not() -> None:
+    def shares(num_steps: int, num_views: int, epochs: int | None = 12) -> list[float]:
+        return [settled(step, step / num_steps, num_views, epochs) for step in range(num_steps)]
+
+    assert set(shares(600, 10)) == set(shares(1_100, 100)) == set(shares(3_000, 10, None)) == {1.0}
+    long, longer = shares(1_500, 40), shares(6_000, 40)
+    assert long[-1] == pytest.approx(700 / 1_500, rel=2e-3) and longer[-1] == pytest.approx(700 / 6_000, rel=2e-3)
+    assert shares(6_000, 100)[-1] == pytest.approx(1_200 / 6_000, rel=2e-3)
+    # (T / N)^½ of the run passes before they fall.
+    assert [max(np.flatnonzero(np.array(run) == 1)) for run in (long, longer)] == pytest.approx([1_025, 2_049], abs=1)
+    assert all((np.diff(run) <= 0).all() for run in (long, longer))
+    assert settled(5, 0.0, 10, 12) == settled(0, 0.0, 10, 12) == 1.0 and settled(10_000, 3.0, 10, 12) == 0.07
+
+
+def test_settling_leaves_the_centres_their_own_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("radiant_core.train.trainer.MIN_SETTLING", 1.0)
+    taken: list[tuple[str, float]] = []
+    monkeypatch.setattr("radiant_core.train.trainer.SelectiveAdam.set_rate", lambda self, name, rate: taken.append((name, rate)))
+    config = replace(CONFIG, densify="none", settle_epochs=1)
+    fit_splats(start(), photographs(), config, FitOptions(steps=Steps(end=0.5)))
+    first, last, progress = dict(reversed(taken)), dict(taken), 39 / 40
+    assert last["sh0"] == pytest.approx(config.sh0_lr * 0.5**progress * 6 / (39 * progress))
+    assert last["means"] / first["means"] == pytest.approx(config.means_lr_end**progress)
 
 
 def test_training_begins_with_small_images_and_ends_with_whole_ones(monkeypatch: pytest.MonkeyPatch) -> None:
