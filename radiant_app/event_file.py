@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 EVENTS_NAME = "events.jsonl"
 SECONDS_BETWEEN = 0.5
+SECONDS_TO_A_PHASE = 0.05
+"""A phase that begins sooner after a line than this is not told of at once: totals that change with every event are no phases."""
 
 
 class EventFile:
@@ -45,7 +47,8 @@ class EventFile:
     def __init__(self, run: Path, listen: Listener, clock: Callable[[], float] = time.monotonic) -> None:
         self._path, self._listen, self._clock = run / EVENTS_NAME, listen, clock
         self._file: IO[str] | None = None
-        self._told: dict[str, tuple[float, StageProgress]] = {}
+        self._told_s: dict[str, float] = {}
+        self._seen: dict[str, StageProgress] = {}
 
     def __enter__(self) -> Self:
         with suppress(OSError):
@@ -69,12 +72,12 @@ class EventFile:
     def _is_too_soon(self, event: Event) -> bool:
         if not isinstance(event, StageProgress):
             return False
-        now_s = self._clock()
-        if event.stage in self._told:
-            told_s, last = self._told[event.stage]
-            if now_s - told_s < SECONDS_BETWEEN and event.total == last.total and event.done >= last.done:
-                return True
-        self._told[event.stage] = now_s, event
+        last, now_s = self._seen.get(event.stage), self._clock()
+        self._seen[event.stage] = event
+        begins = last is not None and (event.done < last.done or event.total != last.total)
+        if now_s - self._told_s.get(event.stage, float("-inf")) < (SECONDS_TO_A_PHASE if begins else SECONDS_BETWEEN):
+            return True
+        self._told_s[event.stage] = now_s
         return False
 
 

@@ -286,7 +286,7 @@ def _on_photographs(cell: Cell) -> Made:
     models = concatenate_splats([model.splats for edge in cell.devices for model in edge])
     views = cell.scene.views
     num_steps = NUM_EPOCHS_OF_PHOTOGRAPHS * len(views)
-    config = replace(cell.train, seed=cell.seed, num_steps=num_steps, densify="none", start_scale=1.0)
+    config = replace(cell.train, seed=cell.seed, num_steps=num_steps, densify="none", start_scale=1.0, settle_epochs=None)
     return _timed(lambda: (fit_splats(models, views, config).splats, training_pixels(views.cameras, config, num_steps)))
 
 

@@ -32,7 +32,7 @@ class BenchOptions:
     budgets_s: tuple[float, ...] = ()
     """CPU seconds of training (train); empty for its own."""
     num_seeds: int | None = None
-    """Models per preset and budget (train)."""
+    """Models per preset, budget and split (train)."""
     num_splits: int = 1
     """How many eighths of the photographs are held out, one after the other (train)."""
     long_side_px: int | None = None
@@ -147,9 +147,9 @@ def _measure_training(options: BenchOptions) -> Sequence[Metric]:
         from radiant_viewer.curve_chart import curve_picture
         from radiant_viewer.images import save_png
 
-        num_seeds = f"{len(bench.seeds)} seed" + ("s" if len(bench.seeds) > 1 else "")
-        num_splits = f", {len(bench.splits)} splits" if len(bench.splits) > 1 else ""
-        detail = f"{bench.scene.name}, {bench.long_side_px} px, {num_seeds}{num_splits}; every dot is one model"
+        seeds = f"{len(bench.seeds)} seed" + "s" * (len(bench.seeds) > 1)
+        splits = f", {len(bench.splits)} splits" * (len(bench.splits) > 1)
+        detail = f"{bench.scene.name}, {bench.long_side_px} px, {seeds}{splits}; every dot is one model"
         save_png(options.plot, curve_picture(curves_of(rows), "Training: quality against time and size", detail))
         typer.echo(f"written: {options.plot}")
     return metrics

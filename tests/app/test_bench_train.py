@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from radiant_app.bench.runner import BenchOptions, run_bench
-from radiant_app.bench.train import TrainBench, _load, _split, _trained, bench_of, bench_train, curves_of
+from radiant_app.bench.train import TrainBench, TrainedRow, _by_seed_and_image, _load, _split, _trained, bench_of, bench_train, curves_of
 from radiant_app.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from radiant_core.train.config import train_preset
@@ -65,6 +65,21 @@ def test_more_splits_hold_out_other_photographs_and_all_of_them_are_compared(pro
     # The hamlet holds out as many photographs in either split.
     expected = np.mean(means) - np.mean(references)
     assert found["train.hamlet.default.0.4s.over_standard_at_half_time.mean_db"] == pytest.approx(expected)
+
+
+def test_figures_are_paired_by_seed_split_and_image() -> None:
+    def row(seed: int, split: int, psnr_db: tuple[float, ...]) -> TrainedRow:
+        counts = {"cpu_s": 1.0, "num_steps": 1, "num_gaussians": 1}
+        return TrainedRow(variant="default", budget_s=1.0, seed=seed, psnr_db=psnr_db, psnr_cc_db=psnr_db, split=split, **counts)
+
+    rows = [row(1, 1, (14.0, 15.0)), row(0, 0, (1.0, 2.0, 3.0)), row(1, 0, (11.0, 12.0, 13.0)), row(0, 1, (4.0, 5.0))]
+    np.testing.assert_array_equal(_by_seed_and_image(rows, "psnr_db"), [[1, 2, 3, 4, 5], [11, 12, 13, 14, 15]])
+
+
+def test_more_splits_than_a_set_allows_are_refused_with_what_it_allows(project: Path) -> None:
+    with pytest.raises(BadInput, match=r"12 placed photographs, of which split 5 holds out 1, .*: ask for 4 splits\."):
+        bench_train(TrainBench(scene=project, budgets_s=(0.4,), splits=tuple(range(8)), long_side_px=96))
+    assert bench_of(BenchOptions(num_splits=3)).splits == (0, 1, 2)
 
 
 def test_ablations_are_paired_with_the_whole(project: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from radiant_app.event_file import EVENTS_NAME, EventFile, read_progress
@@ -53,16 +54,35 @@ def test_a_watcher_reads_what_the_run_told(tmp_path: Path) -> None:
 
 
 def test_a_new_phase_is_told_at_once(tmp_path: Path) -> None:
-    phases = [(9.0, 10.0, "checking"), (10.0, 10.0, "checking"), (0.0, 10.0, "features"), (3.0, 10.0, "features"), (0.0, 45.0, "matching")]
-    with EventFile(tmp_path, lambda event: None, clock=lambda: 0.0) as tell:
+    checking = [(float(done), 10.0, "checking") for done in range(11)]
+    # Features of two photographs are there from before; mapping ends at once, with as many as are refined then.
+    phases = [(2.0, 10.0, "features"), (3.0, 10.0, "features"), (0.0, 45.0, "matching"), (0.0, 9.0, "mapping"), (9.0, 9.0, "mapping")]
+    ticks = iter(np.arange(1000) * 0.06)
+    with EventFile(tmp_path, lambda event: None, clock=lambda: float(next(ticks))) as tell:
         tell(StageStarted(stage="sfm"))
-        for done, total, note in phases:
+        for done, total, note in [*checking, *phases, (0.0, 9.0, "refining")]:
             tell(StageProgress(stage="sfm", done=done, total=total, note=note))
-            shown = read_progress(tmp_path).stages[0]
-            # Within a phase the first half second shows its beginning.
-            assert shown.note == note
+            assert read_progress(tmp_path).stages[0].note == note
     told = (tmp_path / EVENTS_NAME).read_text()
-    assert [told.count(f'"{note}"') for note in ("checking", "features", "matching")] == [1, 1, 1]
+    # Within a phase two lines a second; checking took 0.66 s.
+    assert [told.count(f'"{note}"') for note in ("checking", "features", "matching", "mapping", "refining")] == [2, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        [(0.0, 10.0 + number) for number in range(1000)],
+        [(1000.0 - number, 1000.0) for number in range(1000)],
+        [(float("nan"), 10.0)] * 1000,
+        [(1.0, float("nan"))] * 1000,
+    ],
+)
+def test_no_numbers_flood_the_file(tmp_path: Path, counts: list[tuple[float, float]]) -> None:
+    ticks = iter(np.arange(len(counts)) * 1e-3)
+    with EventFile(tmp_path, lambda event: None, clock=lambda: float(next(ticks))) as tell:
+        for done, total in counts:
+            tell(StageProgress(stage="sfm", done=done, total=total))
+    assert (tmp_path / EVENTS_NAME).read_text().count("\n") <= 21
 
 
 def test_no_stream_a_broken_one_and_a_folder_that_cannot_be_written(tmp_path: Path) -> None:

@@ -207,11 +207,12 @@ def _agreement_db(joined: Splats, views: TrainingViews, backend: Backend) -> flo
 
 
 def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
-    """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is added, grown or exposed anew."""
+    """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is added, grown or exposed anew, and rates fall
+    as joining has it, not as a device's."""
     num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
-    still = {"sh_degree_every": 0, "densify": "none", "start_scale": 1.0, "exposure": "none", "background": "black"}
+    still = {"sh_degree_every": 0, "densify": "none", "start_scale": 1.0, "exposure": "none", "background": "black", "settle_epochs": None}
     return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still)
 
 

@@ -25,7 +25,7 @@ def held_out_mask(names: Sequence[str], every: int = 8, first: int = 0) -> NDArr
     """
     everything = _every_nth(names, np.ones(len(names), bool), every, first)
     if not 0 <= first < every:
-        raise BadInput(f"split {first} of {every} is asked for, expected 0 to {every - 1}.")
+        raise BadInput(f"split {first} is asked for, expected 0 to {every - 1}: each begins with another of the first {every} photographs.")
     folders = [name.split("/")[0] for name in names]
     if set(folders) != {"train", "val"}:
         return everything

@@ -41,7 +41,8 @@ class TrainConfig:
     means_lr_end: float = 0.01
     """Share of `means_lr` to which it falls over the run, exponentially."""
     settle_epochs: int | None = None
-    """In runs of more steps per photograph, and of more than 700, rates but the centres' fall towards the end; None: never."""
+    """A run of more steps per photograph than this, and of more than 700, ends with smaller learning rates, those of centres and exposures
+    apart (`trainer.settled`); None: rates keep their size."""
     scales_lr: float = 5e-3
     """Learning rate of the logarithmic scales."""
     quats_lr: float = 1e-3

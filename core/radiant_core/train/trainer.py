@@ -35,8 +35,10 @@ from radiant_core.train.views import TrainingViews
 
 STEPS_BETWEEN_LIMITS = 50
 """How often sizes are held below their limit; it follows centres that move slowly."""
-MIN_SETTLING = 700.0
-"""Steps that rates keep their size for at least, however few the photographs."""
+MIN_STEADY_STEPS = 700
+"""A run of fewer steps keeps its rates to the end, however few its photographs."""
+MIN_SETTLED_SHARE = 0.1
+"""The rates of no run fall below this share; longer ones were not measured."""
 MAX_FAILURES = 20
 """Steps in a row that may end in something not finite before training gives up."""
 
@@ -52,7 +54,8 @@ class Steps:
     sh0: float = 1.0
     shN: float = 1.0
     end: float = 1.0
-    """Share of these rates to which they fall over the run, exponentially; the centres' fall by `means_lr_end`."""
+    """Share of these rates to which they fall over the run, exponentially, in a long one by `settled` as well; the centres' fall by
+    `means_lr_end` alone."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,9 +195,9 @@ class Training:
         view = view_of_step(self.step, len(self._full), config.seed)
         if self.step % STEPS_BETWEEN_LIMITS == 0:
             self._limit_shapes()
-        end = self._options.steps.end**progress * settled(self.step, progress, len(self._full), config.settle_epochs)
+        factor = self._options.steps.end**progress * settled(self.step, progress, len(self._full), config.settle_epochs)
         for name, rate in self._rates.items():
-            self._optimizer.set_rate(name, rate * (config.means_lr_end**progress if name == "means" else end))
+            self._optimizer.set_rate(name, rate * (config.means_lr_end**progress if name == "means" else factor))
         try:
             loss = self._fit_view(view, progress)
         except StageFailed as error:
@@ -373,15 +376,15 @@ class Training:
 
 
 def settled(step: int, progress: float, num_views: int, settle_epochs: int | None) -> float:
-    """The share of its rates that a run of N steps still has at step p N: T / (p² N), at most 1; T is `settle_epochs` steps per view, at
-    least `MIN_SETTLING`.
+    """The share of its rates, 0.1 to 1, that a run of N steps still has at step p N: T / (p² N).
 
-    Rates fall the further the longer a run is, and begin to fall the earlier: 1,500 steps end with half of them, 6,000 with an eighth. N is
-    what the steps so far and their share of the run, `progress`, make of it, so that a budget of time needs no forecast.
+    T is `settle_epochs` steps per view, at least `MIN_STEADY_STEPS`, so that rates fall from step √(T N) on: with few views 1,500 steps end
+    with 0.47 of them, 6,000 with 0.12. N is what the steps so far and their share of the run, `progress`, make of it, so that a budget of
+    time needs no forecast.
     """
     if settle_epochs is None or step <= 0 or progress <= 0:
         return 1.0
-    return min(1.0, max(MIN_SETTLING, settle_epochs * num_views) / (step * min(1.0, progress)))
+    return min(1.0, max(MIN_SETTLED_SHARE, max(MIN_STEADY_STEPS, settle_epochs * num_views) / (step * min(1.0, progress))))
 
 
 def view_of_step(step: int, num_views: int, seed: int) -> int:

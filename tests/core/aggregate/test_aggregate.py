@@ -11,7 +11,7 @@ import pytest
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
-from radiant_core.aggregate.retrain import Joined, reached_by, retrain_on_synthetic_views, teacher_views
+from radiant_core.aggregate.retrain import Joined, reached_by, retrain_on_synthetic_views, retraining_config, teacher_views
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.cameras import Cameras, concatenate_cameras
@@ -153,6 +153,11 @@ def test_paper_preset_concatenates_and_retrains_everything() -> None:
     result = joined([west, east], [WEST, EAST], preset="paper", max_num_steps=3)
     assert result.trained.num_steps == 3 and len(result.splats) == len(both)
     assert (result.splats.means != both.means).any()
+
+
+def test_joining_keeps_its_own_rates_however_long_it_takes() -> None:
+    config = retraining_config(train_preset("default"), AggregateConfig(num_epochs=100), ground_splats(), 50)
+    assert config.num_steps == 5_000 and config.settle_epochs is None and train_preset("default").settle_epochs == 12
 
 
 def test_a_single_model_comes_back_unchanged() -> None:

@@ -13,7 +13,17 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.density import DensityCounts
-from radiant_core.train.trainer import MAX_FAILURES, FitOptions, Steps, Training, TrainState, fit_splats, settled, view_of_step
+from radiant_core.train.trainer import (
+    MAX_FAILURES,
+    MIN_SETTLED_SHARE,
+    FitOptions,
+    Steps,
+    Training,
+    TrainState,
+    fit_splats,
+    settled,
+    view_of_step,
+)
 from radiant_core.train.validation import validation_psnr_db
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
@@ -55,7 +65,7 @@ def stopped_after(num_steps: int, config: TrainConfig, options: FitOptions) -> T
 @pytest.mark.parametrize("stop_at", [1, 13, 16, 39])
 def test_a_run_stopped_anywhere_goes_on_with_the_same_bits(densify, stop_at: int, monkeypatch: pytest.MonkeyPatch) -> None:
     views = photographs()
-    monkeypatch.setattr("radiant_core.train.trainer.MIN_SETTLING", 1.0)
+    monkeypatch.setattr("radiant_core.train.trainer.MIN_STEADY_STEPS", 1)
     config = replace(CONFIG, densify=densify, settle_epochs=1)
     options = FitOptions(validation=views.select([0, 3]))
     whole = fit_splats(start(), views, config, options)
@@ -118,11 +128,12 @@ def test_the_rates_of_a_long_run_fall_and_those_of_a_short_one_do_not() -> None:
     # (T / N)^½ of the run passes before they fall.
     assert [max(np.flatnonzero(np.array(run) == 1)) for run in (long, longer)] == pytest.approx([1_025, 2_049], abs=1)
     assert all((np.diff(run) <= 0).all() for run in (long, longer))
-    assert settled(5, 0.0, 10, 12) == settled(0, 0.0, 10, 12) == 1.0 and settled(10_000, 3.0, 10, 12) == 0.07
+    assert settled(5, 0.0, 10, 12) == settled(0, 0.0, 10, 12) == 1.0 and settled(10_000, 3.0, 10, 12) == MIN_SETTLED_SHARE
+    assert settled(6_900, 0.99, 10, 12) > MIN_SETTLED_SHARE == shares(30_000, 10)[-1]
 
 
 def test_settling_leaves_the_centres_their_own_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("radiant_core.train.trainer.MIN_SETTLING", 1.0)
+    monkeypatch.setattr("radiant_core.train.trainer.MIN_STEADY_STEPS", 1)
     taken: list[tuple[str, float]] = []
     monkeypatch.setattr("radiant_core.train.trainer.SelectiveAdam.set_rate", lambda self, name, rate: taken.append((name, rate)))
     config = replace(CONFIG, densify="none", settle_epochs=1)
