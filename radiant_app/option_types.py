@@ -28,3 +28,4 @@ BenchScene = Annotated[
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train, methods, fed3dgs: PNG of the curves; plan: folder of its figures, alone.")]
 SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height of a picture in px.")]
+LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
