@@ -1,4 +1,4 @@
-"""Options of `radiant plan` about cameras, ground, buffer captures and privacy, and of `radiant bench`, as the command line names them."""
+"""Options of `radiant plan` about cameras, ground, buffers and privacy, of `radiant bench`, and of sizes, as the command line names them."""
 
 from __future__ import annotations
 
