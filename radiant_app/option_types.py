@@ -1,4 +1,4 @@
-"""Options of `radiant plan` about cameras, ground, buffers and privacy, of `radiant bench`, and of sizes, as the command line names them."""
+"""Options of `radiant plan` about cameras, ground, buffers and privacy, of `radiant bench`, and of sizes, as a command line has them."""
 
 from __future__ import annotations
 
