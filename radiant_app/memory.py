@@ -1,8 +1,10 @@
-"""How much memory this process holds and has held at most."""
+"""How much memory this process holds and has held at most, and how much there is to take."""
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from radiant_core.errors import BadInput
@@ -52,3 +54,46 @@ def peak_bytes() -> int:
 def _status_bytes(name: str) -> int:
     line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(name))
     return int(line.split()[1]) * 1024
+
+
+def available_bytes(proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> int:
+    """What this process can still take: what the machine has free, page cache included, or less where its container has a limit."""
+    return max(0, min([_machine_bytes(proc), *_container_bytes(proc, groups)]))
+
+
+def _machine_bytes(proc: Path) -> int:
+    try:
+        rows = dict(row.split(":") for row in (proc / "meminfo").read_text(encoding="ascii").splitlines())
+        return int(rows["MemAvailable"].split()[0]) * 1024
+    except (OSError, KeyError, ValueError):
+        # Without Linux's own figure: what lies wholly unused.
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def _container_bytes(proc: Path, groups: Path) -> Iterator[int]:
+    """What the control groups around this process, of version 2 and 1, leave of their limits; cached files count as free."""
+    try:
+        lines = [line.split(":", 2) for line in (proc / "self" / "cgroup").read_text().splitlines()]
+    except OSError:
+        return
+    for number, controllers, own in (line for line in lines if len(line) == 3):
+        if number == "0":
+            yield from _group_bytes(groups, own, ("memory.max", "memory.current", "inactive_file"))
+        elif "memory" in controllers.split(","):
+            yield from _group_bytes(groups / "memory", own, ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"))
+
+
+def _group_bytes(root: Path, own: str, names: tuple[str, str, str]) -> Iterator[int]:
+    limit_name, held_name, cached_row = names
+    # A container sees its own group at the root, whatever path the group has outside.
+    group = root / own.strip("/")
+    for folder in (group, *group.parents):
+        if not folder.is_relative_to(root):
+            return
+        try:
+            limit, held = (int((folder / name).read_text()) for name in (limit_name, held_name))
+            rows = dict(row.split() for row in (folder / "memory.stat").read_text().splitlines())
+            yield limit - held + int(rows[cached_row])
+        except (OSError, KeyError, ValueError):
+            # No limit ("max"), or no such group here.
+            continue

@@ -96,3 +96,13 @@ def blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
         reason="the owner of that place has no Gaussian near it" if wanted else BY_PRESET,
         forced=not wanted,
     )
+
+
+def join_memory_decision(stage: str, needed_bytes: float, statistics_bytes: int | None, memory_bytes: float) -> Decision:
+    """What an edge's limit of memory made of joining; `statistics_bytes` is None where it made a cut."""
+    choice = "models are cut at their borders instead of retrained"
+    if statistics_bytes is not None:
+        choice = f"models are retrained; {statistics_bytes / 1e6:,.0f} MB for what the loss keeps of its views"
+    reason = f"retraining them is predicted to take {needed_bytes / 1e6:,.0f} MB"
+    unit = "MB allowed"
+    return Decision(stage=stage, topic="memory", choice=choice, figure=memory_bytes / 1e6, unit=unit, reason=reason, forced=True)

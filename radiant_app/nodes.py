@@ -21,7 +21,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.cloud_task import edge_pools, exposures_decision, faint_decision, join_decisions, retrained_at_cloud, virtual_cameras_of
+from radiant_app.cloud_task import (
+    CUT_COSTS,
+    edge_pools,
+    exposures_decision,
+    faint_decision,
+    join_decisions,
+    joined_at_cloud,
+    virtual_cameras_of,
+)
 from radiant_app.delivering import refusals, signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, VIRTUAL_VIEWS, Inbox, read_inbox, save_frames
@@ -30,6 +38,7 @@ from radiant_app.node_decisions import (
     blind_spots_decision,
     density_decision,
     fill_decision,
+    join_memory_decision,
     shapes_decision,
     sky_decision,
     teachers_decision,
@@ -48,7 +57,6 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, morton_order
 
 if TYPE_CHECKING:
-    from radiant_core.aggregate.join_memory import JoinPlan
     from radiant_core.aggregate.synthetic_views import Rendered
     from radiant_core.train.checkpoint import CheckpointFolder
     from radiant_core.train.config import TrainConfig
@@ -286,11 +294,9 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         return _nothing_placed(folder, inbox)
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
     left = edge_pools(task, inbox, stage)
-    limited = None if left is not None else _join_plan(inbox, train, task.get("memory_bytes"), (stage, emit))
-    # A device's model shows the same at its own cameras wherever both were moved to. Smaller views than asked for are rendered anew.
-    as_asked = limited is None or limited.long_side_px == train.long_side_px
+    # A device's model shows the same at its own cameras wherever both were moved to.
     rendered = [
-        load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if as_asked and name in task["teachers"] else {}
+        load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if name in task["teachers"] else {}
         for name, own in zip(inbox.senders, inbox.cameras, strict=True)
     ]
     if len(inbox.models) > 1 and left is None:
@@ -306,11 +312,10 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         teachers = balanced(teachers, balance)
         joined = pooled(teachers, aggregate, claims)
         decisions = [exposures_decision(stage, balance), faint_decision(stage, aggregate, joined), left]
-    elif limited is not None and limited.long_side_px is None:
+    elif (kept := _edge_statistics_bytes(inbox, train, task.get("memory_bytes"), (stage, emit))) is None:
         joined, decisions = cut_at_borders(teachers, claims), []
     else:
-        if limited is not None:
-            train, options = replace(train, long_side_px=limited.long_side_px), replace(options, statistics_bytes=limited.statistics_bytes)
+        options = replace(options, statistics_bytes=kept)
         joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims)
         decisions = join_decisions(stage, aggregate, len(inbox.models), joined)
     for decision in decisions:
@@ -330,20 +335,27 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     return [*outputs, *signed_upload(folder, task)]
 
 
-def _join_plan(inbox: Inbox, train: TrainConfig, memory_bytes: float | None, running: tuple[str, Emit]) -> JoinPlan | None:
-    """How the models in the inbox are joined within a limit of memory; None without a limit, and where there is nothing to join."""
-    from radiant_core.aggregate.join_memory import join_memory_decision, join_plan
+def _edge_statistics_bytes(inbox: Inbox, train: TrainConfig, memory_bytes: float | None, running: tuple[str, Emit]) -> int | None:
+    """What the loss may keep where the models in the inbox are retrained within the edge's limit of memory, with a decision; None where
+    they are cut, with a warning."""
+    from radiant_core.aggregate.cloud_choice import cloud_needs, kept_statistics_bytes
+    from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 
     if memory_bytes is None or len(inbox.models) < 2:
-        return None
+        return STATISTICS_BUDGET_BYTES
     stage, emit = running
-    plan = join_plan(inbox.models, inbox.cameras, train.long_side_px, memory_bytes)
-    emit(Decided(decision=join_memory_decision(stage, plan, train.long_side_px, memory_bytes)))
-    return plan
+    left = kept_statistics_bytes(inbox.models, inbox.cameras, train.long_side_px, memory_bytes)
+    needed_bytes = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, None).memory_bytes
+    decision = join_memory_decision(stage, needed_bytes, left, memory_bytes)
+    emit(Decided(decision=decision))
+    if left is None:
+        message = f"{decision.choice}: {decision.reason}, and memory_gb of this edge allows {memory_bytes / 1e6:,.0f} MB. {CUT_COSTS}"
+        emit(Warned(stage=stage, message=message))
+    return left
 
 
 def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Join the edges' models: retrained where that is asked for and within the limits, else cut at the plan's borders."""
+    """Join the edges' models: retrained where that is asked for and within the limits, else cut at their borders."""
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.crop_merge import crop_merge
 
@@ -356,10 +368,8 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     if aggregate.cloud == "retrain":
         checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
         options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
-        joined = retrained_at_cloud(folder, task, inbox, emit, options)
+        joined = joined_at_cloud(folder, task, inbox, emit, options)
         if joined is not None:
-            for decision in join_decisions(stage, aggregate, len(inbox.models), joined):
-                emit(Decided(decision=decision))
             save_ply(folder / "scene.ply", joined.splats)
             write_json(folder / "summary.json", training_summary(joined.trained))
             checkpoints.remove()

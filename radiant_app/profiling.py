@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.cloud_task import cloud_limits
 from radiant_app.dealing import deal_files
 from radiant_app.events import Event, Listener, StageProgress
 from radiant_app.executors.local import LocalExecutor, worker_command
@@ -32,7 +31,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
-from radiant_core.io.records import load_splats, save_cameras, save_scene
+from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.device_split import long_axis
 from radiant_core.plan.system import Cloud
@@ -124,8 +123,8 @@ class Measuring:
     left_s: list[float] = field(default_factory=list)
     """What the nodes still to come are expected to take."""
     note: str = ""
-    edges_pool: bool = False
-    """Whether edges leave joining to the cloud; settled by the pilot."""
+    edges_pool: bool = True
+    """Whether edges leave joining to the cloud, as they do unless the system file limits the cloud; else they retrain."""
     _begun_s: float = 0.0
 
     def measured(self, time_s: float) -> Measured:
@@ -137,7 +136,6 @@ class Measuring:
         steps = min(PILOT_STEPS, self.train.num_steps)
         self.left_s, self.note = [time_s], f"pilot on {counts[-1]} photographs"
         pilot, seconds = self._device(counts[-1], steps), self._elapsed_s
-        self.edges_pool = self._cloud_would_retrain(counts[-1], steps)
         step_s = pilot.train_s / self.train.num_steps
         start_s = seconds - step_s * steps
         free_s = max(0.0, time_s - seconds - start_s * (len(sizes) + len(joined) + 2))
@@ -207,15 +205,6 @@ class Measuring:
         train_s = read_json(folder / "summary.json", ("train_s",))["train_s"]
         left_s = train_s * (aggregate.num_epochs / num_epochs - 1) if num_epochs else 0.0
         return EdgeSample(num_cameras=count, num_devices=num_devices, seconds=seconds + left_s)
-
-    def _cloud_would_retrain(self, count: int, num_steps: int) -> bool:
-        """Whether the cloud of a run of these photographs, with a system file that sets it no limit, is expected to retrain."""
-        from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs
-
-        model = load_splats(self.work / f"devices/{count}-{num_steps}" / "model.safetensors")
-        own = self.scene.cameras.select(np.sort(self._order[:count]))
-        needs = cloud_needs([model], [own], self.train.long_side_px, None)
-        return choose_at_cloud(needs, cloud_limits(Cloud(), aggregate_preset("default")), STAGE)[0]
 
     @property
     def _order(self) -> NDArray[np.int64]:

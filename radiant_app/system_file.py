@@ -5,7 +5,7 @@
     position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54], or neither: placed among the cameras
     uplink_mbit_per_s = 100.0
     aggregate_s = { constant = 5.0, linear = 0.5 }
-    memory_gb = 4.0                      # what joining may hold: limits the size of its views, else models are cut at their borders
+    memory_gb = 4.0                      # what joining may hold; beyond it models are cut at their borders, with a warning
 
     [[edge.device]]
     id = "north-1"
@@ -20,9 +20,9 @@
 
 The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in both has relative_speed and speed 0.5.
 
-    [cloud]                              # limits of retraining at the cloud, where it is asked for; beyond them it crop-merges
-    memory_gb = 16.0                     # each left out: no limit
-    time_s = 3600.0
+    [cloud]                              # limits of joining at the cloud; beyond them models are cut at their borders, with a warning
+    memory_gb = 16.0                     # left out: four fifths of what is free on the machine that joins
+    time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000
 
 In place of costs, a device or edge may have profile = "rtx-3090" of the library (`radiant profile --list`) or profile = "mine.toml", a

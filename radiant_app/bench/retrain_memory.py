@@ -2,7 +2,7 @@
 within a limit, how many it held at most.
 
 python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE        (the constants of `aggregate/cloud_choice.py`)
-python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE BYTES  as an edge does within so many (`join_memory.py`)
+python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE BYTES  within so many, as a node with a limit does
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 
 from radiant_app.bench.drone_scene import SceneSize, drone_scene
 from radiant_app.memory import peak_bytes, reset_peak_bytes
+from radiant_core.aggregate.cloud_choice import kept_statistics_bytes
 from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.aggregate.join_memory import join_plan
 from radiant_core.aggregate.retrain import retrain_on_synthetic_views
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.cameras import Cameras
@@ -41,10 +41,10 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, mem
     model_bytes = sum(model.num_bytes for model in models)
     options = FitOptions()
     if memory_bytes is not None:
-        plan = join_plan(models, cameras, long_side_px, memory_bytes)
-        if plan.long_side_px is None:
+        left = kept_statistics_bytes(models, cameras, long_side_px, memory_bytes)
+        if left is None:
             raise BadInput("models would be cut: give more bytes.")
-        long_side_px, options = plan.long_side_px, FitOptions(statistics_bytes=plan.statistics_bytes)
+        options = FitOptions(statistics_bytes=left)
     before = reset_peak_bytes()
     teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
     retrain_on_synthetic_views(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, options)

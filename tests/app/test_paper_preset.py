@@ -10,7 +10,7 @@ import pytest
 
 from radiant_app.config import RunConfig, run_preset
 from radiant_app.demo import sample_scenes_folder
-from radiant_app.events import Decided, Event
+from radiant_app.events import Decided, Event, Warned
 from radiant_app.nodes import run_node
 from radiant_app.pipeline import RunResult, run
 from radiant_core.decisions import Decision
@@ -125,7 +125,9 @@ def test_beyond_a_limit_the_cloud_cuts_at_the_borders_and_says_the_figure(
     events: list[Event] = []
     run_node("cloud", cloud, "cloud", events.append)
     (choice,) = [d for d in decided(events) if d.topic == "aggregation"]
-    assert choice.choice.startswith("crop-merge") and told in choice.reason and "exceeds" in choice.reason
+    assert choice.choice.startswith("models are cut") and told in choice.reason and "exceeds" in choice.reason
+    (warning,) = [event.message for event in events if isinstance(event, Warned)]
+    assert choice.reason in warning and "dB lower" in warning and "raise the limit under [cloud]" in warning
     (blind,) = [d for d in decided(events) if d.topic == "blind spots"]
     summary = read_json(cloud / "summary.json")
     models = [load_splats(cloud / "inbox" / edge / "model.safetensors") for edge in task["edges"]]

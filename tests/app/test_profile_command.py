@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app import cloud_task
 from radiant_app.cli_profile import profile as profile_cli
 from radiant_app.commands import training_part
 from radiant_app.config import RunConfig
@@ -104,22 +103,23 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     assert "profile 'mine.toml', are of preset default, 24 steps at 48 px" in planned_with(tmp_path, scene, "long_side_px", 96)
 
 
-@pytest.mark.parametrize("cloud_bytes", [1e9, 2e8])
+@pytest.mark.parametrize("pools", [True, False])
 def test_edges_are_timed_at_what_a_run_would_have_them_do(
-    cloud_bytes: float, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    pools: bool, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the cloud has memory for the scene they pool and draw pictures; where it has not they retrain all views, which takes longer."""
-    monkeypatch.setattr(cloud_task, "CLOUD_BYTES", cloud_bytes)
+    """They pool and draw pictures unless the cloud is limited; where it is they retrain all views, which takes longer."""
     monkeypatch.setattr(Measuring, "_run", in_this_process)
     measuring = measuring_in(tmp_path, scene)
+    assert measuring.edges_pool
+    measuring.edges_pool = pools
     measured = measuring.measured(1.0)
     summaries = {path.parent.name: read_json(path) for path in (tmp_path / "edges").glob("*/summary.json")}
     pictures = {path.parent.name: path.stat().st_size for path in (tmp_path / "edges").glob("*/virtual_views.safetensors")}
     joined = [name for name in summaries if name.endswith("-2")]
-    assert len(joined) >= 2 and measuring.edges_pool == (cloud_bytes == 1e9) == (measured.num_epochs == 0)
+    assert len(joined) >= 2 and pools == (measured.num_epochs == 0)
     for name in joined:
-        assert (summaries[name]["num_steps"] == 0) == measuring.edges_pool
-        assert (pictures[name] > 1000 * int(name.split("-")[0])) == measuring.edges_pool
+        assert (summaries[name]["num_steps"] == 0) == pools
+        assert (pictures[name] > 1000 * int(name.split("-")[0])) == pools
 
 
 def measuring_in(folder: Path, scene: Path) -> Measuring:

@@ -13,6 +13,7 @@ from radiant_app.pipeline import run
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene
+from tests.joined_again import held_out_db, joined_again
 
 DATA = Path(os.environ.get("RADIANT_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
@@ -32,3 +33,10 @@ def test_a_real_set_becomes_a_scene(name: str, tmp_path: Path) -> None:
     assert (gains[:, 0] >= 3).all(), "every photograph beyond the untrained Gaussians"
     # The mean colour knows each photograph's exposure, the model does not: 3 dB beyond it hold for the set, not for each photograph.
     assert np.median(gains[:, 1]) >= 1.5, np.round(gains[:, 1], 2)
+    # Nothing limits joining but the machine; what a limit leaves is worth no more.
+    ample, cut = (joined_again(out, tmp_path / str(limit), memory_bytes=limit) for limit in (1.6e10, 1e8))
+    assert ample.warnings == [] and len(cut.warnings) == 1
+    np.testing.assert_array_equal(ample.splats.means, load_ply(out / "scene.ply").means)
+    joined_db, cut_db = held_out_db(out, ample.splats), held_out_db(out, cut.splats)
+    print(f"{name}: {joined_db:.2f} dB joined, {cut_db:.2f} dB cut")
+    assert joined_db >= cut_db

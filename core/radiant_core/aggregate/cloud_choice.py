@@ -1,13 +1,18 @@
-"""Whether the cloud can retrain what it was sent, from predicted memory and time (paper Sec. III-D: else it merges). Once per merge.
+"""Whether models are retrained together, from predicted memory and time (paper Sec. III-D: else they are cut). Once per join.
 
-    memory = 0.39 GB + N (7 b + 500) + 4 Σ_v p_v + min(36 Σ_v p_v, 1 GiB) + 100 max_v p_v    bytes
-    time   = Σ_e T_e N / N_e                                                                 seconds
+    memory = 0.39 GB + N (7 b + 500) + 4 Σ_v p_v + 136 max_v p_v        bytes, at least
+    kept   = up to min(36 Σ_v p_v, 1 GiB) more, which saves time alone
+    time   = Σ_e T_e N / N_e                                            seconds
 
 N Gaussians of b bytes each, p_v pixels of view v, T_e seconds that edge e took (or is said to take) to aggregate its N_e Gaussians: a
 step of dense Adam touches all of them. 0.39 GB is a worker with its libraries and its inbox (three clouds of real sets held 356 to 383 MB
 beside the rest); seven copies are the models, their sum, the tensors
-that move with gradient and two moments, and the result; 500 bytes are the rasterizer's; a view keeps 4 bytes a pixel, the loss 36 of
-its own (`StatisticsCache`), the step on one view 100. `python -m radiant_app.bench.retrain_memory` measures it, tests/stress compares.
+that move with gradient and two moments, and the result; 500 bytes are the rasterizer's; a view keeps 4 bytes a pixel, the step on one view
+takes 100 and its loss 36; the loss may keep those 36 of every view (`StatisticsCache`), in what memory is left.
+`python -m radiant_app.bench.retrain_memory` measures it, tests/stress compares.
+
+Views are never made smaller to fit: pictures of half the size teach about as much as a cut leaves, smaller ones less
+(docs/experiments/aggregation.md).
 """
 
 from __future__ import annotations
@@ -39,16 +44,17 @@ class CloudNeeds:
 
 
 def retrain_memory_bytes(num_splats: int, bytes_per_splat: float, pixels_per_view: Sequence[int]) -> float:
-    """Peak memory in bytes of a process that retrains N Gaussians on views of so many pixels."""
-    pixels = sum(pixels_per_view)
+    """Least peak memory in bytes of a process that retrains N Gaussians on views of so many pixels."""
     models = num_splats * (COPIES * bytes_per_splat + RASTERIZER_BYTES_PER_SPLAT)
-    statistics = min(STATISTICS_BYTES_PER_PX * pixels, STATISTICS_BUDGET_BYTES)
-    return PROCESS_BYTES + models + VIEW_BYTES_PER_PX * pixels + statistics + STEP_BYTES_PER_PX * max(pixels_per_view, default=0)
+    step = (STEP_BYTES_PER_PX + STATISTICS_BYTES_PER_PX) * max(pixels_per_view, default=0)
+    return PROCESS_BYTES + models + VIEW_BYTES_PER_PX * sum(pixels_per_view) + step
 
 
-def models_bytes(models: Sequence[Splats]) -> float:
-    """The part of `retrain_memory_bytes` that no view changes."""
-    return retrain_memory_bytes(sum(map(len, models)), _bytes_per_splat(models), ())
+def kept_statistics_bytes(models: Sequence[Splats], cameras: Sequence[Cameras], long_side_px: int, memory_bytes: float) -> int | None:
+    """What the loss may keep of its views where models are retrained within `memory_bytes`; None where they cannot be."""
+    pixels = pixels_of(cameras, long_side_px)
+    left = memory_bytes - retrain_memory_bytes(sum(map(len, models)), _bytes_per_splat(models), pixels)
+    return None if left < 0 else int(min(STATISTICS_BYTES_PER_PX * sum(pixels), STATISTICS_BUDGET_BYTES, left))
 
 
 def pixels_of(cameras: Sequence[Cameras], long_side_px: int) -> list[int]:
@@ -82,21 +88,29 @@ def pooled_needs(models: Sequence[Splats], cameras: Sequence[Cameras], long_side
     return CloudNeeds(num_cameras=round(own.num_cameras / share), memory_bytes=PROCESS_BYTES + scene_bytes, time_s=None)
 
 
-def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str) -> tuple[bool, Decision]:
-    """Whether the cloud retrains (else it crop-merges), and the decision with the figure that came nearest to its limit or beyond."""
+def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str, *, memory_of: str = "the cloud's limit") -> tuple[bool, Decision]:
+    """Whether the cloud retrains (else it cuts), and the decision with the figure that came nearest to its limit or beyond.
+
+    `memory_of` says in words whose limit that of memory is.
+    """
+    limit_gb = None if cloud.memory_bytes is None else cloud.memory_bytes / 1e9
+    most_views = None if cloud.max_cameras is None else float(cloud.max_cameras)
+    own = "the cloud's limit"
     figures = [
-        ("memory", needs.memory_bytes / 1e9, None if cloud.memory_bytes is None else cloud.memory_bytes / 1e9, "GB"),
-        ("time", needs.time_s, cloud.time_s, "s"),
-        ("views", float(needs.num_cameras), None if cloud.max_cameras is None else float(cloud.max_cameras), "cameras"),
+        ("memory", needs.memory_bytes / 1e9, limit_gb, "GB", memory_of),
+        ("time", needs.time_s, cloud.time_s, "s", own),
+        ("views", float(needs.num_cameras), most_views, "cameras", own),
     ]
-    limited = [(name, figure, limit, unit) for name, figure, limit, unit in figures if limit is not None and figure is not None]
+    limited = [
+        (name, figure, limit, unit, whose) for name, figure, limit, unit, whose in figures if limit is not None and figure is not None
+    ]
     if not limited:
         name, figure, unit = "memory", needs.memory_bytes / 1e9, "GB"
         retrains, reason = True, "its predicted memory; the system file sets the cloud no limit"
     else:
-        name, figure, limit, unit = max(limited, key=lambda item: item[1] / item[2] if item[2] else float("inf"))
+        name, figure, limit, unit, whose = max(limited, key=lambda item: item[1] / item[2] if item[2] else float("inf"))
         retrains = figure <= limit
         word = "is within" if retrains else "exceeds"
-        reason = f"the predicted {name} of retraining, {figure:.3g} {unit}, {word} the cloud's limit of {limit:.3g} {unit}"
-    choice = "retraining, as at the edges" if retrains else "crop-merge instead of retraining"
+        reason = f"the predicted {name} of retraining, {figure:.3g} {unit}, {word} {whose} of {limit:.3g} {unit}"
+    choice = "retraining, as at the edges" if retrains else "models are cut at their borders instead of retrained"
     return retrains, Decision(stage=stage, topic="aggregation", choice=choice, figure=figure, unit=f"{unit} predicted", reason=reason)

@@ -37,9 +37,9 @@ class AggregateConfig:
     weight_by_alpha: bool = True
     """Whether a synthetic pixel counts as much as its teacher is opaque there; the paper takes the pictures as they are."""
     cloud: Literal["crop_merge", "retrain"] = "retrain"
-    """retrain: the cloud does what the edges do, on views from virtual cameras, and crop-merges where that would exceed its limits;
-    crop_merge: it always cuts models at the plan's borders."""
-    fill_blind_spots: bool = True
+    """retrain: the cloud does what the edges do, on views from virtual cameras, and cuts models at their borders where that would exceed
+    its limits; crop_merge: it always cuts them at the plan's borders."""
+    fill_blind_spots: bool = False
     """Whether crop-merge keeps a neighbour's Gaussian where the region's owner has nothing near it."""
 
     def __post_init__(self) -> None:
@@ -74,7 +74,6 @@ def aggregate_preset(name: str) -> AggregateConfig:
             retrain_single=True,
             weight_by_alpha=False,
             cloud="retrain",
-            fill_blind_spots=False,
         )
     if name != "default":
         raise BadInput(f"aggregate preset {name!r} is unknown: use one of {', '.join(get_args(AggregatePreset))}.")

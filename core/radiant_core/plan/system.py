@@ -88,7 +88,7 @@ class Edge:
     max_cameras: int | None = None
     """How many cameras its devices can hold together; only with `time_s`."""
     memory_bytes: float | None = None
-    """What joining may hold, which limits the size of its views; None without a limit."""
+    """What joining may hold; beyond it models are cut at their borders. None without a limit."""
 
     def __post_init__(self) -> None:
         _require_id("edge", self.id)
@@ -143,7 +143,7 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
-    """What the cloud can spend on retraining the joined scene; None: no limit. Where a limit is exceeded it crop-merges."""
+    """What the cloud can spend on joining the scene; None: no limit but the machine's memory. Beyond one it cuts models at their borders."""
 
     memory_bytes: float | None = None
     """Memory of the cloud's process."""

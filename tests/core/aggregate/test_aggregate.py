@@ -207,7 +207,7 @@ class TestCropMerge:
     def test_a_neighbour_fills_where_the_owner_is_blind(self) -> None:
         everything = ground_splats()
         blind = everything.select(everything.means[:, 0] > 2)  # owner of the east has nothing near the border
-        merged = crop_merge([everything, blind], SITES, np.zeros(2))
+        merged = crop_merge([everything, blind], SITES, np.zeros(2), fill_blind_spots=True)
         assert merged.num_filled > 20
         gap = (merged.splats.means[:, 0] > 0.2) & (merged.splats.means[:, 0] < 1.2)
         assert gap.sum() > 20

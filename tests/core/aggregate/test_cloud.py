@@ -93,7 +93,11 @@ class TestChoice:
     def test_the_figure_that_decides_is_told_both_ways(self, cloud: Cloud, retrains: bool, figure: float, told: str) -> None:
         chosen, decision = choose_at_cloud(NEEDS, cloud, "cloud")
         assert (chosen, decision.figure) == (retrains, figure) and told in decision.reason
-        assert decision.choice.startswith("retraining" if retrains else "crop-merge")
+        assert decision.choice.startswith("retraining" if retrains else "models are cut")
+
+    def test_whose_limit_of_memory_it_is_is_told(self) -> None:
+        _, decision = choose_at_cloud(NEEDS, Cloud(memory_bytes=1e9), "cloud", memory_of="80% of what is free")
+        assert "2 GB, exceeds 80% of what is free of 1 GB" in decision.reason
 
     def test_a_time_limit_without_a_known_time_does_not_decide(self) -> None:
         assert choose_at_cloud(replace(NEEDS, time_s=None), Cloud(time_s=1.0), "cloud")[0]
@@ -112,6 +116,8 @@ class TestNeeds:
         assert needs.num_cameras == 3
         assert needs.time_s == pytest.approx(10 * 400 / 100 + 30 * 400 / 300)
         assert needs.memory_bytes == retrain_memory_bytes(400, 56, [24 * 18] * 3)
+        # Three hundred photographs of 576 × 432 px, a million Gaussians: less than a laptop has, so nothing is cut there.
+        assert retrain_memory_bytes(1_000_000, 92, [576 * 432] * 300) < 2e9
         assert cloud_needs(models, views, 48, None).memory_bytes > needs.memory_bytes
         assert cloud_needs(models, views, 48, None).time_s is None
 
