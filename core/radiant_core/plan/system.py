@@ -143,7 +143,7 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloud:
-    """What the cloud can spend on joining the scene; None: no limit but the machine's memory. Beyond one it cuts models at their borders."""
+    """What the cloud can spend on joining the scene; None: no limit but the machine's memory. Beyond one, models are cut."""
 
     memory_bytes: float | None = None
     """Memory of the cloud's process."""
