@@ -37,7 +37,6 @@ def test_joining_with_a_share_of_what_the_loss_would_keep_stays_below_the_limit(
     command = [sys.executable, "-m", "radiant_app.bench.retrain_memory", *map(str, numbers)]
     measured = int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     with capsys.disabled():
-        print(
-            f"{num_splats:,} Gaussians, {limit / 1e6:,.0f} MB allowed ({share:.0%} of what the loss would keep): {measured / 1e6:,.0f} MB held at most"
-        )
+        allowed = f"{limit / 1e6:,.0f} MB allowed ({share:.0%} of what the loss would keep)"
+        print(f"{num_splats:,} Gaussians, {allowed}: {measured / 1e6:,.0f} MB held at most")
     assert measured <= limit
