@@ -24,13 +24,14 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.config import TrainConfig
+from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.shapes import without_dead
 from radiant_core.train.trainer import FitOptions, Steps, TrainResult, fit_splats
 from radiant_core.train.views import TrainingViews, concatenate_views
 
 RATES_END = 0.3
 """Share of the rates that is left at the end of a retraining by `default`; the centres' fall as in training."""
+RATES = ("means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
 TOUCHED_SHARE = 0.02
 """A view is shown where at least this share of the Gaussians before it is contested."""
 NUM_COMPARED = 8
@@ -208,12 +209,13 @@ def _agreement_db(joined: Splats, views: TrainingViews, backend: Backend) -> flo
 
 def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
     """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is added, grown or exposed anew, and rates fall
-    as joining has it, not as a device's."""
+    as joining has it, not as a device's. `paper` retrains at the rates of 3DGS, however its devices were trained."""
     num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
     still = {"sh_degree_every": 0, "densify": "none", "start_scale": 1.0, "exposure": "none", "background": "black", "settle_epochs": None}
-    return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still)
+    rates = {name: getattr(train_preset("paper"), name) for name in RATES} if aggregate.preset == "paper" else {}
+    return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still, **rates)
 
 
 def untrained(splats: Splats) -> TrainResult:

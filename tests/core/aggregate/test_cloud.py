@@ -10,7 +10,7 @@ import pytest
 from radiant_core.aggregate.cloud_choice import CloudNeeds, choose_at_cloud, cloud_needs, retrain_memory_bytes
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
-from radiant_core.aggregate.retrain import retrain_on_synthetic_views
+from radiant_core.aggregate.retrain import retrain_on_synthetic_views, retraining_config
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import MAX_MOVE, MAX_TURN_DEG, virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
@@ -141,6 +141,15 @@ class TestPaperAggregation:
         assert aggregate_preset("default") == AggregateConfig()
         with pytest.raises(BadInput, match="default, paper"):
             aggregate_preset("papers")
+
+    def test_it_retrains_at_the_rates_of_3dgs_however_devices_were_trained(self) -> None:
+        device, plain = train_preset("default"), train_preset("standard")
+        made = retraining_config(device, aggregate_preset("paper"), MODEL, 7)
+        names = ("means_lr", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
+        assert [getattr(made, name) for name in names] == [getattr(plain, name) for name in names]
+        assert (made.num_steps, made.settle_epochs, made.densify) == (70, None, "none")
+        ours = retraining_config(device, aggregate_preset("default"), MODEL, 7)
+        assert [getattr(ours, name) for name in names] == [getattr(device, name) for name in names] and ours.scales_lr == 4 * made.scales_lr
 
     def test_all_gaussians_stay_a_lone_model_is_retrained_and_density_control_rests(self) -> None:
         train = replace(train_preset("paper"), long_side_px=48, densify_from_step=0, densify_every=1)
