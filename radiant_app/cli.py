@@ -51,7 +51,10 @@ _PRESET_HELP = (
     "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
     "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
 )
-_TRAIN_HELP = "draft: quick; standard: plain 3DGS; paper: its 20,000 steps."
+_TRAIN_HELP = (
+    "draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000 Gaussians at most; paper: its 20,000 "
+    "steps."
+)
 _AGGREGATE_HELP = "paper: retrain every parameter at the edges and the cloud."
 _PLAN_HELP = "exact: least makespan; paper: Alg. 1; voronoi; even."
 _MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
