@@ -265,11 +265,6 @@ class InspectorWindow(QMainWindow):
         """Read the run anew, in a new window in the place of this one."""
         self.wants_reload.emit()
 
-    @property
-    def is_outdated(self) -> bool:
-        """Whether the files of the run are others than those that are shown."""
-        return self.subject.run is not None and file_stamps(self.subject.path) != self.subject.stamps
-
     def all_docks(self) -> list[QDockWidget]:
         """Every dock, in the order of the menu."""
         planning = [] if self.planning is None else [self.planning.dock, self.planning.loads]
