@@ -82,8 +82,8 @@ def run_layers(run: RunView) -> list[Layer]:
         camera_layer(run.scene.cameras, run.roles, "device"),
         camera_layer(run.scene.cameras, run.roles, "split"),
     ]
-    if run.psnr_db:
-        layers.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.psnr_db))
+    if run.placed_psnr_db:
+        layers.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.placed_psnr_db))
     if run.splats is not None and len(run.cloud_plan.edge_ids) > 1:
         layers.append(seam_of(run.scene, run.cloud_plan, run.splats))
     return [*layers, edges]

@@ -70,8 +70,9 @@ def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH, 
 def _require_camera(run: RunView, view: str, camera: str) -> None:
     if view not in ("splats", "compare"):
         raise BadInput(f"a camera is of the views splats and compare, not of {view!r}: leave it out.")
-    if camera not in run.scene.cameras.names:
-        near = get_close_matches(camera, run.scene.cameras.names, 1, 0)
+    known = run.photographs if view == "compare" else run.scene.cameras.names
+    if camera not in known:
+        near = get_close_matches(camera, known, 1, 0)
         raise BadInput(f"there is no photograph {camera!r} in this run: did you mean {near[0]!r}?" if near else "the run has no cameras.")
 
 
@@ -147,8 +148,12 @@ def cameras_picture(
     scene: SfmScene, roles: CameraRoles, psnr_db: Mapping[str, float] | None = None, size_wh: tuple[int, int] = SIZE_WH
 ) -> Image:
     """All cameras over the sparse points in 3D, coloured by PSNR once there are figures, by split before."""
-    cameras = camera_layer(scene.cameras, roles, "psnr" if psnr_db else "split", psnr_db)
+    unplaced = len(set(psnr_db or ()) - set(scene.cameras.names))
+    placed = psnr_db and len(psnr_db) > unplaced
+    cameras = camera_layer(scene.cameras, roles, "psnr" if placed else "split", psnr_db)
     subtitle = f"{len(scene.cameras)} cameras, {int(roles.held_out.sum())} held out"
+    if unplaced:
+        subtitle = f"{len(scene.cameras)} cameras; {unplaced} held out, whose places stayed with their devices"
     if psnr_db:
         worst = min(psnr_db, key=lambda name: psnr_db[name])
         mean = float(np.mean(list(psnr_db.values())))

@@ -41,8 +41,8 @@ def run_layers(run: RunView) -> list[Layer]:
     """All layers of a run but its seams, from the ground up."""
     regions, strips, borders, cameras, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
     model = [splat_layer(run.splats)] if run.splats is not None else []
-    colorings = ["device", "split", *(["psnr"] if run.psnr_db else [])]
-    others = [camera_layer(run.scene.cameras, run.roles, coloring, run.psnr_db) for coloring in colorings]  # type: ignore[arg-type]
+    colorings = ["device", "split", *(["psnr"] if run.placed_psnr_db else [])]
+    others = [camera_layer(run.scene.cameras, run.roles, coloring, run.placed_psnr_db) for coloring in colorings]  # type: ignore[arg-type]
     return [regions, strips, sparse_point_layer(run.scene), *model, borders, cameras, *others, edges]
 
 
