@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.cameras import Cameras
-from radiant_core.evaluate.photographed import photographed_shares
+from radiant_core.evaluate.observed_ground import observed_coverage
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
@@ -95,8 +95,8 @@ def test_nothing_found_says_how_little_was_looked_at_and_what_could_not_be_told(
     town = flown_over_the_west()
     plain = made_up_town()
     text = verdict_text(seam_findings(town.scene, plain.cloud_plan, plain.splats, num_examined=0), "m")
-    assert text.startswith("No step of 10 levels of 255 or more could be told from texture; photographed: ")
-    found = re.search(r"photographed: ([\d.]+) m of ([\d.]+) m", text)
+    assert text.startswith("No step of 10 levels of 255 or more could be told from texture; observed: ")
+    found = re.search(r"observed: ([\d.]+) m of ([\d.]+) m", text)
     assert found is not None, text
     observed, total = (float(group) for group in found.groups())
     figures = border_figures(town.scene, plain.cloud_plan, plain.splats)
@@ -129,8 +129,12 @@ def test_the_shares_are_those_of_the_images_that_show_a_place() -> None:
     # From 60 m above a camera sees 38.4 m to either side: the last one of its row alone sees 30 m beyond itself.
     east = float(centers[:, 0].max())
     places: FloatArray = np.array([[0.0, 0.0], [east + 8, 0.0], [east + 30, 0.0], [400.0, 0.0]])
-    middle, rim, seen_once, far = photographed_shares(places, town.scene)
+    middle, rim, seen_once, far = observed_coverage(places, town.scene, 10.0)
     assert middle > 0.8
     assert 0 < rim < middle
     assert seen_once == far == 0
-    assert photographed_shares(np.zeros((0, 2)), town.scene).shape == (0,)
+    # Images show the middle, and no two of them agreed on a point near it.
+    around = town.scene.points[np.linalg.norm(town.scene.points[:, :2], axis=1) > 10.0]
+    bare = replace(town.scene, points=around, colors=town.scene.colors[: len(around)])
+    assert observed_coverage(places[:1], bare, 10.0) == 0 < observed_coverage(places[:1], bare, 15.0)
+    assert observed_coverage(np.zeros((0, 2)), town.scene, 10.0).shape == (0,)

@@ -1,8 +1,8 @@
-"""What can be said of each border of a plan in a model: how much of it was photographed, how strongly colours step there, and beside what.
+"""What can be said of each border of a plan in a model: how much of it was observed, how strongly colours step there, and beside what.
 
-A border has a verdict where at least `MIN_OBSERVED_SHARE` of its length was photographed on both sides and shows Gaussians; a step is told
+A border has a verdict where at least `MIN_OBSERVED_SHARE` of its length was observed on both sides and shows Gaussians; a step is told
 where it is at least `VISIBLE_LEVELS` and more than any parallel steps (`seam_layer.color_steps`). Pieces count by how well they were
-photographed; the worst one is that whose step, times its coverage, exceeds what can be told there most. O(N) for N Gaussians, once per
+observed; the worst one is that whose step, times its coverage, exceeds what can be told there most. O(N) for N Gaussians, once per
 picture or window.
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import border_distance_m
-from radiant_core.evaluate.photographed import photographed_shares
+from radiant_core.evaluate.observed_ground import observed_coverage
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders import Border, shared_borders
 from radiant_core.plan.plans import CloudPlan
@@ -36,7 +36,7 @@ MIN_OBSERVED_PIECES = 3
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderFigures:
     """One border and its K pieces in order: ends (K,2,2), shares (K,) of the usual coverage, levels (K,) of their colour steps and limits
-    (K,) of what is told there, NaN where nobody photographed or too few Gaussians lie; step, texture and limit are those of its whole
+    (K,) of what is told there, NaN where nobody looked or too few Gaussians lie; step, texture and limit are those of its whole
     observed length."""
 
     border: Border
@@ -71,7 +71,7 @@ class BorderFigures:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether enough of the border was photographed to say something of it."""
+        """Whether enough of the border was observed to say something of it."""
         enough = self.observed_length >= MIN_OBSERVED_SHARE * self.border.length_m and self.observed.sum() >= MIN_OBSERVED_PIECES
         return bool(enough and np.isfinite(self.step_levels))
 
@@ -89,7 +89,7 @@ class BorderFigures:
     def verdict(self) -> str:
         """What can be said of it, in some words."""
         if not self.has_verdict:
-            return "none: too little photographed"
+            return "none: too little observed"
         return "step told from texture" if self.steps else f"no step of {self.told_levels:.0f} levels or more told"
 
     @property
@@ -99,7 +99,7 @@ class BorderFigures:
 
     @property
     def worst(self) -> int | None:
-        """The piece whose step stands out most from texture, weighed by how well its place was photographed; None without any."""
+        """The piece whose step stands out most from texture, weighed by how well its place was observed; None without any."""
         if not self.observed.any():
             return None
         told = np.maximum(VISIBLE_LEVELS, np.nan_to_num(self.limits))
@@ -127,7 +127,7 @@ def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tu
     figures = []
     for border in shared_borders(cloud_plan):
         chosen = np.flatnonzero((pieces.edge_pairs == (border.first, border.second)).all(axis=1))
-        # Pieces that were not photographed have no figure of the whole either.
+        # Pieces that were not observed have no figure of the whole either.
         known = chosen[np.isfinite(whole.levels[chosen])]
         one = known[0] if len(known) else chosen[0]
         figures.append(
@@ -147,9 +147,9 @@ def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tu
 
 
 def _shares(scene: SfmScene, pieces: SeamPieces, width: float) -> FloatArray:
-    """Share (S,) of the usual coverage of each piece, that of its less photographed side: one side alone has nothing to step against."""
+    """Share (S,) of the usual coverage of each piece, that of its less observed side: one side alone has nothing to step against."""
     middles, aside = pieces.ends.mean(axis=1), 0.5 * width * piece_normals(pieces)
-    sides = photographed_shares(np.concatenate([middles + aside, middles - aside]), scene)
+    sides = observed_coverage(np.concatenate([middles + aside, middles - aside]), scene, width)
     return sides.reshape(2, -1).min(axis=0)
 
 

@@ -28,15 +28,15 @@ from radiant_viewer.views import ground_height
 if TYPE_CHECKING:
     from radiant_viewer.window import InspectorWindow
 
-HEADINGS = ("", "Border", "Step (levels)", "Texture", "Median piece", "Worst piece", "Photographed", "Verdict")
+HEADINGS = ("", "Border", "Step (levels)", "Texture", "Median piece", "Worst piece", "Observed", "Verdict")
 TIPS = (
     "",
     "",
-    "How far the mean colours of both sides differ over all that was photographed, beyond the texture; levels of 255",
+    "How far the mean colours of both sides differ over all that was observed, beyond the texture; levels of 255",
     "How far they usually differ at lines beside the border, where there is no seam",
     "The middle one of the pieces' steps",
     "The step of the piece that stands out most from the texture around it",
-    "Length of the border that was photographed from both sides and shows Gaussians, of its whole length",
+    "Length of the border that two photographs or more show on both sides, with points that they agree on, of its whole length",
     "A step is told where it is at least 10 levels and more than any line beside the border steps",
 )
 MARK = "Border of the tour"
@@ -59,7 +59,7 @@ class SeamDock(QDockWidget):
         self.worst.clicked.connect(lambda: self.go(0))
         self.next.clicked.connect(lambda: self.step(1))
         self.previous.clicked.connect(lambda: self.step(-1))
-        self.text = QLabel("Colour steps where borders were photographed, beyond the scene's own texture, in levels of 255.")
+        self.text = QLabel("Colour steps where borders were observed, beyond the scene's own texture, in levels of 255.")
         self.text.setProperty("soft", "true")
         self.table = self._table()
         row = QHBoxLayout()
@@ -91,7 +91,7 @@ class SeamDock(QDockWidget):
         figures = stop.figures
         self.text.setText(f"{index + 1} of {len(self.stops)}: {stop.title}. Verdict: {figures.verdict}")
         part = part_text(figures.observed_length, stop.length, self._unit)
-        self._window.tell(f"Border {stop.title}: colour step {step_text(figures)}; photographed: {part}")
+        self._window.tell(f"Border {stop.title}: colour step {step_text(figures)}; observed: {part}")
 
     def _table(self) -> QTableWidget:
         table = QTableWidget(len(self.stops), len(HEADINGS))
@@ -143,5 +143,5 @@ def _cells(stop: SeamStop, unit: str) -> tuple[str, ...]:
     """The texts of one row after its number."""
     figures = stop.figures
     levels = (figures.step_levels, figures.texture_levels, figures.median_levels, stop.worst_levels)
-    photographed = part_text(figures.observed_length, stop.length, unit)
-    return (stop.title, *(f"{value:.1f}" if np.isfinite(value) else "–" for value in levels), photographed, figures.verdict)
+    observed = part_text(figures.observed_length, stop.length, unit)
+    return (stop.title, *(f"{value:.1f}" if np.isfinite(value) else "–" for value in levels), observed, figures.verdict)

@@ -1,7 +1,7 @@
 """Which borders of a plan show a seam in a model: colour steps of all, and the step detector of those where they are largest.
 
 A border counts as found where its colour step is told from texture (`border_figures`), or where the step detector responds to colour,
-height, density or a gap on the part of it that was photographed. That nothing is found proves nothing: the detector misses grey steps
+height, density or a gap on the part of it that was observed. That nothing is found proves nothing: the detector misses grey steps
 below some 20/255 and says nothing of plain cuts. O(N) for the steps, a second per examined border.
 """
 
@@ -48,10 +48,10 @@ def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_ex
 
 
 def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
-    """What can be said of all borders, with how much of them was photographed, and of the first of them beside its texture."""
+    """What can be said of all borders, with how much of them was observed, and of the first of them beside its texture."""
     told = [finding.figures for finding in findings if finding.figures.has_verdict]
     if not told:
-        return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was photographed from both sides and shows Gaussians"
+        return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
     found = sum(finding.found for finding in findings)
     limit = max(figures.told_levels for figures in told)
     verdict = (
@@ -61,13 +61,13 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     )
     observed = sum(figures.observed_length for figures in told)
     total = sum(finding.figures.border.length_m for finding in findings)
-    return f"{verdict}; photographed: {part_text(observed, total, unit)}   ·   largest: {told[0].title}, {_beside_texture(told[0])}"
+    return f"{verdict}; observed: {part_text(observed, total, unit)}   ·   largest: {told[0].title}, {_beside_texture(told[0])}"
 
 
 def step_text(figures: BorderFigures) -> str:
     """The step of one border beside the texture's, and whether that is seen; for the end of a sentence."""
     if not figures.has_verdict:
-        return "too little photographed for a verdict"
+        return "too little observed for a verdict"
     size = "told from texture" if figures.steps else "not visible" if figures.step_levels < VISIBLE_LEVELS else "not told from texture"
     return f"{_beside_texture(figures)}, {size}"
 
@@ -77,7 +77,7 @@ def _beside_texture(figures: BorderFigures) -> str:
 
 
 def part_text(observed: float, total: float, unit: str) -> str:
-    """How much of borders was photographed: "31 m of 60 m"."""
+    """How much of borders was observed: "31 m of 60 m"."""
     return (
         f"all {length_text(total, unit)}" if observed >= 0.999 * total else f"{length_text(observed, unit)} of {length_text(total, unit)}"
     )

@@ -6,7 +6,7 @@
 c± is the mean colour of the Gaussians in the band of one width to either side of the border, each weighted by opacity times the
 area it covers, n the normal; bands are pooled over the neighbouring pieces of the same border, since a seam steps the same way
 all along and texture does not. The parallels lie inside the regions, so the scene's own texture is subtracted (in squares, as
-independent parts add). A piece counts by how well its place was photographed, one that was not at all has no figure. Once per
+independent parts add). A piece counts by how well its place was observed, one that was not at all has no figure. Once per
 picture; S pieces.
 """
 

@@ -1,6 +1,6 @@
 """The stops of a walk along the borders, worst seam first: where to stand, and what was measured there. Once per run.
 
-A stop is one border; its figure is the colour step over its whole photographed length, its place the worst piece (`border_figures`).
+A stop is one border; its figure is the colour step over its whole observed length, its place the worst piece (`border_figures`).
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ class SeamStop:
 
     @property
     def worst(self) -> FloatArray:
-        """The middle (2,) of its worst piece; of the border where nothing of it was photographed."""
+        """The middle (2,) of its worst piece; of the border where nothing of it was observed."""
         worst = self.figures.worst
         return self.ends.mean(axis=0) if worst is None else self.figures.ends[worst].mean(axis=0)
 
     @property
     def worst_levels(self) -> float:
-        """The colour step there, NaN where nothing was photographed."""
+        """The colour step there, NaN where nothing was observed."""
         worst = self.figures.worst
         return float("nan") if worst is None else float(self.figures.levels[worst])
 

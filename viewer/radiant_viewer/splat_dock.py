@@ -142,9 +142,10 @@ class SplatDock(QDockWidget):
         self.last_image = frame.image
         self.picture.show_picture(frame.image)
         self._drawn = self._asked
-        self.shown_is_full = self._drawn is not None and self._drawn[1]
+        # A full picture of where the view was before it moved is none of where it is.
+        self.shown_is_full = self._drawn == (self._last_key, True)
         width, height = frame.image.shape[1], frame.image.shape[0]
-        detail = "full" if self.shown_is_full else "coarse while moving"
+        detail = "full" if self._drawn is not None and self._drawn[1] else "coarse while moving"
         self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms\n{detail}{self._why()}")
         reason = "" if self.decision is None else f"\n{self.decision.reason}"
         self.note.setToolTip(f"{self.note.text()}{reason}")

@@ -180,7 +180,7 @@ def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
 
 
 def worst_border(run: RunView) -> Border:
-    """What was photographed of the border with the largest colour step of a run's model, the longest border where there is no verdict;
+    """What was observed of the border with the largest colour step of a run's model, the longest border where there is no verdict;
     BadInput without any border."""
     figures = border_figures(run.scene, run.cloud_plan, required_splats(run))
     worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)

@@ -1,10 +1,11 @@
-"""How well places of the ground were photographed, so that nothing is said of what nobody saw. Once per plan, O(C · K).
+"""How well places of the ground were observed, so that nothing is said of what nobody saw. Once per plan, O(C · K).
 
-    share of x = min(1, coverage(x) / median coverage of the scene's own points),   0 where fewer than `MIN_VIEWS` images show x
-                                                                                    or the share is below `MIN_SHARE`
+    share of x = min(1, coverage(x) / median coverage of the scene's own points),   0 where fewer than `MIN_VIEWS` images show x, fewer
+                                                                        than `MIN_POINTS` points lie near, or it is below `MIN_SHARE`
 
 `coverage` is that of `aggregate.ownership`: the sum over the images that show x of their resolution there, less at their rims. x stands at
-the middle height of the `NUM_NEAREST` points around it; occlusion does not count. C cameras, K places, P points.
+the middle height of the `NUM_NEAREST` points around it; occlusion does not count. Where structure from motion placed no points, images
+may show a place, but no two of them agreed on what stands there: a model's haze. C cameras, K places, P points.
 """
 
 from __future__ import annotations
@@ -22,22 +23,27 @@ MIN_VIEWS = 2
 """What one image alone shows has no depth."""
 MIN_SHARE = 0.25
 """Where the images' resolution adds up to less than a quarter of what it usually does, the place lies beside what was photographed."""
+MIN_POINTS = 3
 NUM_NEAREST, NUM_SAMPLED = 16, 1000
 
 
-def photographed_shares(places_xy: ArrayLike, scene: SfmScene) -> FloatArray:
-    """Share (K,) of the usual coverage that each of the places (K,2) of a scene has, 0 to 1; 0 where it was not photographed."""
+def observed_coverage(places_xy: ArrayLike, scene: SfmScene, reach: float) -> FloatArray:
+    """Share (K,) of the usual coverage that each of the places (K,2) of a scene has, 0 to 1; 0 where it was not observed.
+
+    reach: how near points must lie, in the frame's unit.
+    """
     places_xy = checked_array("places_xy", places_xy, (None, 2))
-    if not len(scene.points) or not len(scene.cameras):
+    if len(scene.points) < MIN_POINTS or not len(scene.cameras):
         return np.zeros(len(places_xy))
     sampled = scene.points[np.random.default_rng(0).permutation(len(scene.points))[:NUM_SAMPLED]]
     num_nearest = min(NUM_NEAREST, len(scene.points))
-    nearest = KDTree(scene.points[:, :2]).query(places_xy, num_nearest)[1]
-    heights = np.median(scene.points[:, 2][np.reshape(nearest, (-1, num_nearest))], axis=1)
+    distances, nearest = KDTree(scene.points[:, :2]).query(places_xy, num_nearest)
+    heights = np.median(scene.points[:, 2][nearest], axis=1)
     covered, num_views = _covered(np.column_stack([places_xy, heights]), scene.cameras)
     usual = float(np.median(coverage(sampled, scene.cameras)))
     shares = np.minimum(1.0, covered / usual) if usual > 0 else np.zeros(len(covered))
-    return np.where((num_views >= MIN_VIEWS) & (shares >= MIN_SHARE), shares, 0.0)
+    observed = (num_views >= MIN_VIEWS) & (distances[:, MIN_POINTS - 1] <= reach) & (shares >= MIN_SHARE)
+    return np.where(observed, shares, 0.0)
 
 
 def _covered(places: FloatArray, cameras: Cameras) -> tuple[FloatArray, FloatArray]:
