@@ -192,7 +192,7 @@ def _seam_layer_of(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[Bor
         ends=np.concatenate([one.ends for one in figures]),
         edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),
     )
-    label = f"Step told (levels of 255), bands of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
+    label = f"Step over texture (of 255), bands of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
     return seam_layer(pieces, np.concatenate([one.told for one in figures]), label, ground_height(scene), 2 * VISIBLE_LEVELS)
 
 
