@@ -64,7 +64,7 @@ def save_field_run(folder: Path, *, with_pictures: bool = False) -> None:
 @pytest.fixture
 def run(tmp_path: Path) -> RunView:
     save_field_run(tmp_path / "run")
-    return load_run_view(tmp_path / "run")
+    return load_run_view(tmp_path / "run", with_files=True)
 
 
 def index_of(run: RunView, name: str) -> int:
@@ -84,6 +84,7 @@ def test_the_figures_that_went_up_are_there_without_the_places_they_were_measure
 def test_numbers_have_names_of_files_only_where_the_devices_folder_is_here(run: RunView) -> None:
     assert run.files[WORST] == "out_7.jpg" and run.files[f"{HERE}/0000"].startswith("DJI_")
     assert not [name for name in run.files if not name.startswith(f"{HERE}/")]
+    assert load_run_view(run.folder).files == {}, "what makes a report knows no names"
     photos = run.folder / "devices" / HERE / "photos"
     (photos / "out_7.jpg").write_bytes(b"x")
     assert find_photograph(run, index_of(run, WORST)).path == photos / "out_7.jpg"
@@ -93,7 +94,7 @@ def test_numbers_have_names_of_files_only_where_the_devices_folder_is_here(run: 
     for name in climbing.files:
         assert find_photograph(climbing, index_of(run, name)).path is None
     (run.folder / "devices" / HERE / "held_out.safetensors").write_bytes(b"broken")
-    assert WORST not in load_run_view(run.folder).files
+    assert WORST not in load_run_view(run.folder, with_files=True).files
 
 
 def test_pictures_that_stayed_are_named_with_the_way_to_have_them(run: RunView) -> None:
@@ -147,7 +148,7 @@ class Window(QMainWindow):
         pass
 
 application = QApplication([])
-run, window = load_run_view(Path(sys.argv[1])), Window()
+run, window = load_run_view(Path(sys.argv[1]), with_files=True), Window()
 dock = window.dock = PhotoDock(window, run, image_figures(run.folder))
 dock.show_worst()
 for by in (1, 1, 1):

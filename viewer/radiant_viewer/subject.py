@@ -51,7 +51,7 @@ def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
         return Subject(path=path, layers=layers, splats=splats, run=None, unit="units", ground=0.0, summary=summary)
     if path.suffix.lower() == ".json" and not path.is_dir():
         return subject_of_run(load_plan_view(path, scene))
-    return subject_of_run(load_run_view(path))
+    return subject_of_run(load_run_view(path, with_files=True))
 
 
 def subject_of_run(run: RunView) -> Subject:
