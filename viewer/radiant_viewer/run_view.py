@@ -80,7 +80,7 @@ class RunView:
 def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
     """The run in `folder`; BadInput when it is no run or not planned yet, StoreDamaged when a file is broken.
 
-    `with_files`: names of files behind numbers, too, for a window, which writes nothing into the run. Nobody else asks the devices' records.
+    `with_files`: names of files behind numbers, too, for a window, which writes nothing into the run; nobody else reads devices' records.
     """
     folder = Path(folder)
     if not folder.is_dir():
