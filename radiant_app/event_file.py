@@ -33,7 +33,7 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import LOCK_NAME
 
 if TYPE_CHECKING:
-    from radiant_viewer.run_feeds import RunProgress, StageState
+    from radiant_viewer.run_feeds import RunProgress, StageState, State
 
 EVENTS_NAME = "events.jsonl"
 SECONDS_BETWEEN = 0.5
@@ -101,10 +101,21 @@ def read_progress(run: Path) -> RunProgress:
     if status == "running" and not is_running:
         status = "interrupted"
     if not is_running:
-        # Whoever was at work then is not any more.
-        stages = {name: replace(state, state="failed") if state.state == "running" else state for name, state in stages.items()}
+        # Whoever was at work then is not any more: stopped with the run, or at fault.
+        ended: State = "interrupted" if status == "interrupted" else "failed"
+        stages = {name: replace(state, state=ended) if state.state == "running" else state for name, state in stages.items()}
     shown = tuple(stages.values())
     return RunProgress(stages=shown, warnings=tuple(warnings), seconds_left=seconds_left, is_running=is_running, status=status)
+
+
+def progress_stamps(run: Path) -> tuple[object, ...]:
+    """What tells whether `read_progress` would read something new, without reading the events."""
+    stamps: list[object] = [_is_locked(run)]
+    for name in (EVENTS_NAME, "manifest.json"):
+        with suppress(OSError):
+            status = (run / name).stat()
+            stamps.append((name, status.st_ino, status.st_mtime_ns, status.st_size))
+    return tuple(stamps)
 
 
 def _after(event: Event, stages: dict[str, StageState]) -> StageState | None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from radiant_app.event_file import read_progress
+from radiant_app.event_file import progress_stamps, read_progress
 from radiant_app.prediction_error import SYSTEM_NAME, gantt_rows
 from radiant_app.report import GANTT_TEXT
 from radiant_app.run_folder import read_manifest
@@ -15,7 +15,7 @@ from radiant_core.io.records import load_plan
 from radiant_viewer.run_view import plan_path
 
 if TYPE_CHECKING:
-    from radiant_viewer.run_feeds import RunFeeds
+    from radiant_viewer.run_feeds import RunFeeds, RunProgress
 
 
 def feeds_of(run: Path) -> RunFeeds:
@@ -27,8 +27,22 @@ def feeds_of(run: Path) -> RunFeeds:
     return RunFeeds(
         gantt_rows=lambda: _gantt_rows(run),
         gantt_detail=lambda: GANTT_TEXT[bool(read_manifest(run).emulated)],
-        progress=lambda: read_progress(run),
+        progress=_Progress(run),
     )
+
+
+class _Progress:
+    """How a run stands, read anew only where its files are others: a window asks once a second, also for hours after the run ended."""
+
+    def __init__(self, run: Path) -> None:
+        self._run = run
+        self._read: tuple[tuple[object, ...], RunProgress] | None = None
+
+    def __call__(self) -> RunProgress:
+        stamps = progress_stamps(self._run)
+        if self._read is None or self._read[0] != stamps:
+            self._read = (stamps, read_progress(self._run))
+        return self._read[1]
 
 
 def _gantt_rows(run: Path) -> Sequence[Any]:

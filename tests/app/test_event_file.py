@@ -12,6 +12,7 @@ from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSki
 from radiant_app.inspect_feeds import feeds_of
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import RunLock, write_json
+from radiant_viewer.run_feeds import RunProgress
 
 STREAM = (
     StageSkipped(stage="sfm"),
@@ -50,7 +51,30 @@ def test_a_watcher_reads_what_the_run_told(tmp_path: Path) -> None:
     # Nobody holds the lock any more: the run was killed, whatever its record says.
     after = read_progress(tmp_path)
     assert (after.is_running, after.status) == (False, "interrupted")
-    assert after.stages[-1].state == "failed"
+    # What was at work then was stopped with the run; it did not fail.
+    assert [stage.state for stage in after.stages] == ["skipped", "done", "failed", "interrupted"]
+
+
+def test_a_watcher_hears_that_a_run_was_resumed_and_reads_only_what_is_new(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    readings: list[Path] = []
+
+    def counted(run: Path) -> RunProgress:
+        readings.append(run)
+        return read_progress(run)
+
+    monkeypatch.setattr("radiant_app.inspect_feeds.read_progress", counted)
+    write_json(tmp_path / "manifest.json", {"status": "interrupted"})
+    with EventFile(tmp_path, lambda event: None) as tell:
+        tell(StageStarted(stage="sfm"))
+    progress = feeds_of(tmp_path).progress
+    states = [[(seen.status, seen.is_running, seen.stages[0].state) for seen in (progress(), progress())]]
+    assert len(readings) == 1
+    with RunLock(tmp_path), EventFile(tmp_path, lambda event: None) as tell:
+        write_json(tmp_path / "manifest.json", {"status": "running"})
+        tell(StageStarted(stage="sfm"))
+        states.append([(seen.status, seen.is_running, seen.stages[0].state) for seen in (progress(), progress())])
+    assert states == [[("interrupted", False, "interrupted")] * 2, [("running", True, "running")] * 2]
+    assert len(readings) == 2
 
 
 def test_a_new_phase_is_told_at_once(tmp_path: Path) -> None:

@@ -107,6 +107,15 @@ def test_a_planted_step_is_found_with_its_sign_and_size(second: object, quantity
         assert_seamless(steps)
 
 
+def test_what_is_found_exceeds_the_limit_that_is_told_and_what_is_not_does_not() -> None:
+    for steps in (steps_at_border(merged(street())), steps_at_border(merged(higher(0.05)))):
+        # Of colour the limit is that of grey, and a difference of channels may be what was found.
+        for quantity in ("height", "density", "gap"):
+            assert (abs(steps.steps[quantity]) > steps.limits[quantity]) == (quantity in steps.found)
+    # Hills of 0.2 m and 1 cm of noise: a step of 5 cm is told, one of a tenth of a millimetre is not promised.
+    assert 1e-4 < steps.limits["height"] < 0.05
+
+
 def test_a_planted_gap_is_found() -> None:
     steps = steps_at_border(merged(cut_short(0.8)))
     assert "gap" in steps.found

@@ -26,7 +26,7 @@ def made_up_steps(height_response: float) -> BorderSteps:
         px_m=0.1,
         ends=np.array([[0.0, 0.0], [12.0, 0.0]]),
     )
-    return BorderSteps(steps=dict.fromkeys(QUANTITIES, 0.01), responses=responses, strip=strip)
+    return BorderSteps(steps=dict.fromkeys(QUANTITIES, 0.01), scatters=dict.fromkeys(QUANTITIES, 0.02), responses=responses, strip=strip)
 
 
 def near(picture: np.ndarray, rgb: tuple[int, int, int]) -> np.ndarray:

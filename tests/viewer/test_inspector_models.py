@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.ply import save_ply
 from radiant_viewer.measure import area_text, length_text, path_length, polygon_area
-from radiant_viewer.palette import INK, heat_table
+from radiant_viewer.palette import GREY, INK, heat_table
 from radiant_viewer.photo_access import find_photograph
 from radiant_viewer.run_feeds import StageState
 from radiant_viewer.run_figures import image_figures
@@ -50,18 +50,19 @@ def test_what_has_no_length_or_area_says_so() -> None:
 
 def test_the_planted_seam_is_the_first_stop_and_is_in_view_there() -> None:
     town = made_up_town(step_levels=60)
-    stops = seam_stops(town.cloud_plan, town.splats)
-    assert {frozenset((stop.first, stop.second)) for stop in stops[:2]} == {
+    stops = seam_stops(town.scene, town.cloud_plan, town.splats)
+    assert {frozenset(stop.figures.names) for stop in stops[:2]} == {
         frozenset(("north", "harbour")),
         frozenset(("harbour", "quarry")),
     }
-    assert stops[0].step_levels > 30 > 10 > stops[-1].step_levels
-    assert [stop.step_levels for stop in stops] == sorted((stop.step_levels for stop in stops), reverse=True)
+    levels = [stop.figures.step_levels for stop in stops]
+    assert levels[0] > 30 > 10 > levels[-1]
+    assert levels == sorted(levels, reverse=True)
     camera = stops[0].view(0.0).camera((640, 360))
     in_camera = camera.cam_from_world[0] @ [*stops[0].worst, 0.0, 1.0]
     np.testing.assert_allclose((camera.Ks[0] @ in_camera[:3])[:2] / in_camera[2], (320, 180), atol=1e-6)
     few = replace(town.splats, means=town.splats.means + np.float32([1e4, 0, 0]))
-    assert all(np.isnan(stop.step_levels) for stop in seam_stops(town.cloud_plan, few))
+    assert all(np.isnan(stop.figures.step_levels) for stop in seam_stops(town.scene, town.cloud_plan, few))
 
 
 def test_a_photograph_is_found_with_its_device_and_with_nobody_else(tmp_path: Path) -> None:
@@ -127,6 +128,8 @@ def test_dark_draws_ink_light_and_fills_dark_and_leaves_what_is_data(tmp_path: P
         assert seen.heat is not None
         table = heat_table(seen.heat.start)
         drawn = np.concatenate([seen.segment_colors, seen.polygon_colors])
+        # What was not photographed is grey and stands in the legend.
+        drawn = drawn[(drawn != GREY).any(axis=1)]
         assert (drawn[:, None] == table).all(axis=2).any(axis=1).all()
         assert contrast(table[0], DARK.view) > 3 > contrast(heat_table()[0], DARK.view)
     assert themed(layers["Regions"], LIGHT) is layers["Regions"]

@@ -173,7 +173,7 @@ def test_seams_are_the_inner_borders_once_each_and_never_the_outer_edge() -> Non
 def test_a_planted_seam_of_30_levels_is_found_and_the_border_without_one_is_not() -> None:
     town = made_up_town(step_levels=30)
     pieces = seam_pieces(town.cloud_plan, 10.0)
-    steps = color_steps(town.splats, pieces, 10.0)
+    steps = color_steps(town.splats, pieces, 10.0).levels
     beside_harbour = (pieces.edge_pairs == 1).any(axis=1)
     # Bands hold some 20 Gaussians of 12 levels noise: two means differ by 4 levels without any seam.
     assert np.nanmedian(steps[beside_harbour]) == pytest.approx(30, abs=4)
@@ -183,7 +183,7 @@ def test_a_planted_seam_of_30_levels_is_found_and_the_border_without_one_is_not(
 def test_where_no_gaussians_lie_a_seam_has_no_figure_and_the_legend_counts_it() -> None:
     pieces = seam_pieces(TOWN.cloud_plan, 10.0)
     west = TOWN.splats.select(TOWN.splats.means[:, 0] < -30)
-    steps = color_steps(west, pieces, 10.0)
+    steps = color_steps(west, pieces, 10.0).levels
     assert np.isnan(steps).any()
     layer = seam_layer(pieces, steps, "Colour step (levels)")
     assert f"{int(np.isnan(steps).sum())} of {len(steps)}" in layer.legend[0].text

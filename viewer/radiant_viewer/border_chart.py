@@ -25,7 +25,7 @@ def border_picture(steps: BorderSteps, title: str) -> Image:
     height_px = TOP_PX + STRIP_PX + 66 + CHART_PX + FOOT_PX
     figure = new_figure((WIDTH_PX, height_px))
     found = ", ".join(LABELS[quantity][0] for quantity in steps.found)
-    detail = f"seam found: {found}" if found else "no seam found"
+    detail = f"step found: {found}" if found else "no step stands out from those beside it; smaller ones are not seen here"
     figure.text(16 / WIDTH_PX, 1 - 14 / height_px, title, size=14, weight="bold", color=INK_COLOR, va="top")
     figure.text(16 / WIDTH_PX, 1 - 40 / height_px, detail, size=10, color=SOFT_COLOR, va="top")
     _draw_strip(figure, steps)
@@ -34,8 +34,8 @@ def border_picture(steps: BorderSteps, title: str) -> Image:
         axes = axes_at(figure, (LEFT_PX + index * panel_px, FOOT_PX, panel_px - 40, CHART_PX))
         responses, threshold = np.abs(steps.responses[quantity]), THRESHOLDS[quantity]
         name, factor, unit = LABELS[quantity]
-        step = steps.steps[quantity]
-        text = f"{name}: too little to say" if np.isnan(step) else f"{name}: {factor * step:+.2g} {unit}"
+        step, limit = steps.steps[quantity], steps.limits[quantity]
+        text = f"{name}: too little to say" if np.isnan(step) else f"{name}: {factor * step:+.2g} {unit}, found from {factor * limit:.2g}"
         axes.set_title(text.strip(), size=9, color=INK_COLOR, loc="left")
         axes.bar(PARALLELS_M, np.nan_to_num(responses[1:]), width=0.35, color="#c8ccd0")
         axes.bar([0.0], np.nan_to_num(responses[:1]), width=0.5, color=np.array(VERMILLION if quantity in steps.found else BLUE) / 255)

@@ -20,7 +20,8 @@ Index = QModelIndex | QPersistentModelIndex
 
 
 class CameraTable(QAbstractTableModel):
-    """One row per camera in the scene's order: name, region, device, use, PSNR, position, and the other figures that were measured."""
+    """One row per camera in the scene's order, then one per held-out photograph whose camera stayed with its device: name, region, device,
+    use, PSNR, the other figures that were measured, position, and the file where a number stands for it."""
 
     def __init__(self, run: RunView, figures: ImageFigures | None = None) -> None:
         super().__init__()
@@ -36,6 +37,7 @@ class CameraTable(QAbstractTableModel):
             f"East ({unit})",
             f"North ({unit})",
             f"Up ({unit})",
+            *(["File"] if run.files else []),
         )
         self._keys, self._figures = [figure.key for figure in more], figures or {}
         self.rows = _rows(run, self._keys, self._figures)
@@ -83,17 +85,20 @@ class CameraTable(QAbstractTableModel):
 
 
 def _rows(run: RunView, more: Sequence[str], figures: ImageFigures) -> list[tuple[str | float | None, ...]]:
-    roles, psnr_db = run.roles, run.psnr_db or {}
-    edges, devices = (*roles.edge_ids, ""), (*roles.device_ids, "")
-    return [
-        (
-            name,
-            edges[roles.edge_of_camera[index]],
-            devices[roles.device_of_camera[index]],
-            "held out" if roles.held_out[index] else "training",
-            psnr_db.get(name),
-            *(figures.get(name, {}).get(key) for key in more),
-            *(float(value) for value in center),
-        )
-        for index, (name, center) in enumerate(zip(run.scene.cameras.names, run.scene.cameras.centers, strict=True))
-    ]
+    psnr_db, rows = run.psnr_db or {}, []
+    centers: list[tuple[float | None, ...]] = [tuple(map(float, center)) for center in run.scene.cameras.centers]
+    for index, (name, center) in enumerate(zip(run.photographs, centers + [(None,) * 3] * len(run.unplaced), strict=True)):
+        measured = (psnr_db.get(name), *(figures.get(name, {}).get(key) for key in more))
+        file = [run.files.get(name, "")] if run.files else []
+        rows.append((name, *_who(run, index), *measured, *center, *file))
+    return rows
+
+
+def _who(run: RunView, index: int) -> tuple[str, str, str]:
+    """Region, device and use of a photograph."""
+    roles, device = run.roles, run.owner(index)
+    if index < len(run.scene.cameras):
+        region = (*roles.edge_ids, "")[roles.edge_of_camera[index]]
+        return region, device, "held out" if roles.held_out[index] else "training"
+    edge = int(roles.edge_of_device[roles.device_ids.index(device)]) if device else -1
+    return (*roles.edge_ids, "")[edge], device, "held out"

@@ -60,7 +60,7 @@ def load_edits(path: Path, base: str) -> tuple[KeptEdits, str]:
             reason = "were made on another plan"
     except (BadInput, StoreDamaged):
         reason = "cannot be read"
-    aside = _set_aside(path)
+    aside = move_aside(path)
     return KeptEdits(), f"The edits in {path.name} {reason}: they are kept as {aside.name}, this plan is shown as it was made."
 
 
@@ -117,10 +117,17 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def _set_aside(path: Path) -> Path:
+def name_aside(path: Path) -> Path:
+    """A name beside `path` that nothing has yet."""
     number = 1
     while (aside := path.with_name(f"{path.stem}_{number}{path.suffix}")).exists():
         number += 1
+    return aside
+
+
+def move_aside(path: Path) -> Path:
+    """Give a file another name, which is returned; BadInput where that cannot be."""
+    aside = name_aside(path)
     try:
         path.rename(aside)
     except OSError as error:

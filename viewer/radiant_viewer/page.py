@@ -101,9 +101,12 @@ def _add_title(figure: Figure, text: PageText, left_px: int) -> None:
     line = figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top")
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
-    # On a small page a long line is set smaller rather than cut off.
+    # On a small page a long line is set smaller rather than cut off; twice, since the widths of letters are whole pixels.
     room = width - left_px - GAP_PX
-    line.set_fontsize(9.5 * min(1.0, room / max(line.get_window_extent(canvas.get_renderer()).width, 1.0)))
+    size = 9.5
+    for _ in range(2):
+        size *= min(1.0, room / max(line.get_window_extent(canvas.get_renderer()).width, 1.0))
+        line.set_fontsize(size)
 
 
 def _label_axes(axes: Axes, extent: tuple[float, float, float, float], unit: str) -> None:

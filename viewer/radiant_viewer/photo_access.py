@@ -22,7 +22,9 @@ class PhotoAnswer:
 
 
 def find_photograph(run: RunView, index: int) -> PhotoAnswer:
-    """The photograph of camera `index` of the scene."""
+    """The photograph of camera `index` of the scene, or of `RunView.photographs`."""
+    if run.in_field:
+        return _of_the_field(run, index)
     name, roles = run.scene.cameras.names[index], run.roles
     parts = PurePosixPath(name)
     if parts.is_absolute() or ".." in parts.parts:
@@ -38,6 +40,17 @@ def find_photograph(run: RunView, index: int) -> PhotoAnswer:
     return _first([run.folder / "devices" / owner / "photos" / name]) or PhotoAnswer(
         path=None, reason=f"The photograph stays with device {owner}: its folder is not on this machine, or not dealt yet."
     )
+
+
+def _of_the_field(run: RunView, index: int) -> PhotoAnswer:
+    """Of a run whose photographs stayed with their devices: from the device's folder where that lies in the run's."""
+    name, owner = run.photographs[index], run.owner(index)
+    file = PurePosixPath(run.files.get(name, ""))
+    if owner and file.name and not file.is_absolute() and ".." not in file.parts:
+        found = _first([run.folder / "devices" / owner / "photos" / file])
+        if found is not None:
+            return found
+    return PhotoAnswer(path=None, reason=f"This photograph never left {f'device {owner}' if owner else 'its device'}, which took it.")
 
 
 def _first(paths: list[Path]) -> PhotoAnswer | None:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 PAIRS = (("Photograph", "Render"), ("Photograph", "Difference"), ("Render", "Difference"))
 SINGLES = ("Photograph", "Render", "Difference")
 MAX_PREVIEW_PX = 1600
+NO_FIGURES = "No photograph has figures yet: finish the run, or evaluate it."
 STEPS = 1000
 
 
@@ -40,6 +41,8 @@ class PhotoDock(QDockWidget):
         psnr_db = run.psnr_db or {}
         self.worst_first = sorted(psnr_db, key=lambda name: psnr_db[name])
         self._pictures: dict[str, Image] = {}
+        self.at = ""
+        """Name of the photograph that is shown."""
         self.name = QLabel("No camera selected")
         self.name.setStyleSheet("font-weight: 600")
         self.name.setSizePolicy(self.name.sizePolicy().horizontalPolicy().Ignored, self.name.sizePolicy().verticalPolicy())
@@ -74,15 +77,17 @@ class PhotoDock(QDockWidget):
         self._set_enabled(False)
 
     def show_camera(self, index: int) -> None:
-        """Show the photograph of camera `index`, with its comparison where there is one."""
-        name = self._run.scene.cameras.names[index]
-        self.name.setText(name)
-        self.name.setToolTip(name)
-        self._pictures = self._comparison(name)
+        """Show the photograph of camera `index`, or of `RunView.photographs`, with its comparison where there is one."""
+        name = self._run.photographs[index]
+        self.at = name
+        file = self._run.files.get(name)
+        self.name.setText(name if file is None else f"{file} ({name})")
+        self.name.setToolTip(self.name.text())
+        self._pictures, apart = self._comparison(name)
         message = ""
         if not self._pictures:
             answer = find_photograph(self._run, index)
-            message = answer.reason
+            message = " ".join(sentence for sentence in (answer.reason, apart) if sentence)
             if answer.path is not None:
                 try:
                     self._pictures = {"Photograph": _preview(load_image(answer.path))}
@@ -92,12 +97,12 @@ class PhotoDock(QDockWidget):
         self._set_enabled(len(self._pictures) > 1)
         self._show()
         self.figures_text.setText(self._text(name))
-        self.reasons_text.setText(reason_text(self._run.scene, index))
+        self.reasons_text.setText(self._reasons(index, apart if self._pictures else ""))
 
     def show_worst(self) -> None:
         """Select the held-out photograph with the lowest PSNR and show why it is the worst."""
         if not self.worst_first:
-            self._window.tell("No photograph has figures yet: finish the run, or evaluate it.")
+            self._window.tell(NO_FIGURES)
             return
         self._window.select_camera(self.worst_first[0])
         self._window.raise_dock(self)
@@ -105,22 +110,27 @@ class PhotoDock(QDockWidget):
     def step(self, by: int) -> None:
         """Go `by` photographs towards better ones among those that were held out."""
         if not self.worst_first:
-            self._window.tell("No photograph has figures yet: finish the run, or evaluate it.")
+            self._window.tell(NO_FIGURES)
             return
-        name = self.name.text()
-        at = self.worst_first.index(name) + by if name in self.worst_first else 0
+        at = self.worst_first.index(self.at) + by if self.at in self.worst_first else 0
         self._window.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
 
-    def _comparison(self, name: str) -> dict[str, Image]:
-        """The three pictures by name; none for a camera that was trained on, or where they stayed elsewhere."""
+    def _comparison(self, name: str) -> tuple[dict[str, Image], str]:
+        """The three pictures by name; none for a camera that was trained on, or, with a sentence, where they stayed elsewhere."""
         if name not in (self._run.psnr_db or {}):
-            return {}
+            return {}, ""
         try:
             paths = comparison_paths(self._run, name)
-            return {kind: load_image(path) for kind, path in zip(SINGLES, paths, strict=True)}
-        except BadInput:
-            # The preview then says with whom the photograph stays.
-            return {}
+            return {kind: load_image(path) for kind, path in zip(SINGLES, paths, strict=True)}, ""
+        except BadInput as error:
+            # With whom a photograph stays is said by its preview where photographs are pooled.
+            return {}, f"{str(error)[0].upper()}{str(error)[1:]}" if self._run.in_field else ""
+
+    def _reasons(self, index: int, apart: str) -> str:
+        """What the camera saw beside the others, and what of it is not here."""
+        if index < len(self._run.scene.cameras):
+            return reason_text(self._run.scene, index)
+        return f"{apart} The place of its camera stayed with device {self._run.owner(index)}, too.".strip()
 
     def _show(self) -> None:
         wanted = (

@@ -6,6 +6,7 @@ It shows and asks; what is done is `Planning`'s.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -88,7 +89,7 @@ class PlanDock(QDockWidget):
         inner.addStretch(1)
         area = _area(tools)
         area.setMinimumWidth(tools.minimumSizeHint().width() + area.verticalScrollBar().sizeHint().width() + HEADLINE_PX)
-        for widget in (self.working, self.headline):
+        for widget in (self.working, self._conflict(), self.headline):
             layout.addWidget(widget)
         layout.addLayout(self._history_row())
         layout.addWidget(area, stretch=1)
@@ -118,6 +119,11 @@ class PlanDock(QDockWidget):
         with QSignalBlocker(self.slack):
             self.slack.setValue(plan.wishes.slack or 1.0)
         self._update_buttons()
+
+    def show_conflict(self, sentence: str) -> None:
+        """Say that another window changed the edits, and ask whose count; nothing where the sentence is empty."""
+        self.conflict_text.setText(sentence)
+        self.conflict.setVisible(bool(sentence))
 
     def show_figures(self, cloud: CloudPlan, changes: str) -> None:
         """The lines on top alone, as in a drag."""
@@ -167,6 +173,22 @@ class PlanDock(QDockWidget):
         ):
             self.buttons[name].setEnabled(enabled)
             self.buttons[name].setToolTip(tip)
+
+    def _conflict(self) -> QWidget:
+        self.conflict, self.conflict_text = QFrame(), _label()
+        self.conflict.setFrameShape(QFrame.Shape.StyledPanel)
+        layout, row = QVBoxLayout(self.conflict), QHBoxLayout()
+        layout.setContentsMargins(6, 4, 6, 4)
+        for name, take_over, tip in (
+            ("Keep mine", True, "This window's edits count; those of the other window are kept in a file beside"),
+            ("Take theirs", False, "Show the plan as the other window has it; this window's edits are kept in a file beside"),
+        ):
+            row.addWidget(self._button(name, partial(self._planning.settle, take_over=take_over)))
+            self.buttons[name].setToolTip(tip)
+        layout.addWidget(self.conflict_text)
+        layout.addLayout(row)
+        self.conflict.hide()
+        return self.conflict
 
     def _history_row(self) -> QLayout:
         row = QHBoxLayout()

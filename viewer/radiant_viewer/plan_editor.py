@@ -9,15 +9,15 @@ the object it was, so undo gives it back bit for bit.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
-from radiant_viewer.edit_log import KeptEdits, load_edits, plan_key, save_edits
+from radiant_viewer.edit_log import KeptEdits, plan_key
 from radiant_viewer.edited_plan import EditedPlan, PlanSubject, first_state, with_strips
+from radiant_viewer.kept_file import KeptFile
 from radiant_viewer.plan_difference import PlanDifference, plan_difference
 from radiant_viewer.plan_edits import Edit, applied
 
@@ -39,13 +39,19 @@ class PlanEditor:
     ) -> None:
         self.subject = subject
         self.base = first_state(subject, system, *plan)
-        self.keep_in = keep_in
-        self._key = plan_key(*plan)
+        self._file = None if keep_in is None else KeptFile(keep_in, plan_key(*plan))
         self._done: list[_Step] = []
         self._undone: list[_Step] = []
         self._pending: tuple[Edit, ...] = ()
         self.keeping_failed = ""
         """Why edits cannot be kept, one sentence, empty where they are."""
+
+    @property
+    def conflict(self) -> str:
+        """One sentence where another window changed the edits of this plan, empty where this one has them for itself."""
+        if self._file is None or self._file.aside is None:
+            return ""
+        return " ".join(["Another window changed the edits of this plan.", *self._told_aside()])
 
     @property
     def state(self) -> EditedPlan:
@@ -126,9 +132,9 @@ class PlanEditor:
 
     def restore(self) -> tuple[str, ...]:
         """Do again what the file keeps, and return sentences about what could not be; once, before the first edit."""
-        if self.keep_in is None:
+        if self._file is None:
             return ()
-        kept, sentence = load_edits(self.keep_in, self._key)
+        kept, sentence = self._file.load()
         told = [sentence] if sentence else []
         for edit in kept.done:
             told += self._replayed(edit, self._done)
@@ -159,18 +165,38 @@ class PlanEditor:
         self._keep()
         return self.state
 
-    def _keep(self) -> None:
-        if self.keep_in is None:
-            return
+    def find_conflict(self) -> str:
+        """Look whether another window wrote the file of the edits; `conflict` afterwards."""
+        if self._file is not None:
+            self._file.find_other()
+        return self.conflict
+
+    def take_over(self) -> tuple[str, ...]:
+        """This window's edits count: they go into the file, those of the other window beside it; sentences about that, BadInput where
+        they cannot be kept."""
+        return () if self._file is None else (self._file.take_over(self._kept()),)
+
+    def take_theirs(self) -> tuple[str, ...]:
+        """The other window's edits count: do what the file keeps, as `restore`; this window's stay beside it where it made any."""
+        told = self._told_aside()
+        self._done, self._undone = [], []
+        return (*told, *self.restore())
+
+    def _told_aside(self) -> list[str]:
+        """Where this window's own edits are since another one has the file."""
+        aside = None if self._file is None else self._file.aside
+        return [f"This window's are kept in {aside.name}."] if aside is not None and aside.exists() else []
+
+    def _kept(self) -> KeptEdits:
         # With an edit on the way, what was undone before is out of reach.
         undone = () if self._pending else tuple(step.edit for step in self._undone)
-        kept = KeptEdits(done=(*self.edits, *self._pending), undone=undone)
+        return KeptEdits(done=(*self.edits, *self._pending), undone=undone)
+
+    def _keep(self) -> None:
+        if self._file is None:
+            return
         self.keeping_failed = ""
         try:
-            if kept.done or kept.undone:
-                save_edits(self.keep_in, self._key, kept)
-            else:
-                with suppress(FileNotFoundError):
-                    self.keep_in.unlink()
+            self._file.save(self._kept())
         except (BadInput, OSError) as error:
             self.keeping_failed = f"Edits are not kept: {error}"

@@ -18,12 +18,14 @@ from radiant_viewer.plan_edits import Edit, applied
 
 
 class PlanSession(QObject):
-    """changed: the plan is another one; previewed: the regions of a drag, an `EditedPlan`; failed: one sentence; busy: solving."""
+    """changed: the plan is another one; previewed: the regions of a drag, an `EditedPlan`; failed: one sentence; busy: solving;
+    settled: where the edits are that do not count."""
 
     changed = Signal()
     previewed = Signal(object)
     failed = Signal(str)
     busy = Signal(bool)
+    settled = Signal(str)
     _solved = Signal(object)
 
     def __init__(self, editor: PlanEditor, parent: QObject | None = None) -> None:
@@ -66,6 +68,13 @@ class PlanSession(QObject):
         """As `undo`, forward."""
         self._step(self.editor.redo)
 
+    def settle(self, *, take_over: bool) -> None:
+        """Where two windows changed the edits: this window's count, or those of the other one; told by `settled`."""
+        told: list[str] = []
+        self._step(lambda: told.extend(self.editor.take_over() if take_over else self.editor.take_theirs()))
+        if told:
+            self.settled.emit(" ".join(told))
+
     def drop_preview(self) -> None:
         """A drag was given up: the plan is shown as it is."""
         self._next_preview = None
@@ -76,7 +85,7 @@ class PlanSession(QObject):
         self._is_closed = True
         self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _step(self, action: Callable[[], EditedPlan]) -> None:
+    def _step(self, action: Callable[[], object]) -> None:
         if self.is_busy:
             self.failed.emit("The plan is being solved: wait a moment.")
             return

@@ -48,6 +48,8 @@ from radiant_viewer.views import ground_height
 if TYPE_CHECKING:
     from radiant_viewer.window import InspectorWindow
 
+WATCH_MS = 1000
+"""How soon a window hears that another one changed the edits of its plan."""
 COMPARED = "Elsewhere in the other plan"
 NO_SYSTEM = "The plan cannot be changed here: its machines are not known."
 
@@ -84,6 +86,10 @@ class Planning:
         self.session.previewed.connect(self._show_preview)
         self.session.failed.connect(self._tell_failure)
         self.session.busy.connect(self.dock.working.setVisible)
+        self.session.settled.connect(self._tell_settled)
+        self._watch = QTimer(window)
+        self._watch.timeout.connect(self._look_for_other)
+        self._watch.start(WATCH_MS)
         told = list(self.session.editor.restore())
         self._show_state(restored=told)
         if told or self.session.editor.edits:
@@ -118,6 +124,11 @@ class Planning:
         """Do what was undone again."""
         if self.session is not None:
             self.session.redo()
+
+    def settle(self, *, take_over: bool) -> None:
+        """Another window changed the edits, too: this window's count, or the other one's."""
+        if self.session is not None:
+            self.session.settle(take_over=take_over)
 
     def free_everything(self) -> None:
         """Back to the best plan of the machines as they are."""
@@ -285,6 +296,7 @@ class Planning:
         edit = self.tools.end_drag()
         self.tools.close()
         if self.session is not None:
+            self._watch.stop()
             if edit is not None:
                 self.session.edit(edit)
             self.session.close()
@@ -335,6 +347,27 @@ class Planning:
         self.dock.show_plan(state, changes)
         self.loads.show_rows(load_rows(state.cloud, state.edges, state.wishes.system, state.wishes.constraints))
         self.window.tell(f"{editor.undo_text}: {editor.since_last_edit.text}" if editor.edits else "The plan is as it was opened.")
+        self._show_conflict()
+
+    def _look_for_other(self) -> None:
+        """Tell as soon as another window changed the edits of this plan."""
+        assert self.session is not None
+        was_known = bool(self.session.editor.conflict)
+        if not was_known and not self.session.is_busy and self.session.editor.find_conflict():
+            self._show_conflict()
+
+    def _show_conflict(self) -> None:
+        assert self.session is not None
+        sentence = self.session.editor.conflict
+        is_new = bool(sentence) and self.dock.conflict.isHidden()
+        self.dock.show_conflict(sentence)
+        if is_new:
+            self.window.raise_dock(self.dock)
+            self.window.tell(sentence)
+
+    def _tell_settled(self, sentence: str) -> None:
+        self.dock.changes.setText(f"{self.dock.changes.text()} {sentence}")
+        self.window.tell(sentence)
 
     def _show_preview(self, plan: EditedPlan) -> None:
         assert self.session is not None

@@ -71,22 +71,23 @@ class ProgressDock(QDockWidget):
         self._timer.stop()
 
     def read(self) -> None:
-        """Ask how the run stands and show it; a run that ended is asked no more, once all it wrote is shown."""
+        """Ask how the run stands and show it; one that ended may be resumed, so it is asked all the same."""
         try:
             now = self._feeds.progress()
         except RadiantError as error:
+            # It may be in the middle of writing.
             self.summary.setText(str(error))
-            self._timer.stop()
             return
-        was_running, self.shown = self.shown.is_running, now
+        was_running, had_ended = self.shown.is_running, bool(self.shown.status) and not self.shown.is_running
+        self.shown = now
         if now.stages != self._filled:
             self._fill(now.stages)
         self.summary.setText(_summary(now))
         self.summary.setToolTip("\n".join(now.warnings))
         if was_running and not now.is_running:
             self._window.tell(f"The run ended ({now.status}).")
-        if not now.is_running and not self._window.is_outdated:
-            self._timer.stop()
+        if now.is_running and had_ended:
+            self._window.tell("The run goes on.")
 
     def _poll(self) -> None:
         self.read()

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from radiant_viewer.gantt_chart import GanttRow
 
-State = Literal["running", "done", "skipped", "failed"]
+State = Literal["running", "done", "skipped", "failed", "interrupted"]
+"""interrupted: somebody stopped the run while it was at work."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.camera_roles import CameraRoles, camera_roles
+from radiant_viewer.field_files import local_files
 
 SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
 DELIVERED = "delivered"
@@ -34,7 +35,9 @@ COMPARISON_KINDS = ("photographs", "renders", "differences")
 class RunView:
     """A run as far as it has come: scene and plan always, model and figures once they exist.
 
-    held_out: names of the photographs that nothing was trained on; psnr_db: their figures by name, None before evaluation.
+    held_out: names of the cameras that nothing was trained on; psnr_db: figures of held-out photographs by name, None before evaluation.
+    Where photographs stayed with their devices (`in_field`), cameras have numbers for names, those of held-out photographs stayed, too
+    (`unplaced`, sorted), and `files` has the names of the files behind numbers as far as the devices' folders lie in the run's.
     """
 
     folder: Path
@@ -45,6 +48,28 @@ class RunView:
     held_out: frozenset[str]
     psnr_db: Mapping[str, float] | None
     roles: CameraRoles
+    in_field: bool = False
+    unplaced: tuple[str, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def photographs(self) -> tuple[str, ...]:
+        """Names of all that can be chosen: the scene's cameras, then the held-out photographs without one."""
+        return (*self.scene.cameras.names, *self.unplaced)
+
+    @property
+    def placed_psnr_db(self) -> dict[str, float]:
+        """The figures of photographs whose cameras are in the scene."""
+        known = set(self.scene.cameras.names)
+        return {name: value for name, value in (self.psnr_db or {}).items() if name in known}
+
+    def owner(self, index: int) -> str:
+        """The device that took photograph `index` of `photographs`; empty where the plan knows none."""
+        if index < len(self.scene.cameras):
+            device = int(self.roles.device_of_camera[index])
+            return self.roles.device_ids[device] if device >= 0 else ""
+        owner = self.photographs[index].rpartition("/")[0]
+        return owner if owner in self.roles.device_ids else ""
 
     @property
     def unit(self) -> str:
@@ -52,8 +77,11 @@ class RunView:
         return self.scene.frame.unit
 
 
-def load_run_view(folder: Path) -> RunView:
-    """The run in `folder`; BadInput when it is no run or not planned yet, StoreDamaged when a file is broken."""
+def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
+    """The run in `folder`; BadInput when it is no run or not planned yet, StoreDamaged when a file is broken.
+
+    `with_files`: names of files behind numbers, too, for a window, which writes nothing into the run; nobody else reads devices' records.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
@@ -62,7 +90,8 @@ def load_run_view(folder: Path) -> RunView:
         _require_file(folder, f"{DELIVERED}/plan.json", "the run is not finished")
         scene, plan_path = load_scene(folder / DELIVERED / "scene.safetensors"), folder / DELIVERED / "plan.json"
         held_out: frozenset[str] = frozenset()
-        psnr_db = None
+        psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
+        in_field = True
     else:
         _require_file(folder, SCENE_NAME, "structure from motion is not finished")
         _require_file(folder, PLAN_NAME, "the plan is not finished")
@@ -70,7 +99,9 @@ def load_run_view(folder: Path) -> RunView:
         names = scene.cameras.names
         psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
         held_out = frozenset(psnr_db or (name for name, held in zip(names, held_out_mask(names), strict=True) if held))
+        in_field = False
     cloud_plan, edge_plans = load_plan(plan_path)
+    roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
     return RunView(
         folder=folder,
         scene=scene,
@@ -79,7 +110,10 @@ def load_run_view(folder: Path) -> RunView:
         splats=load_ply(folder / PLY_NAME) if (folder / PLY_NAME).is_file() else None,
         held_out=held_out,
         psnr_db=psnr_db,
-        roles=camera_roles(scene.cameras, cloud_plan, edge_plans, held_out),
+        roles=roles,
+        in_field=in_field,
+        unplaced=tuple(sorted(set(psnr_db or ()) - set(scene.cameras.names))),
+        files=local_files(folder, roles.device_ids) if in_field and with_files else {},
     )
 
 
@@ -118,6 +152,12 @@ def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
     """Photograph, render and difference of one held-out photograph; BadInput when the run keeps no pictures of it."""
     paths = tuple(run.folder / "pictures" / kind / f"{name}.png" for kind in COMPARISON_KINDS)
     missing = [path for path in paths if not path.is_file()]
+    if missing and run.in_field:
+        owner = name.rpartition("/")[0]
+        raise BadInput(
+            f"the comparison pictures of {name!r} stayed with device {owner}, which sent its figures alone: where all devices are yours,"
+            " 'radiant run … --single-owner' collects them."
+        )
     if missing:
         raise BadInput(
             f"{missing[0]} is missing: the pictures of {name!r} stayed with the owner of the photograph, "

@@ -19,16 +19,26 @@ from PySide6.QtWidgets import (
 )
 
 from radiant_viewer.layers import Layer, LegendEntry
-from radiant_viewer.measure import length_text
 from radiant_viewer.palette import VERMILLION, WHITE
 from radiant_viewer.run_view import RunView
+from radiant_viewer.seam_findings import part_text, step_text
 from radiant_viewer.seam_tour import SeamStop, seam_stops
 from radiant_viewer.views import ground_height
 
 if TYPE_CHECKING:
     from radiant_viewer.window import InspectorWindow
 
-HEADINGS = ("", "Border", "Colour step (levels)", "Worst piece (levels)", "Length")
+HEADINGS = ("", "Border", "Step (levels)", "Texture", "Median piece", "Worst piece", "Observed", "Verdict")
+TIPS = (
+    "",
+    "",
+    "How far the mean colours of both sides differ over all that was observed, beyond the texture; levels of 255",
+    "How far they usually differ at lines beside the border, where there is no seam",
+    "The middle one of the pieces' steps",
+    "The step of the piece that stands out most from the texture around it",
+    "Length of the border that two photographs or more show on both sides, with points that they agree on, of its whole length",
+    "A step is told where it is at least 10 levels and more than any line beside the border steps",
+)
 MARK = "Border of the tour"
 
 
@@ -49,7 +59,7 @@ class SeamDock(QDockWidget):
         self.worst.clicked.connect(lambda: self.go(0))
         self.next.clicked.connect(lambda: self.step(1))
         self.previous.clicked.connect(lambda: self.step(-1))
-        self.text = QLabel("Colour steps across borders, beyond the scene's own texture, in 8-bit levels.")
+        self.text = QLabel("Colour steps where borders were observed, beyond the scene's own texture, in levels of 255.")
         self.text.setProperty("soft", "true")
         self.table = self._table()
         row = QHBoxLayout()
@@ -78,22 +88,27 @@ class SeamDock(QDockWidget):
         self.table.blockSignals(True)
         self.table.selectRow(index)
         self.table.blockSignals(False)
-        self.text.setText(f"{index + 1} of {len(self.stops)}: {stop.title}, {_levels(stop.step_levels)} over its whole length")
-        self._window.tell(f"Border {stop.title}: colour step {_levels(stop.step_levels)}, worst piece {_levels(stop.worst_levels)}")
+        figures = stop.figures
+        self.text.setText(f"{index + 1} of {len(self.stops)}: {stop.title}. Verdict: {figures.verdict}")
+        part = part_text(figures.observed_length, stop.length, self._unit)
+        self._window.tell(f"Border {stop.title}: colour step {step_text(figures)}; observed: {part}")
 
     def _table(self) -> QTableWidget:
         table = QTableWidget(len(self.stops), len(HEADINGS))
         table.setHorizontalHeaderLabels(HEADINGS)
+        for column, tip in enumerate(TIPS):
+            item = table.horizontalHeaderItem(column)
+            assert item is not None
+            item.setToolTip(tip)
         table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         table.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
         table.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
         table.verticalHeader().setVisible(False)
         table.verticalHeader().setDefaultSectionSize(21)
         for row, stop in enumerate(self.stops):
-            cells = (str(row + 1), stop.title, _number(stop.step_levels), _number(stop.worst_levels), length_text(stop.length, self._unit))
-            for column, cell in enumerate(cells):
+            for column, cell in enumerate((str(row + 1), *_cells(stop, self._unit))):
                 item = QTableWidgetItem(cell)
-                if column != 1:
+                if column not in (1, len(HEADINGS) - 1):
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                 table.setItem(row, column, item)
         table.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
@@ -106,7 +121,7 @@ def seam_dock(window: InspectorWindow, run: RunView) -> SeamDock | None:
     """The dock of a run with a model and two regions or more; None where there is no seam to visit."""
     if run.splats is None or len(run.cloud_plan.edge_ids) < 2:
         return None
-    stops = seam_stops(run.cloud_plan, run.splats)
+    stops = seam_stops(run.scene, run.cloud_plan, run.splats)
     return SeamDock(window, run, stops) if stops else None
 
 
@@ -124,9 +139,9 @@ def _mark(stop: SeamStop, height: float) -> Layer:
     )
 
 
-def _number(value: float) -> str:
-    return f"{value:.1f}" if np.isfinite(value) else "too few Gaussians"
-
-
-def _levels(value: float) -> str:
-    return f"{value:.1f} levels" if np.isfinite(value) else "unknown: too few Gaussians beside it"
+def _cells(stop: SeamStop, unit: str) -> tuple[str, ...]:
+    """The texts of one row after its number."""
+    figures = stop.figures
+    levels = (figures.step_levels, figures.texture_levels, figures.median_levels, stop.worst_levels)
+    observed = part_text(figures.observed_length, stop.length, unit)
+    return (stop.title, *(f"{value:.1f}" if np.isfinite(value) else "–" for value in levels), observed, figures.verdict)

@@ -1,27 +1,22 @@
 """Which borders of a plan show a seam in a model: colour steps of all, and the step detector of those where they are largest.
 
-A border counts as found where the mean colours to its sides differ by `VISIBLE_LEVELS` beyond the scene's own texture, or where the step
-detector finds colour, height, density or a gap. O(N) for the steps, a second per examined border.
+A border counts as found where its colour step is told from texture (`border_figures`), or where the step detector responds to colour,
+height, density or a gap on the part of it that was observed. That nothing is found proves nothing: the detector misses grey steps
+below some 20/255 and says nothing of plain cuts. O(N) for the steps, a second per examined border.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from radiant_core.errors import BadInput
-from radiant_core.evaluate.borders import border_distance_m
 from radiant_core.evaluate.step_detector import Quantity, border_steps
-from radiant_core.numerics import FloatArray
-from radiant_core.plan.borders import Border, shared_borders
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
-from radiant_viewer.seam_layer import SeamPieces, color_steps
+from radiant_viewer.border_figures import MIN_OBSERVED_SHARE, VISIBLE_LEVELS, BorderFigures, border_figures
+from radiant_viewer.measure import length_text
 
-VISIBLE_LEVELS = 10.0
-"""Of 255. Unplanted, the borders of the sample runs step by 0.0 levels over their whole length, the planted one of 30 levels by 23.1."""
 NUM_EXAMINED = 6
 MAX_EXAMINED_M = 2000.0
 """Longer borders are left to their colour steps: their strip would have millions of pixels."""
@@ -29,61 +24,60 @@ MAX_EXAMINED_M = 2000.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamFinding:
-    """One border: step_levels of 255 over its whole length, NaN without figures; quantities that the step detector found."""
+    """One border: its figures, and the quantities that the step detector found."""
 
-    border: Border
-    step_levels: float
+    figures: BorderFigures
     quantities: tuple[Quantity, ...]
 
     @property
     def found(self) -> bool:
-        """Whether there is a seam to see."""
-        return bool(self.quantities) or self.step_levels >= VISIBLE_LEVELS
+        """Whether a seam was told from what is beside it."""
+        return self.figures.has_verdict and (bool(self.quantities) or self.figures.steps)
 
 
 def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_examined: int = NUM_EXAMINED) -> list[SeamFinding]:
-    """All borders, the largest colour step first; the first `num_examined` also by the step detector where the scene has metres.
-
-    BadInput when the plan has one region only.
-    """
-    borders = shared_borders(cloud_plan)
-    if not borders:
-        raise BadInput("the plan has one region only: there is no border and no seam to look at.")
-    pieces = SeamPieces(
-        ends=np.stack([border.ends for border in borders]), edge_pairs=np.array([(border.first, border.second) for border in borders])
-    )
-    steps = _whole_steps(splats, pieces, seam_band_width(cloud_plan))
-    order = np.argsort(-np.nan_to_num(steps, nan=-1.0), kind="stable")
+    """All borders, those with a verdict and the largest colour step first; the first `num_examined` of them also by the step detector where
+    the scene has metres. BadInput when the plan has one region only."""
     findings = []
-    for rank, index in enumerate(order.tolist()):
-        border = borders[index]
-        examined = rank < num_examined and scene.frame.kind == "metric" and border.length_m <= MAX_EXAMINED_M
-        quantities = border_steps(splats, border.ends).found if examined else ()
-        findings.append(SeamFinding(border=border, step_levels=float(steps[index]), quantities=quantities))
+    for rank, figures in enumerate(border_figures(scene, cloud_plan, splats)):
+        can_be_examined = figures.has_verdict and scene.frame.kind == "metric" and figures.border.length_m <= MAX_EXAMINED_M
+        examined = rank < num_examined and can_be_examined
+        quantities = border_steps(splats, figures.observed_ends).found if examined else ()
+        findings.append(SeamFinding(figures=figures, quantities=quantities))
     return findings
 
 
-def _whole_steps(splats: Splats, borders: SeamPieces, width: float) -> FloatArray:
-    """The colour step (B,) of each border over its whole length, from pieces of one width."""
-    ends, owner = [], []
-    for index, (start, stop) in enumerate(borders.ends):
-        count = max(1, int(np.ceil(np.linalg.norm(stop - start) / width)))
-        cuts = start + np.linspace(0, 1, count + 1)[:, None] * (stop - start)
-        ends.append(np.stack([cuts[:-1], cuts[1:]], axis=1))
-        owner += [index] * count
-    pieces = SeamPieces(ends=np.concatenate(ends), edge_pairs=borders.edge_pairs[owner])
-    steps = color_steps(splats, pieces, width, pooled_widths=np.inf)
-    first = np.searchsorted(np.array(owner), np.arange(len(borders.ends)))
-    return steps[first]
+def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
+    """What can be said of all borders, with how much of them was observed, and of the first of them beside its texture."""
+    told = [finding.figures for finding in findings if finding.figures.has_verdict]
+    if not told:
+        return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
+    found = sum(finding.found for finding in findings)
+    limit = max(figures.told_levels for figures in told)
+    verdict = (
+        f"Seam found at {found} of {len(findings)} border{'s' * (len(findings) != 1)}"
+        if found
+        else f"No step of {limit:.0f} levels of 255 or more could be told from texture"
+    )
+    observed = sum(figures.observed_length for figures in told)
+    total = sum(finding.figures.border.length_m for finding in findings)
+    return f"{verdict}; observed: {part_text(observed, total, unit)}   ·   largest: {told[0].title}, {_beside_texture(told[0])}"
 
 
-def seam_band_width(cloud_plan: CloudPlan) -> float:
-    """Width of the bands beside a border: a twentieth of the regions' diagonal, at most a third of the deepest site."""
-    corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
-    if len(corners) < 3:
-        raise BadInput("the plan has no regions: there is no border and no seam to look at.")
-    diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    middles = np.array([border.mean(axis=0) for border in cloud_plan.borders if len(border) >= 3])
-    depths = border_distance_m(middles, cloud_plan)
-    depth = float(depths[np.isfinite(depths)].max(initial=0.0))
-    return min(diagonal / 20, depth / 3) if depth > 0 else diagonal / 20
+def step_text(figures: BorderFigures) -> str:
+    """The step of one border beside the texture's, and whether that is seen; for the end of a sentence."""
+    if not figures.has_verdict:
+        return "too little observed for a verdict"
+    size = "told from texture" if figures.steps else "not visible" if figures.step_levels < VISIBLE_LEVELS else "not told from texture"
+    return f"{_beside_texture(figures)}, {size}"
+
+
+def _beside_texture(figures: BorderFigures) -> str:
+    return f"{figures.step_levels:.1f} levels beside {figures.texture_levels:.1f} of texture"
+
+
+def part_text(observed: float, total: float, unit: str) -> str:
+    """How much of borders was observed: "31 m of 60 m"."""
+    return (
+        f"all {length_text(total, unit)}" if observed >= 0.999 * total else f"{length_text(observed, unit)} of {length_text(total, unit)}"
+    )

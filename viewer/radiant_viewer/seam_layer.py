@@ -1,11 +1,13 @@
 """Seams: the borders between regions cut into short pieces, how strongly the colours step there, and the layer that shows it.
 
-    step(x)² = max(0, ‖c₊(x) − c₋(x)‖² − median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖²)
+    step(x)²    = max(0, ‖c₊(x) − c₋(x)‖² − texture(x)²)
+    texture(x)² = median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖²
 
 c± is the mean colour of the Gaussians in the band of one width to either side of the border, each weighted by opacity times the
 area it covers, n the normal; bands are pooled over the neighbouring pieces of the same border, since a seam steps the same way
 all along and texture does not. The parallels lie inside the regions, so the scene's own texture is subtracted (in squares, as
-independent parts add). Once per picture; S pieces.
+independent parts add). A piece counts by how well its place was observed, one that was not at all has no figure. Once per
+picture; S pieces.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.borders import neighbours_across
+from radiant_core.plan.borders import shared_borders
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.splats import Splats
 from radiant_viewer.layers import HeatScale, Layer, LegendEntry
@@ -41,55 +43,70 @@ class SeamPieces:
     edge_pairs: NDArray[np.int64]
 
 
-def seam_pieces(cloud_plan: CloudPlan, length: float) -> SeamPieces:
-    """The borders that two regions share, cut into pieces of about `length`; the scene's outer edge is no seam.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColorSteps:
+    """Of S pieces, in 8-bit levels, NaN where there is too little to say: the step beyond the texture, the texture, and the largest that
+    one of the `PARALLELS`, where there is no border, steps beyond it: a step that is smaller cannot be told from texture."""
 
-    A point belongs to a seam when the two nearest regions, by power distance ‖x − P‖² − w, are equally near.
-    """
+    levels: FloatArray
+    texture_levels: FloatArray
+    limit_levels: FloatArray
+
+
+def seam_pieces(cloud_plan: CloudPlan, length: float) -> SeamPieces:
+    """The borders that two regions share, cut into pieces of about `length`; the scene's outer edge is no seam."""
     ends, pairs = [np.zeros((0, 2, 2))], [np.zeros((0, 2), np.int64)]
-    for edge, border in enumerate(cloud_plan.borders):
-        for start, stop in zip(border, np.roll(border, -1, axis=0), strict=True):
-            count = max(1, int(np.ceil(np.linalg.norm(stop - start) / length)))
-            cuts = start + np.linspace(0, 1, count + 1)[:, None] * (stop - start)
-            pieces = np.stack([cuts[:-1], cuts[1:]], axis=1)
-            neighbours = neighbours_across(cloud_plan, edge, pieces.mean(axis=1))
-            # Both regions have this side: the lower index keeps it.
-            kept = neighbours > edge
-            ends.append(pieces[kept])
-            pairs.append(np.column_stack([np.full(int(kept.sum()), edge), neighbours[kept]]))
+    for border in shared_borders(cloud_plan):
+        count = max(1, int(np.ceil(border.length_m / length)))
+        cuts = border.ends[0] + np.linspace(0, 1, count + 1)[:, None] * (border.ends[1] - border.ends[0])
+        ends.append(np.stack([cuts[:-1], cuts[1:]], axis=1))
+        pairs.append(np.tile([border.first, border.second], (count, 1)))
     return SeamPieces(ends=np.concatenate(ends), edge_pairs=np.concatenate(pairs))
 
 
-def color_steps(splats: Splats, pieces: SeamPieces, width: float, pooled_widths: float = POOLED_WIDTHS) -> FloatArray:
-    """Colour step (S,) across each piece in 8-bit levels; NaN where too few Gaussians lie beside it.
+def piece_normals(pieces: SeamPieces) -> FloatArray:
+    """Unit vectors (S,2) across each piece, into the region of the lower index."""
+    along = pieces.ends[:, 1] - pieces.ends[:, 0]
+    return np.column_stack([-along[:, 1], along[:, 0]]) / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
 
-    `width` of a band > 0; `pooled_widths` = infinity gives every piece the one figure of its border. Raises BadInput for a bad width.
+
+def color_steps(
+    splats: Splats, pieces: SeamPieces, width: float, shares: ArrayLike | None = None, *, pooled_widths: float = POOLED_WIDTHS
+) -> ColorSteps:
+    """Colour steps across each piece; NaN where too few Gaussians lie beside it or its share (S,) of coverage is 0.
+
+    `width` of a band > 0; `shares`: how much each piece counts, all alike without them; `pooled_widths` = infinity gives every piece the
+    one figure of its border. Raises BadInput for a bad width.
     """
     if not (np.isfinite(width) and width > 0):
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
+    counts = np.ones(len(pieces.ends)) if shares is None else checked_array("shares", shares, (len(pieces.ends),))
     weights = _shown_weights(splats, width)
     weighted = np.column_stack([weights[:, None] * splat_colors(splats), weights, np.ones(len(splats))])
     tree = KDTree(splats.means[:, :2].astype(np.float64))
-    middles = pieces.ends.mean(axis=1)
-    along = pieces.ends[:, 1] - pieces.ends[:, 0]
-    normals = np.column_stack([-along[:, 1], along[:, 0]]) / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    middles, normals = pieces.ends.mean(axis=1), piece_normals(pieces)
     same_border = (pieces.edge_pairs[:, None] == pieces.edge_pairs).all(axis=2)
     pooled = same_border & (np.linalg.norm(middles[:, None] - middles, axis=2) <= pooled_widths * width)
 
     def band_colors(offset_widths: float) -> FloatArray:
         # The border of the region with the lower index runs counter-clockwise, so "left" is the same side in all its pieces.
         chosen = tree.query_ball_point(middles + offset_widths * width * normals, 0.5 * width)
-        sums = pooled @ np.array([weighted[rows].sum(axis=0) for rows in chosen]).reshape(-1, 5)
-        colors = sums[:, :3] / np.maximum(sums[:, 3:4], 1e-12)
-        return np.where(sums[:, 4:] >= MIN_GAUSSIANS, colors, np.nan)
+        own = np.array([weighted[rows].sum(axis=0) for rows in chosen]).reshape(-1, 5)
+        sums, numbers = (pooled * counts) @ own[:, :4], (pooled & (counts > 0)) @ own[:, 4:]
+        return np.where(numbers >= MIN_GAUSSIANS, sums[:, :3] / np.maximum(sums[:, 3:], 1e-12), np.nan)
 
-    def steps_at(offset_widths: float) -> FloatArray:
-        return np.linalg.norm(band_colors(offset_widths + 0.5) - band_colors(offset_widths - 0.5), axis=1) / np.sqrt(3)
+    def squares_at(offset_widths: float) -> FloatArray:
+        return ((band_colors(offset_widths + 0.5) - band_colors(offset_widths - 0.5)) ** 2).mean(axis=1)
 
-    texture = np.stack([steps_at(offset) ** 2 for offset in PARALLELS])
-    known = np.isfinite(texture).any(axis=0)
-    usual = np.nanmedian(np.where(known, texture, 0.0), axis=0)
-    return np.where(known, np.sqrt(np.maximum(0.0, steps_at(0.0) ** 2 - usual)), np.nan)
+    parallels = np.stack([squares_at(offset) for offset in PARALLELS])
+    known = np.isfinite(parallels).any(axis=0) & (counts > 0)
+    usual = np.nanmedian(np.where(known, parallels, 0.0), axis=0)
+    largest = np.nanmax(np.where(known, parallels, 0.0), axis=0)
+
+    def levels(squares: FloatArray) -> FloatArray:
+        return np.where(known, np.sqrt(np.maximum(0.0, squares)), np.nan)
+
+    return ColorSteps(levels=levels(squares_at(0.0) - usual), texture_levels=levels(usual), limit_levels=levels(largest - usual))
 
 
 def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0, least_high: float = 0.0) -> Layer:
@@ -107,7 +124,7 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
     colors = np.where(known[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
     ends = np.concatenate([pieces.ends, np.full((len(pieces.ends), 2, 1), height)], axis=2)
     unknown = int((~known).sum())
-    missing = (LegendEntry(text=f"Border without a figure ({unknown} of {len(known)} pieces)", color=GREY, marker="line"),)
+    missing = (LegendEntry(text=f"No figure ({unknown} of {len(known)} pieces)", color=GREY, marker="line"),)
     return Layer(
         name="Seams",
         segments=ends,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from PySide6.QtCore import QTimer
-from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -47,9 +47,7 @@ class SplatDock(QDockWidget):
         self._splats = splats
         self.picture = PictureLabel()
         self.picture.message = "Starting the renderer…"
-        self.note = QLabel("")
-        self.note.setProperty("soft", "true")
-        self.note.setWordWrap(True)
+        self.note = _note()
         self.choice = QComboBox()
         self.choice.addItems(CHOICES)
         self.choice.setToolTip("Who draws the splats; automatic takes the faster of the two for this model on this machine")
@@ -144,12 +142,13 @@ class SplatDock(QDockWidget):
         self.last_image = frame.image
         self.picture.show_picture(frame.image)
         self._drawn = self._asked
-        self.shown_is_full = self._drawn is not None and self._drawn[1]
+        # A full picture of where the view was before it moved is none of where it is.
+        self.shown_is_full = self._drawn == (self._last_key, True)
         width, height = frame.image.shape[1], frame.image.shape[0]
-        detail = "full" if self.shown_is_full else "coarse while moving"
-        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms, {detail}{self._why()}")
-        if self.decision is not None:
-            self.note.setToolTip(self.decision.reason)
+        detail = "full" if self._drawn is not None and self._drawn[1] else "coarse while moving"
+        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms\n{detail}{self._why()}")
+        reason = "" if self.decision is None else f"\n{self.decision.reason}"
+        self.note.setToolTip(f"{self.note.text()}{reason}")
 
     def _why(self) -> str:
         """What decided between the renderers, where that decided."""
@@ -227,3 +226,13 @@ class SplatDock(QDockWidget):
         self._drawn = None
         self._trial = None
         self._timer.start(POLL_MS)
+
+
+def _note() -> QLabel:
+    """Of two lines whatever it says, and cut off rather than wrapped: were it higher at times, the picture above it would change its size
+    with every text, which counts as a movement, and would never come to rest."""
+    note = QLabel("")
+    note.setProperty("soft", "true")
+    note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+    note.setFixedHeight(2 * note.fontMetrics().lineSpacing())
+    return note

@@ -51,7 +51,7 @@ def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
         return Subject(path=path, layers=layers, splats=splats, run=None, unit="units", ground=0.0, summary=summary)
     if path.suffix.lower() == ".json" and not path.is_dir():
         return subject_of_run(load_plan_view(path, scene))
-    return subject_of_run(load_run_view(path))
+    return subject_of_run(load_run_view(path, with_files=True))
 
 
 def subject_of_run(run: RunView) -> Subject:
@@ -82,8 +82,8 @@ def run_layers(run: RunView) -> list[Layer]:
         camera_layer(run.scene.cameras, run.roles, "device"),
         camera_layer(run.scene.cameras, run.roles, "split"),
     ]
-    if run.psnr_db:
-        layers.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.psnr_db))
+    if run.placed_psnr_db:
+        layers.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.placed_psnr_db))
     if run.splats is not None and len(run.cloud_plan.edge_ids) > 1:
-        layers.append(seam_of(run.scene, run.cloud_plan, run.splats)[0])
+        layers.append(seam_of(run.scene, run.cloud_plan, run.splats))
     return [*layers, edges]

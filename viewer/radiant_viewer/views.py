@@ -22,6 +22,7 @@ from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
+from radiant_viewer.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures, seam_band_width
 from radiant_viewer.camera_layer import camera_layer
 from radiant_viewer.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.charts import comparison_picture
@@ -32,8 +33,8 @@ from radiant_viewer.offscreen import render_map, render_view
 from radiant_viewer.page import PageText, compose_page, drawing_size_wh
 from radiant_viewer.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.run_view import RunView, comparison_paths, finish_command, load_run_view, required_splats
-from radiant_viewer.seam_findings import VISIBLE_LEVELS, SeamFinding, seam_band_width, seam_findings
-from radiant_viewer.seam_layer import color_steps, seam_layer, seam_pieces
+from radiant_viewer.seam_findings import SeamFinding, seam_findings, verdict_text
+from radiant_viewer.seam_layer import SeamPieces, seam_layer
 from radiant_viewer.splat_layer import sparse_point_layer
 from radiant_viewer.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
 from radiant_viewer.waypoint_layer import waypoint_layer
@@ -69,8 +70,9 @@ def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH, 
 def _require_camera(run: RunView, view: str, camera: str) -> None:
     if view not in ("splats", "compare"):
         raise BadInput(f"a camera is of the views splats and compare, not of {view!r}: leave it out.")
-    if camera not in run.scene.cameras.names:
-        near = get_close_matches(camera, run.scene.cameras.names, 1, 0)
+    known = run.photographs if view == "compare" else run.scene.cameras.names
+    if camera not in known:
+        near = get_close_matches(camera, known, 1, 0)
         raise BadInput(f"there is no photograph {camera!r} in this run: did you mean {near[0]!r}?" if near else "the run has no cameras.")
 
 
@@ -146,8 +148,12 @@ def cameras_picture(
     scene: SfmScene, roles: CameraRoles, psnr_db: Mapping[str, float] | None = None, size_wh: tuple[int, int] = SIZE_WH
 ) -> Image:
     """All cameras over the sparse points in 3D, coloured by PSNR once there are figures, by split before."""
-    cameras = camera_layer(scene.cameras, roles, "psnr" if psnr_db else "split", psnr_db)
+    unplaced = len(set(psnr_db or ()) - set(scene.cameras.names))
+    placed = psnr_db and len(psnr_db) > unplaced
+    cameras = camera_layer(scene.cameras, roles, "psnr" if placed else "split", psnr_db)
     subtitle = f"{len(scene.cameras)} cameras, {int(roles.held_out.sum())} held out"
+    if unplaced:
+        subtitle = f"{len(scene.cameras)} cameras; {unplaced} held out, whose places stayed with their devices"
     if psnr_db:
         worst = min(psnr_db, key=lambda name: psnr_db[name])
         mean = float(np.mean(list(psnr_db.values())))
@@ -159,64 +165,44 @@ def cameras_picture(
 def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
     """The map of the model with its borders coloured by the colour step across them."""
     findings = seam_findings(scene, cloud_plan, splats)
-    ground = ground_height(scene)
-    labels = tuple(_finding_label(finding, cloud_plan, ground) for finding in findings if finding.found)
+    ground, unit = ground_height(scene), scene.frame.unit
+    labels = tuple(_finding_label(finding, ground) for finding in findings if finding.found)
     # The found seams' labels find room before those of the edges.
-    seams = replace(_seam_layer_of(scene, cloud_plan, splats), labels=labels)
+    seams = replace(_seam_layer_of(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
     layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
     drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
-    found = [finding for finding in findings if finding.found]
-    verdict = (
-        f"Seam found at {len(found)} of {_count(len(findings), 'border')}"
-        if found
-        else f"No seam found at {_count(len(findings), 'border')}"
-    )
-    subtitle = f"{verdict}   ·   {_worst_text(findings, cloud_plan)}"
-    return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=subtitle, unit=scene.frame.unit))
+    return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=verdict_text(findings, unit), unit=unit))
 
 
-def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[Layer, str]:
-    """The layer of the borders' colour steps and one phrase about the worst; BadInput when the plan has one region only."""
-    layer = _seam_layer_of(scene, cloud_plan, splats)
-    return layer, _worst_text(seam_findings(scene, cloud_plan, splats, num_examined=0), cloud_plan)
+def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
+    """The layer of the borders' colour steps; BadInput when the plan has one region only."""
+    return _seam_layer_of(scene, cloud_plan, border_figures(scene, cloud_plan, splats))
 
 
 def worst_border(run: RunView) -> Border:
-    """The border with the largest colour step of a run's model, the longest where there is no figure; BadInput without any border."""
-    findings = seam_findings(run.scene, run.cloud_plan, required_splats(run), num_examined=0)
-    known = [finding for finding in findings if np.isfinite(finding.step_levels)]
-    return known[0].border if known else max((finding.border for finding in findings), key=lambda border: border.length_m)
+    """What was observed of the border with the largest colour step of a run's model, the longest border where there is no verdict;
+    BadInput without any border."""
+    figures = border_figures(run.scene, run.cloud_plan, required_splats(run))
+    worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)
+    return replace(worst.border, ends=worst.observed_ends)
 
 
-def _seam_layer_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
-    width = seam_band_width(cloud_plan)
-    pieces = seam_pieces(cloud_plan, width)
-    if not len(pieces.ends):
-        raise BadInput("the plan has one region only: there is no border and no seam to look at.")
-    label = f"Colour step (8-bit levels), bands of {width:.3g} {scene.frame.unit}"
-    return seam_layer(pieces, color_steps(splats, pieces, width), label, ground_height(scene), 2 * VISIBLE_LEVELS)
+def _seam_layer_of(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[BorderFigures]) -> Layer:
+    pieces = SeamPieces(
+        ends=np.concatenate([one.ends for one in figures]),
+        edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),
+    )
+    label = f"Step over texture (of 255), bands of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
+    return seam_layer(pieces, np.concatenate([one.told for one in figures]), label, ground_height(scene), 2 * VISIBLE_LEVELS)
 
 
-def _finding_label(finding: SeamFinding, cloud_plan: CloudPlan, ground: float) -> Label:
-    names = " | ".join(cloud_plan.edge_ids[edge] for edge in (finding.border.first, finding.border.second))
-    what = [f"{finding.step_levels:.0f} levels"] if finding.step_levels >= VISIBLE_LEVELS else []
-    text = f"{names}\nseam: {', '.join([*what, *finding.quantities])}"
+def _finding_label(finding: SeamFinding, ground: float) -> Label:
+    border = finding.figures.border
+    what = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.steps else []
+    text = f"{finding.figures.title}\nseam: {', '.join([*what, *finding.quantities])}"
     # Beside the line, which it must not hide.
-    beside = finding.border.ends.mean(axis=0) + 0.15 * finding.border.length_m * finding.border.toward_first
+    beside = border.ends.mean(axis=0) + 0.15 * border.length_m * border.toward_first
     return Label(text=text, position=np.append(beside, ground), strong=True)
-
-
-def _worst_text(findings: Sequence[SeamFinding], cloud_plan: CloudPlan) -> str:
-    known = [finding for finding in findings if np.isfinite(finding.step_levels)]
-    if not known:
-        return "too few Gaussians beside the borders to say"
-    first, second = (cloud_plan.edge_ids[edge] for edge in (known[0].border.first, known[0].border.second))
-    levels = known[0].step_levels
-    return f"largest colour step, beyond the scene's own texture: {first} | {second} with {levels:.1f} levels over its whole length"
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def splats_picture(

@@ -13,13 +13,13 @@ from radiant_viewer.run_view import finish_command, is_planned
 from radiant_viewer.themes import THEMES, ThemeName, style_sheet
 
 SIZE_WH = (760, 320)
+WAITING = "This run has no plan yet: there is nothing to draw. Regions and cameras appear here as soon as it has one."
 
 
 class WaitingWindow(QMainWindow):
     """`wants_reload` asks for the inspector as soon as the run has a plan."""
 
     wants_reload = Signal()
-    is_outdated = False
 
     def __init__(self, path: Path, feeds: RunFeeds, theme: ThemeName) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ class WaitingWindow(QMainWindow):
         self.setWindowTitle(f"Radiant: {path.resolve().name}")
         self.resize(*SIZE_WH)
         self.setStyleSheet(style_sheet(THEMES[theme]))
-        self.text = QLabel("This run has no plan yet: there is nothing to draw. Regions and cameras appear here as soon as it has one.")
+        self.text = QLabel(WAITING)
         self.text.setWordWrap(True)
         self.text.setMargin(10)
         self.setCentralWidget(self.text)
@@ -48,6 +48,6 @@ class WaitingWindow(QMainWindow):
     def _on_polled(self) -> None:
         if is_planned(self.path):
             self.wants_reload.emit()
-        elif not self.progress.shown.is_running:
-            status = self.progress.shown.status or "unknown"
-            self.text.setText(f"This run ended ({status}) before it had a plan: {finish_command(self.path)}.")
+            return
+        ended = f"This run ended ({self.progress.shown.status or 'unknown'}) before it had a plan: {finish_command(self.path)}."
+        self.text.setText(WAITING if self.progress.shown.is_running else ended)

@@ -218,7 +218,7 @@ def _seam_tour() -> None:
             )
         with v3.VTable(density="compact", fixed_header=True, height="calc(var(--rad-lower) - 76px)", classes="rad-table"):
             with html.Thead(), html.Tr():
-                for text in ("Border", "Colour step (8-bit levels)", "Worst piece (8-bit levels)", "Length"):
+                for text in ("Border", "Colour step (levels of 255)", "Texture beside it", "Worst piece", "Observed", "Verdict"):
                     html.Th(text)
             with (
                 html.Tbody(),
@@ -230,7 +230,7 @@ def _seam_tour() -> None:
                     raw_attrs=[':data-seam="stop.title"'],
                 ),
             ):
-                for field in ("title", "step", "worst", "length"):
+                for field in ("title", "step", "texture", "worst", "observed", "verdict"):
                     html.Td(f"{{{{ stop.{field} }}}}")
 
 

@@ -194,8 +194,8 @@ class WebPage:
             if run.splats is None or len(run.cloud_plan.edge_ids) < 2:
                 return
         # Seconds for millions of Gaussians, while the page is in use already.
-        self.stops = await asyncio.to_thread(seam_stops, run.cloud_plan, run.splats)
-        layer, _ = await asyncio.to_thread(seam_of, run.scene, run.cloud_plan, run.splats)
+        self.stops = await asyncio.to_thread(seam_stops, run.scene, run.cloud_plan, run.splats)
+        layer = await asyncio.to_thread(seam_of, run.scene, run.cloud_plan, run.splats)
         with state:
             self.scene.add_layer(layer)
             state.layers = self._layer_rows()

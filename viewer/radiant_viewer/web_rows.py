@@ -23,6 +23,7 @@ from radiant_viewer.palette import heat_table
 from radiant_viewer.photo_access import find_photograph
 from radiant_viewer.run_figures import FIGURES, image_figures
 from radiant_viewer.run_view import RunView, comparison_paths
+from radiant_viewer.seam_findings import part_text
 from radiant_viewer.seam_tour import SeamStop
 from radiant_viewer.splat_layer import sparse_point_layer, splat_layer
 from radiant_viewer.themes import LIGHT, Theme, hex_color, themed
@@ -40,8 +41,8 @@ def run_layers(run: RunView) -> list[Layer]:
     """All layers of a run but its seams, from the ground up."""
     regions, strips, borders, cameras, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
     model = [splat_layer(run.splats)] if run.splats is not None else []
-    colorings = ["device", "split", *(["psnr"] if run.psnr_db else [])]
-    others = [camera_layer(run.scene.cameras, run.roles, coloring, run.psnr_db) for coloring in colorings]  # type: ignore[arg-type]
+    colorings = ["device", "split", *(["psnr"] if run.placed_psnr_db else [])]
+    others = [camera_layer(run.scene.cameras, run.roles, coloring, run.placed_psnr_db) for coloring in colorings]  # type: ignore[arg-type]
     return [regions, strips, sparse_point_layer(run.scene), *model, borders, cameras, *others, edges]
 
 
@@ -103,9 +104,11 @@ def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
         {
             "index": index,
             "title": stop.title,
-            "step": _shown(stop.step_levels, 1) or "–",
+            "step": _shown(stop.figures.step_levels, 1) or "–",
+            "texture": _shown(stop.figures.texture_levels, 1) or "–",
             "worst": _shown(stop.worst_levels, 1) or "–",
-            "length": f"{stop.length:.3g} {unit}",
+            "observed": part_text(stop.figures.observed_length, stop.length, unit),
+            "verdict": stop.figures.verdict,
         }
         for index, stop in enumerate(stops)
     ]

@@ -157,12 +157,12 @@ class InspectorWindow(QMainWindow):
 
     def select_camera(self, name: str) -> None:
         """Select a camera everywhere; BadInput for an unknown name."""
-        if self.run is None or name not in self.run.scene.cameras.names:
+        if self.run is None or name not in self.run.photographs:
             raise BadInput(f"there is no camera named {name!r} in this run: check the first column of the table.")
-        self.select_index(self.run.scene.cameras.names.index(name))
+        self.select_index(self.run.photographs.index(name))
 
     def select_index(self, index: int) -> None:
-        """Select camera `index` of the scene through its row of the table."""
+        """Select photograph `index` of `RunView.photographs`, a camera of the scene or one beyond them, through its row of the table."""
         if self.docks.cameras is not None:
             self.docks.cameras.select(index)
 
@@ -170,21 +170,25 @@ class InspectorWindow(QMainWindow):
         """What follows from a selected row: its mark in both views, its photograph, its line in the status bar."""
         if self.run is None:
             return
-        self.selected = index
-        self.draw_mark(highlight_layer(self.run.scene.cameras, index))
+        is_placed = index < len(self.run.scene.cameras)
+        self.selected = index if is_placed else None
+        if is_placed:
+            self.draw_mark(highlight_layer(self.run.scene.cameras, index))
+        else:
+            self.remove_mark(SELECTED)
         if self.docks.photo is not None:
             self.docks.photo.show_camera(index)
         if self.docks.cameras is not None:
             row = self.docks.cameras.cameras.rows[index]
             self.tell("   ·   ".join(str(cell) for cell in row[:4] if cell))
-        if self.isVisible():
+        if self.isVisible() and is_placed:
             self._show_on_map(self.run.scene.cameras.centers[index])
         self.render_views()
 
     def fly_to_selected(self) -> None:
         """See the scene from the selected camera."""
         if self.run is None or self.selected is None:
-            self.tell("No camera is selected: click one in a view or in the table.")
+            self.tell("No camera with a known place is selected: click one in a view or in the table.")
             return
         center = self.run.scene.cameras.centers[self.selected]
         distance = max(float(abs(center[2] - self.subject.ground)), 1e-3)
@@ -264,11 +268,6 @@ class InspectorWindow(QMainWindow):
     def reload(self) -> None:
         """Read the run anew, in a new window in the place of this one."""
         self.wants_reload.emit()
-
-    @property
-    def is_outdated(self) -> bool:
-        """Whether the files of the run are others than those that are shown."""
-        return self.subject.run is not None and file_stamps(self.subject.path) != self.subject.stamps
 
     def all_docks(self) -> list[QDockWidget]:
         """Every dock, in the order of the menu."""

@@ -15,7 +15,7 @@ score exceeds its threshold. They hold for metric models of towns from the air; 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,10 +60,12 @@ class BorderSteps:
     """What was found at one border; NaN where there is too little to say.
 
     steps: left − right in each quantity's unit: grey of 0..1, m, log ratio, opacity; responses (1 + 22,): deviation from the median of
-    the parallels in units of their scatter, at the border and at `PARALLELS_M`, of the strongest channel for colour.
+    the parallels in units of their scatter, at the border and at `PARALLELS_M`, of the strongest channel for colour; scatters: the root
+    mean square of the parallels' steps, in the unit of `steps`.
     """
 
     steps: dict[Quantity, float]
+    scatters: dict[Quantity, float]
     responses: dict[Quantity, FloatArray]
     strip: BorderStrip
 
@@ -73,8 +75,16 @@ class BorderSteps:
         return {quantity: abs(float(values[0])) for quantity, values in self.responses.items()}
 
     @property
+    def limits(self) -> dict[Quantity, float]:
+        """The least step that would have been found, in each quantity's unit, of colour that of grey; NaN where there is too little to say.
+
+        A step blurs over more than its bands: what was planted has to be larger, of grey about twice as large.
+        """
+        return {quantity: THRESHOLDS[quantity] * self.scatters[quantity] for quantity in QUANTITIES}
+
+    @property
     def found(self) -> tuple[Quantity, ...]:
-        """In which quantities there is a seam."""
+        """In which quantities there is a seam. None found does not mean that there is none, see `limits`."""
         return tuple(quantity for quantity in QUANTITIES if self.scores[quantity] > THRESHOLDS[quantity])
 
 
@@ -92,8 +102,9 @@ def border_steps(splats: Splats, ends: ArrayLike, *, backend: Backend = "auto") 
         "gap": _scored(_gaps(strip)),
     }
     return BorderSteps(
-        steps={quantity: measured[quantity][0] for quantity in QUANTITIES},
-        responses={quantity: measured[quantity][1] for quantity in QUANTITIES},
+        steps={quantity: measured[quantity].step for quantity in QUANTITIES},
+        scatters={quantity: measured[quantity].scatter for quantity in QUANTITIES},
+        responses={quantity: measured[quantity].responses for quantity in QUANTITIES},
         strip=strip,
     )
 
@@ -103,21 +114,29 @@ def _offsets_m() -> FloatArray:
     return np.concatenate([[0.0], PARALLELS_M])
 
 
-def _scored(values: FloatArray) -> tuple[float, FloatArray]:
-    """Step and responses (1 + 22,) of what is pooled at the border and its parallels (1 + 22,)."""
+class _Scored(NamedTuple):
+    """Step at the border, scatter of the parallels in its unit, responses (1 + 22,) in units of that."""
+
+    step: float
+    scatter: float
+    responses: FloatArray
+
+
+def _scored(values: FloatArray) -> _Scored:
+    """What is pooled at the border and its parallels (1 + 22,) beside the parallels' own scatter."""
     known = np.isfinite(values)
     if not known[0] or known[1:].sum() < len(PARALLELS_M) // 2:
-        return np.nan, np.full(len(values), np.nan)
+        return _Scored(np.nan, np.nan, np.full(len(values), np.nan))
     others = values[1:][known[1:]]
     deviations = values - np.median(others)
-    scatter = float(np.sqrt(np.mean((others - np.median(others)) ** 2)))
     # A made-up model may be the same at all parallels, to rounding of float32.
-    return float(deviations[0]), deviations / max(scatter, 1e-6)
+    scatter = max(float(np.sqrt(np.mean((others - np.median(others)) ** 2))), 1e-6)
+    return _Scored(float(deviations[0]), scatter, deviations / scatter)
 
 
-def _strongest(rows: list[tuple[float, FloatArray]]) -> tuple[float, FloatArray]:
-    """The grey step, and the responses of grey or of a difference of channels, whichever stands out most at the border."""
-    return rows[0][0], max((responses for _, responses in rows), key=lambda responses: abs(responses[0]))
+def _strongest(rows: list[_Scored]) -> _Scored:
+    """Step and scatter of grey, and the responses of grey or of a difference of channels, whichever stands out most at the border."""
+    return rows[0]._replace(responses=max((row.responses for row in rows), key=lambda responses: abs(responses[0])))
 
 
 def _location(values: FloatArray, scales: FloatArray) -> FloatArray:

@@ -1,0 +1,88 @@
+"""The splat view of the real window comes to rest at every size of it: a full picture, and nothing more is asked. A minute or two."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.viewer.made_up_run import made_up_town, save_run
+from tests.viewer.test_window import run_python
+
+SIZES_WH = ((1280, 781), (1280, 800), (1920, 1061), (1024, 600))
+DRIVER = """
+import json, sys, time
+from pathlib import Path
+from PySide6.QtCore import QTimer
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+from radiant_viewer import splat_process
+from radiant_viewer.inspector import open_window
+from radiant_viewer.window import InspectorWindow
+
+run, sizes, out = Path(sys.argv[1]), json.loads(sys.argv[2]), Path(sys.argv[3])
+failures, asked, found = [], [], []
+ask = splat_process.SplatProcess.ask
+splat_process.SplatProcess.ask = lambda *arguments: (asked.append(arguments[2].sizes_wh[0].tolist()), ask(*arguments))[1]
+
+def until(condition, what, seconds):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, what
+        QTest.qWait(50)
+
+def drive():
+    try:
+        window = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, InspectorWindow))
+        dock = window.docks.splats
+        window.raise_dock(dock)
+        until(lambda: dock.decision is not None, "no renderer was chosen", 120)
+        for width, height in sizes:
+            window.resize(width, height)
+            QTest.qWait(6000)
+            before, picture = len(asked), dock.picture.size()
+            QTest.qWait(4000)
+            found.append([[width, height], dock.shown_is_full, len(asked) - before, dock.picture.size() == picture])
+            window.save_window_picture(out / f"splats_{width}x{height}.png")
+    except BaseException as error:
+        failures.append(repr(error))
+    finally:
+        QApplication.closeAllWindows()
+
+QTimer.singleShot(0, drive)
+code = open_window(run)
+assert not failures, failures
+print(json.dumps(found))
+"""
+
+
+@pytest.fixture
+def large_display() -> Iterator[str]:
+    if shutil.which("Xvfb") is None:
+        pytest.skip("Xvfb is not installed: apt-get install xvfb")
+    read_end, write_end = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", "1920x1200x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(command, pass_fds=[write_end], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    os.close(write_end)
+    with os.fdopen(read_end) as pipe:
+        number = pipe.readline().strip()
+    assert number, "Xvfb ended without naming its display"
+    yield f":{number}"
+    server.terminate()
+    server.wait(10)
+
+
+@pytest.mark.stress
+def test_the_picture_is_full_and_nothing_is_asked_for_at_rest(tmp_path: Path, large_display: str) -> None:
+    pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
+    save_run(tmp_path / "run", made_up_town(step_levels=40))
+    sizes = json.dumps([list(size) for size in SIZES_WH])
+    result = run_python(DRIVER, str(tmp_path / "run"), sizes, str(tmp_path), DISPLAY=large_display, QT_QPA_PLATFORM="xcb")
+    assert result.returncode == 0, result.stderr[-3000:]
+    found = json.loads(result.stdout.splitlines()[-1])
+    assert found == [[list(size), True, 0, True] for size in SIZES_WH]

@@ -1,0 +1,140 @@
+"""Of a border only what was photographed counts: a made-up town with a rim that nobody flew over, and a false step there."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiant_core.cameras import Cameras
+from radiant_core.evaluate.observed_ground import observed_coverage
+from radiant_core.numerics import FloatArray
+from radiant_core.scene import SfmScene
+from radiant_core.splats import SH_C0, Splats
+from radiant_viewer.border_figures import BorderFigures, border_figures
+from radiant_viewer.seam_findings import seam_findings, verdict_text
+from radiant_viewer.seam_tour import seam_stops
+from tests.viewer.made_up_run import Town, made_up_town
+
+TRUE_LEVELS, FALSE_LEVELS = 20.0, 120.0
+RIM_X_M = 75.0
+"""East of it nobody took photographs, and the model steps by what nobody saw."""
+FLOWN_TO_X_M = 45.0
+
+
+def flown_over_the_west() -> Town:
+    """ "harbour" is brighter by a true step, and by a false one where no camera looked."""
+    town = made_up_town(step_levels=TRUE_LEVELS)
+    x, y = town.splats.means[:, 0], town.splats.means[:, 1]
+    harbour = ((np.stack([x, y], axis=1)[:, None] - town.cloud_plan.sites) ** 2).sum(axis=2).argmin(axis=1) == 1
+    sh0 = town.splats.sh0 + np.where((x > RIM_X_M) & harbour, FALSE_LEVELS / 255 / SH_C0, 0.0)[:, None, None].astype(np.float32)
+    west = np.flatnonzero(town.scene.cameras.centers[:, 0] <= FLOWN_TO_X_M)
+    scene = replace(town.scene, cameras=town.scene.cameras.select(west))
+    return replace(town, scene=scene, splats=replace(town.splats, sh0=sh0))
+
+
+def to_the_rim(town: Town) -> BorderFigures:
+    """The border of "harbour" and "quarry", which ends at the rim in the east."""
+    found = [one for one in border_figures(town.scene, town.cloud_plan, town.splats) if one.names == ("harbour", "quarry")]
+    assert max(found[0].border.ends[:, 0]) > 110
+    return found[0]
+
+
+def test_the_worst_place_is_where_photographs_are_and_not_at_a_false_step_beyond_them() -> None:
+    town = flown_over_the_west()
+    figures = to_the_rim(town)
+    assert figures.has_verdict and figures.steps
+    assert figures.step_levels == pytest.approx(TRUE_LEVELS, abs=4)
+    assert 0.3 * figures.border.length_m < figures.observed_length < 0.9 * figures.border.length_m
+    stop = next(stop for stop in seam_stops(town.scene, town.cloud_plan, town.splats) if stop.figures.names == figures.names)
+    assert stop.worst[0] < RIM_X_M
+    assert stop.worst_levels == pytest.approx(TRUE_LEVELS, abs=6)
+    assert figures.observed_ends[:, 0].max() < RIM_X_M + 20 < figures.border.ends[:, 0].max()
+
+
+def test_the_false_step_is_there_and_would_be_the_worst_if_all_had_been_photographed() -> None:
+    town = flown_over_the_west()
+    seen = replace(town, scene=made_up_town().scene)
+    figures = to_the_rim(seen)
+    assert figures.worst is not None
+    assert figures.levels[figures.worst] > 3 * TRUE_LEVELS
+    assert figures.ends[figures.worst].mean(axis=0)[0] > 50
+
+
+def without_cameras(scene: SfmScene) -> SfmScene:
+    return replace(scene, cameras=scene.cameras.select(np.zeros(0, np.int64)))
+
+
+def turned_up(scene: SfmScene) -> SfmScene:
+    """Cameras that look at the sky, as with a wrong up."""
+    turn = np.diag([1.0, -1.0, -1.0, 1.0])
+    cameras = scene.cameras
+    poses = np.array([turn @ pose for pose in cameras.cam_from_world])
+    return replace(scene, cameras=Cameras(names=cameras.names, Ks=cameras.Ks, cam_from_world=poses, sizes_wh=cameras.sizes_wh))
+
+
+@pytest.mark.parametrize("unseen", [without_cameras, turned_up])
+def test_without_photographs_of_a_border_there_is_no_verdict(unseen: Callable[[SfmScene], SfmScene]) -> None:
+    town = made_up_town(step_levels=60)
+    scene = unseen(town.scene)
+    figures = border_figures(scene, town.cloud_plan, town.splats)
+    assert [one.has_verdict for one in figures] == [False] * 3
+    assert all(one.worst is None and np.isnan(one.step_levels) and one.observed_length == 0 for one in figures)
+    findings = seam_findings(scene, town.cloud_plan, town.splats)
+    assert not any(finding.found for finding in findings)
+    text = verdict_text(findings, "m")
+    assert text.startswith("No verdict") and "levels" not in text
+    stops = seam_stops(scene, town.cloud_plan, town.splats)
+    np.testing.assert_allclose(stops[0].worst, stops[0].ends.mean(axis=0))
+
+
+def test_nothing_found_says_how_little_was_looked_at_and_what_could_not_be_told() -> None:
+    town = flown_over_the_west()
+    plain = made_up_town()
+    text = verdict_text(seam_findings(town.scene, plain.cloud_plan, plain.splats, num_examined=0), "m")
+    assert text.startswith("No step of 10 levels of 255 or more could be told from texture; observed: ")
+    found = re.search(r"observed: ([\d.]+) m of ([\d.]+) m", text)
+    assert found is not None, text
+    observed, total = (float(group) for group in found.groups())
+    figures = border_figures(town.scene, plain.cloud_plan, plain.splats)
+    assert total == pytest.approx(sum(one.border.length_m for one in figures), rel=1e-2)
+    assert observed == pytest.approx(sum(one.observed_length for one in figures if one.has_verdict), rel=1e-2)
+    assert observed < 0.8 * total
+
+
+def checkered(splats: Splats, levels: float) -> Splats:
+    """Stripes of 28 m along the borders' normals, so strong that a step of 20 levels drowns."""
+    waves = np.sin(2 * np.pi * splats.means[:, :1] / 28) + np.sin(2 * np.pi * splats.means[:, 1:2] / 28)
+    return replace(splats, sh0=splats.sh0 + (waves * levels / 255 / SH_C0)[:, None].astype(np.float32))
+
+
+def test_a_step_that_drowns_in_texture_is_not_told() -> None:
+    town = made_up_town(step_levels=15)
+    clear, drowned = (
+        {one.names: one for one in border_figures(town.scene, town.cloud_plan, splats)}
+        for splats in (town.splats, checkered(town.splats, 60))
+    )
+    names = ("north", "harbour")
+    assert clear[names].steps and clear[names].told_levels == 10
+    assert drowned[names].told_levels > clear[names].step_levels
+    assert not drowned[names].steps and str(round(drowned[names].told_levels)) in drowned[names].verdict
+
+
+def test_the_shares_are_those_of_the_images_that_show_a_place() -> None:
+    town = made_up_town()
+    centers = town.scene.cameras.centers
+    # From 60 m above a camera sees 38.4 m to either side: the last one of its row alone sees 30 m beyond itself.
+    east = float(centers[:, 0].max())
+    places: FloatArray = np.array([[0.0, 0.0], [east + 8, 0.0], [east + 30, 0.0], [400.0, 0.0]])
+    middle, rim, seen_once, far = observed_coverage(places, town.scene, 10.0)
+    assert middle > 0.8
+    assert 0 < rim < middle
+    assert seen_once == far == 0
+    # Images show the middle, and no two of them agreed on a point near it.
+    around = town.scene.points[np.linalg.norm(town.scene.points[:, :2], axis=1) > 10.0]
+    bare = replace(town.scene, points=around, colors=town.scene.colors[: len(around)])
+    assert observed_coverage(places[:1], bare, 10.0) == 0 < observed_coverage(places[:1], bare, 15.0)
+    assert observed_coverage(np.zeros((0, 2)), town.scene, 10.0).shape == (0,)
