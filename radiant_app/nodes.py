@@ -34,6 +34,7 @@ from radiant_app.node_decisions import (
     sky_decision,
     teachers_decision,
 )
+from radiant_app.own_names import own_names
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -67,11 +68,16 @@ MASKS = "masks"
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json."""
+    """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json.
+
+    What a device says of photographs of its own is told without their names.
+    """
     runner = _runner_of(kind)
     notes: dict[str, list[Any]] = {"decisions": [], "warnings": []}
+    names = own_names(kind, folder)
 
     def emit_and_note(event: Event) -> None:
+        event = names.without_in(event)
         if isinstance(event, Decided):
             notes["decisions"].append(asdict(event.decision))
         elif isinstance(event, Warned):

@@ -91,5 +91,7 @@ class SfmResult:
     """Usable photographs without a pose in the scene."""
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...]
+    unnamed_warnings: tuple[str, ...] = ()
+    """Of `reconstruct`: the same with numbers of photographs in place of their names, for those who are not to know them."""
     masks_folder: Path | None = None
     """Masks of the undistorted photographs, see `radiant_core.io.masks`; None without any."""

@@ -6,6 +6,7 @@ Once per scene: list and check the photographs, features, matches, poses (`datab
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 from radiant_core.errors import BadInput
@@ -76,6 +77,7 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
         unregistered=mapped.unregistered,
         decisions=(*limited, matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
         warnings=(*_skip_warnings(listing), *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
+        unnamed_warnings=(*_skip_counts(listing), *_unregistered_counts(mapped.unregistered, photographs), *warnings),
         masks_folder=masks,
     )
 
@@ -138,8 +140,18 @@ def _skip_warnings(listing: PhotoListing) -> tuple[str, ...]:
     return tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
 
 
+def _skip_counts(listing: PhotoListing) -> tuple[str, ...]:
+    total = len(listing.photographs) + len(listing.skipped)
+    counts = Counter(skipped.reason for skipped in listing.skipped)
+    return tuple(f"{count} of {total} files skipped, each of which {reason}." for reason, count in counts.items())
+
+
 def _unregistered_warnings(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:
+    names = ", ".join(unregistered[:10])
+    return tuple(f"{count.removesuffix('.')}: {names}." for count in _unregistered_counts(unregistered, photographs))
+
+
+def _unregistered_counts(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:
     if not unregistered:
         return ()
-    names = ", ".join(unregistered[:10])
-    return (f"{len(unregistered)} of {len(photographs)} photographs have no pose and are left out: {names}.",)
+    return (f"{len(unregistered)} of {len(photographs)} photographs have no pose and are left out.",)
