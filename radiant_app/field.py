@@ -23,7 +23,7 @@ from radiant_app.cloud_planning import STAGE
 from radiant_app.config import RunConfig
 from radiant_app.dealing import received
 from radiant_app.evaluation import PICTURE_KINDS
-from radiant_app.events import Warned
+from radiant_app.events import Outlined, Warned
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
@@ -33,6 +33,7 @@ from radiant_app.prediction_error import save_system
 from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.stages import (
     Progress,
+    counted,
     counting_down,
     executor_of,
     made_before,
@@ -140,6 +141,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     positions = {"positions", *(f"positions/{device}" for device in folders or ())}
     planning = {STAGE} if (config.out / STAGE).is_dir() else set()
     progress.manifest.keep_stages({*positions, *planning, *scores, *(node.id for node in tree)})
+    progress.listen(Outlined(stages=(*counted(tree), *scores)))
     executor.fold(tree, dealer.prepare, listen)
     missing = dealer.missing()
     if not dealer.has_model("cloud"):

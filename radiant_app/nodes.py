@@ -51,6 +51,7 @@ from radiant_core.splats import Splats, morton_order
 if TYPE_CHECKING:
     from radiant_core.aggregate.join_memory import JoinPlan
     from radiant_core.aggregate.synthetic_views import Rendered
+    from radiant_core.sfm.config import SfmProgress
     from radiant_core.train.checkpoint import CheckpointFolder
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.trainer import FitOptions, TrainResult
@@ -467,6 +468,8 @@ def training_summary(result: Any) -> dict[str, float | int]:
     }
 
 
-def sfm_progress(stage: str, progress: Any) -> StageProgress:
+def sfm_progress(stage: str, progress: SfmProgress) -> StageProgress:
     """An event of how far structure from motion is."""
-    return StageProgress(stage=stage, done=progress.done, total=progress.total, note=progress.phase)
+    return StageProgress(
+        stage=stage, done=progress.done, total=progress.total, phase=progress.phase, step=progress.step, num_steps=progress.num_steps
+    )
