@@ -9,6 +9,8 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,13 +18,14 @@ import pytest
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
-from radiant_app.field import _middle
+from radiant_app.field import Captured, _middle, _tell_unplaced
 from radiant_app.field_nodes import _placed_once
 from radiant_app.inbox import _are_one_group
 from radiant_app.nodes import run_node
 from radiant_app.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
 from radiant_app.pipeline import RunResult, run
 from radiant_app.report import ledger_by_tier
+from radiant_app.stages import Progress
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
@@ -316,6 +319,21 @@ def test_a_folder_of_all_devices_has_no_secret_names(tmp_path: Path) -> None:
     write_json(tmp_path / "task.json", {"source": str(tmp_path), "names": ["a.jpg"], "held_out": [], "copy": False})
     assert own_names("field", tmp_path).without("a.jpg is truncated") == f"{HIDDEN} is truncated"
     assert own_names("device", tmp_path).without("a.jpg is truncated") == "a.jpg is truncated"
+
+
+def test_unplaced_photographs_of_a_devices_own_folder_are_counted() -> None:
+    nowhere = np.full((3, 3), np.nan)
+    nowhere[1] = 0.0
+    for owners, expected in [
+        (("north-1", "north-1", "south-1"), ["1 of 2 photographs of device north-1 have", "1 of 1 photographs of device south-1 have"]),
+        ((None, None, None), ["2 of 3 photographs have no usable position: a.jpg, c.jpg."]),
+    ]:
+        heard: list[Event] = []
+        captured = Captured(names=("a.jpg", "b.jpg", "c.jpg"), owners=owners, positions=nowhere, origin=None)
+        _tell_unplaced(captured, cast(Progress, SimpleNamespace(listen=heard.append)))
+        told = [event.message for event in heard if isinstance(event, Warned)]
+        assert len(told) == len(expected) and all(message.startswith(start) for message, start in zip(told, expected, strict=True))
+        assert owners[0] is None or ".jpg" not in " ".join(told)
 
 
 def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Path, tmp_path: Path) -> None:
