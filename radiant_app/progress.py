@@ -91,9 +91,10 @@ class ProgressDisplay:
             )
             self._print_line(event)
         elif isinstance(event, StageDone):
-            self._end(event.stage, Text("done", "green"), f"in {event.seconds:.1f} s{' (emulated)' * event.emulated}")
+            took = f" {event.stage} in {event.seconds:.1f} s{' (emulated)' * event.emulated}"
+            self._end(event.stage, Text.assemble(("done", "green"), took))
         elif isinstance(event, StageSkipped):
-            self._end(event.stage, Text("skipped", "dim"), "finished before")
+            self._end(event.stage, Text.assemble(("skipped", "dim"), f" {event.stage}: finished before"))
         elif isinstance(event, TimeLeft):
             times = "" if abs(event.correction - 1) < 0.005 else f", {event.correction:.2f} times the plan's for what remains"
             self._print(f"devices and edges: left about {max(1.0, event.seconds):.0f} s{times}")
@@ -119,16 +120,12 @@ class ProgressDisplay:
             self._run = self._progress.add_task("run", total=None, note="", pace=Pace(clock=self._clock))
         self._count()
 
-    def _count(self) -> str:
-        """How many stages of the run are finished, which its bar shows too; nothing where nobody said which there are."""
-        if self._run is None:
-            return ""
-        num_ended = len(self._stages & self._ended)
-        text = f"{num_ended} of {len(self._stages)} stages finished"
-        self._progress.update(
-            self._run, description=f"run: {num_ended} of {len(self._stages)} stages", completed=num_ended, total=len(self._stages)
-        )
-        return text
+    def _count(self) -> int:
+        """How many stages of the run are finished, which its bar shows too."""
+        num_ended, total = len(self._stages & self._ended), len(self._stages)
+        if self._run is not None:
+            self._progress.update(self._run, description=f"run: {num_ended} of {total} stages", completed=num_ended, total=total)
+        return num_ended
 
     def _print_line(self, event: StageProgress) -> None:
         now_s = self._clock()
@@ -139,12 +136,11 @@ class ProgressDisplay:
         told = [event.doing, share, self._paces[event.stage].text, event.note]
         self._print(f"{event.stage}: {', '.join(text for text in told if text)}")
 
-    def _end(self, stage: str, word: Text, how: str) -> None:
+    def _end(self, stage: str, line: Text) -> None:
         self._remove(stage)
         self._ended.add(stage)
-        count = self._count()
-        told = f"; {count}" if count and stage in self._stages else ""
-        self._print(Text.assemble(word, f" {stage} {how}{told}" if word.plain == "done" else f" {stage}: {how}{told}"))
+        num_ended = self._count()
+        self._print(line + Text(f"; {num_ended} of {len(self._stages)} stages finished" if stage in self._stages else ""))
 
     def _remove(self, stage: str) -> None:
         if stage in self._tasks:
