@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Literal, NoReturn
 
 import typer
@@ -52,8 +53,7 @@ _PRESET_HELP = (
     "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
 )
 _TRAIN_HELP = (
-    "draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000 Gaussians at most; paper: its 20,000 "
-    "steps."
+    "draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000 Gaussians at most; paper: its 20,000 steps."
 )
 _AGGREGATE_HELP = "paper: retrain every parameter at the edges and the cloud."
 _PLAN_HELP = "exact: least makespan; paper: Alg. 1; voronoi; even."
@@ -175,7 +175,8 @@ def sfm(
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
 
-    finish(commands.sfm(source, out, matching, _listener(), masks), as_json)
+    result = commands.sfm(source, out, matching, _listener(), masks)
+    finish(result if as_json else {**result, "unregistered": ", ".join(result["unregistered"]) or "none"}, as_json)
 
 
 app.command()(plan)
@@ -424,6 +425,7 @@ def _run(config: Any, resume: bool, as_json: bool, listener: Any = None) -> None
         emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
         typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")
     typer.echo(f"report: {result.report}")
+    typer.echo(f"next: radiant inspect {quote(str(config.out))}")
 
 
 def _run_batch(context: typer.Context, source: Path, out: Path | None, resume: bool, as_json: bool) -> None:

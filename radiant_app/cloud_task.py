@@ -203,7 +203,9 @@ def exposures_decision(stage: str, balance: Balance) -> Decision:
     else:
         reason = f"{'more' if balance.needed else 'no more'} than models of one exposure differ by"
     unit = "of 255 from the mean of all models, at mid grey"
-    return Decision(stage=stage, topic="exposures of the models", choice=choice, figure=balance.levels, unit=unit, reason=reason)
+    unchanged = not balance.needed
+    topic = "exposures of the models"
+    return Decision(stage=stage, topic=topic, choice=choice, figure=balance.levels, unit=unit, reason=reason, changes_nothing=unchanged)
 
 
 def faint_decision(stage: str, aggregate: AggregateConfig, pooled: Joined) -> Decision:
@@ -212,7 +214,8 @@ def faint_decision(stage: str, aggregate: AggregateConfig, pooled: Joined) -> De
     share = 100 * num_left_out / max(pooled.num_given, 1)
     choice = f"{num_left_out:,} of {pooled.num_given:,} left out" if num_left_out else "all are kept"
     reason = f"another model owns their place, and faded they would be fainter than {aggregate.faint_opacity:g}"
-    return Decision(stage=stage, topic="faint Gaussians", choice=choice, figure=share, unit="% of all", reason=reason)
+    kept = not num_left_out
+    return Decision(stage=stage, topic="faint Gaussians", choice=choice, figure=share, unit="% of all", reason=reason, changes_nothing=kept)
 
 
 def _edge_time_s(run: Path, edge: str, plan: CloudPlan, system: System) -> float:

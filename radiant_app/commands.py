@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,7 +14,7 @@ import numpy as np
 
 from radiant_app.cloud_task import virtual_cameras_of
 from radiant_app.events import StageProgress, StageStarted
-from radiant_app.nodes import sfm_record
+from radiant_app.nodes import sfm_progress, sfm_record
 from radiant_app.progress import ProgressDisplay
 from radiant_app.run_folder import new_folder
 from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
@@ -30,8 +32,8 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay, masks:
     from radiant_app.sources import reconstruct_source
 
     task = {"source": str(source), "sfm": {"matching": matching}, "masks": None if masks is None else str(masks)}
-    with new_folder(out), stage_bar(display, "sfm") as report:
-        result = reconstruct_source(task, out, lambda progress: report(progress.done, progress.total, progress.phase))
+    with new_folder(out), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
+        result = reconstruct_source(task, out, lambda progress: display(sfm_progress("sfm", progress)))
     save_scene(out / "scene.safetensors", result.scene)
     write_json(out / "result.json", sfm_record(result, out))
     return {
@@ -39,7 +41,7 @@ def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay, masks:
         "points": len(result.scene.points),
         "frame": result.scene.frame.kind,
         "gps_residual_m": result.scene.frame.residual_m,
-        "unregistered": ", ".join(result.unregistered) or "none",
+        "unregistered": list(result.unregistered),
         "warnings": "; ".join(result.warnings) or "none",
         "folder": str(out),
     }
@@ -128,6 +130,31 @@ def require_file_to_be(out: Path) -> None:
         raise BadInput(f"{out} exists: choose another name.")
     if not out.parent.is_dir():
         raise BadInput(f"there is no folder {out.parent} to write {out.name} into: make it first.")
+
+
+@contextmanager
+def libraries_log_to(path: Path) -> Iterator[None]:
+    """While open, what libraries in C++ write to standard error goes to a file, as in the processes of a run; what Python says is shown.
+
+    Nothing changes where Python's standard error is not the process's own, since a test or another program listens to it.
+    """
+    told = sys.stderr
+    try:
+        own = told.fileno() == 2
+    except (AttributeError, OSError, ValueError):
+        own = False
+    if not own:
+        yield
+        return
+    with os.fdopen(os.dup(2), "w", buffering=1, encoding=told.encoding, errors=told.errors) as shown, path.open("w") as log:
+        told.flush()
+        os.dup2(log.fileno(), 2)
+        sys.stderr = shown
+        try:
+            yield
+        finally:
+            sys.stderr = told
+            os.dup2(shown.fileno(), 2)
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from radiant_app.events import (
     Event,
     Failed,
     Listener,
+    Outlined,
     StageDone,
     StageProgress,
     StageSkipped,
@@ -74,7 +75,7 @@ class EventFile:
             return False
         last, now_s = self._seen.get(event.stage), self._clock()
         self._seen[event.stage] = event
-        begins = last is not None and (event.done < last.done or event.total != last.total)
+        begins = last is not None and (event.phase != last.phase or event.done < last.done or event.total != last.total)
         if now_s - self._told_s.get(event.stage, float("-inf")) < (SECONDS_TO_A_PHASE if begins else SECONDS_BETWEEN):
             return True
         self._told_s[event.stage] = now_s
@@ -88,12 +89,14 @@ def read_progress(run: Path) -> RunProgress:
     path = run / EVENTS_NAME
     stages: dict[str, StageState] = {}
     warnings: list[str] = []
-    seconds_left = None
+    seconds_left, outline = None, Outlined(stages=())
     for event in _events(path):
         if isinstance(event, Warned):
             warnings.append(f"{event.stage}: {event.message}")
         elif isinstance(event, TimeLeft):
             seconds_left = event.seconds
+        elif isinstance(event, Outlined):
+            outline = event
         elif (state := _after(event, stages)) is not None:
             stages[state.stage] = state
     status = _status(run)
@@ -104,8 +107,14 @@ def read_progress(run: Path) -> RunProgress:
         # Whoever was at work then is not any more: stopped with the run, or at fault.
         ended: State = "interrupted" if status == "interrupted" else "failed"
         stages = {name: replace(state, state=ended) if state.state == "running" else state for name, state in stages.items()}
-    shown = tuple(stages.values())
-    return RunProgress(stages=shown, warnings=tuple(warnings), seconds_left=seconds_left, is_running=is_running, status=status)
+    return RunProgress(
+        stages=tuple(stages.values()),
+        expected=outline.stages,
+        warnings=tuple(warnings),
+        seconds_left=seconds_left,
+        is_running=is_running,
+        status=status,
+    )
 
 
 def progress_stamps(run: Path) -> tuple[object, ...]:
@@ -124,7 +133,8 @@ def _after(event: Event, stages: dict[str, StageState]) -> StageState | None:
     if isinstance(event, StageStarted):
         return StageState(stage=event.stage, state="running")
     if isinstance(event, StageProgress):
-        return StageState(stage=event.stage, state="running", done=event.done, total=event.total, note=event.note)
+        note = ", ".join(text for text in (event.doing, event.note) if text)
+        return StageState(stage=event.stage, state="running", done=event.done, total=event.total, note=note)
     if isinstance(event, StageDone):
         return StageState(stage=event.stage, state="done", seconds=event.seconds)
     if isinstance(event, StageSkipped):

@@ -29,13 +29,30 @@ class StageStarted:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Outlined:
+    """Which stages a run has, as far as is known by now; a later one replaces it."""
+
+    stages: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class StageProgress:
-    """How far a stage is; `done` of `total` in any unit, and what it is doing."""
+    """How far a stage is; `done` of `total` in any unit. Where it has several steps both are of the one that runs."""
 
     stage: str
     done: float
     total: float
     note: str = ""
+    phase: str = ""
+    """What its step does, such as "matching"; another one begins to count anew."""
+    step: int = 0
+    """Number of the step, from 1; 0 where there are none."""
+    num_steps: int = 0
+
+    @property
+    def doing(self) -> str:
+        """As "matching, step 3 of 6"; empty for a stage without steps."""
+        return f"{self.phase}, step {self.step} of {self.num_steps}" if self.num_steps > 1 else self.phase
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +120,7 @@ class Beat:
     stage: str
 
 
-Event = Beat | StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
+Event = Beat | Outlined | StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
 Listener = Callable[[Event], None]
 
 _TYPES: dict[str, Any] = {kind.__name__: kind for kind in get_args(Event)}
@@ -121,6 +138,8 @@ def decode(line: str) -> Event:
         kind = _TYPES[fields.pop("event")]
         if kind is Decided:
             return Decided(decision=Decision(**fields["decision"]))
+        if kind is Outlined:
+            return Outlined(stages=tuple(fields["stages"]))
         return kind(**fields)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise StageFailed(f"a worker wrote a line that is no event: {line[:200]!r} ({error}).") from error

@@ -10,6 +10,7 @@ by its id: the photographs it took, which no other process opens. A device that 
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from radiant_app.cloud_planning import STAGE
 from radiant_app.config import RunConfig
 from radiant_app.dealing import received
 from radiant_app.evaluation import PICTURE_KINDS
-from radiant_app.events import Warned
+from radiant_app.events import Outlined, Warned
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
@@ -32,6 +33,7 @@ from radiant_app.prediction_error import save_system
 from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.stages import (
     Progress,
+    counted,
     counting_down,
     executor_of,
     made_before,
@@ -139,6 +141,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     positions = {"positions", *(f"positions/{device}" for device in folders or ())}
     planning = {STAGE} if (config.out / STAGE).is_dir() else set()
     progress.manifest.keep_stages({*positions, *planning, *scores, *(node.id for node in tree)})
+    progress.listen(Outlined(stages=(*counted(tree), *scores)))
     executor.fold(tree, dealer.prepare, listen)
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
@@ -215,7 +218,7 @@ def _told_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress
         try:
             told = _positions_in(folder, f"positions/{device}", progress, cell_m, held_out)
         except (BadInput, StageFailed, OSError) as error:
-            progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {error}"))
+            progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {_reason(error)}"))
             continue
         if told["num_unplaced"]:
             message = f"{told['num_unplaced']} of {told['num_photographs']} photographs of device {device} have no usable position."
@@ -259,7 +262,7 @@ def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progre
         except (BadInput, StageFailed, OSError) as error:
             if owner is None:
                 raise
-            progress.listen(Warned(stage="plan", message=f"device {owner} takes no part: {error}"))
+            progress.listen(Warned(stage="plan", message=f"device {owner} takes no part: {_reason(error)}"))
             continue
         names += found
         owners += [owner] * len(found)
@@ -268,7 +271,8 @@ def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progre
     origin = _origin_of(known)
     positions = np.full((len(names), 3), np.nan)
     positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
-    _leave_out_other_sites(names, positions, progress)
+    told = [name if owner is None else f"one of {owner}" for name, owner in zip(names, owners, strict=True)]
+    _leave_out_other_sites(told, positions, progress)
     return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)
 
 
@@ -281,6 +285,11 @@ def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | N
     key = content_key(__version__, task, [(path.name, path.stat().st_size) for path in sorted(place.iterdir()) if path.is_file()])
     run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
     return read_json(folder / ("positions.json" if cell_m is None else "raster.json"))
+
+
+def _reason(error: BadInput | StageFailed | OSError) -> str:
+    """Why a device takes no part; an error of the operating system names a file, and those of a device stay with it."""
+    return (error.strerror or type(error).__name__) if isinstance(error, OSError) else str(error)
 
 
 def _middle(lat_lon_alt: FloatArray) -> FloatArray:
@@ -332,10 +341,17 @@ def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) 
 
 
 def _tell_unplaced(captured: Captured, progress: Progress) -> None:
-    lost = [name for name, placed in zip(captured.names, captured.placed, strict=True) if not placed]
-    if lost:
-        named = ", ".join(lost[:MAX_NAMED]) + (" …" if len(lost) > MAX_NAMED else "")
-        progress.listen(Warned(stage="plan", message=f"{len(lost)} of {len(captured.names)} photographs have no usable position: {named}."))
+    """Names of photographs in one folder of all; of a device's own their number."""
+    lost = np.flatnonzero(~captured.placed)
+    named = [captured.names[index] for index in lost if captured.owners[index] is None]
+    if named:
+        listed = ", ".join(named[:MAX_NAMED]) + (" …" if len(named) > MAX_NAMED else "")
+        progress.listen(
+            Warned(stage="plan", message=f"{len(named)} of {len(captured.names)} photographs have no usable position: {listed}.")
+        )
+    for owner, count in Counter(owner for index in lost if (owner := captured.owners[index]) is not None).items():
+        message = f"{count} of {captured.owners.count(owner)} photographs of device {owner} have no usable position."
+        progress.listen(Warned(stage="plan", message=message))
 
 
 def _planned(

@@ -7,6 +7,7 @@
 | score | task.json, inbox/{scene.ply,plan.json}, its own photographs | result.json: numbers; pictures that stay |
 
 A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) says so in frame.json and is done: the rest goes on.
+Of photographs that it skips it tells the number; their names stay in its own_notes.txt (`own_names.py`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from radiant_app.delivering import signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, moved_cameras, numbered, sim3_of
 from radiant_app.nodes import load_images, place_of, sfm_progress, train_device
+from radiant_app.own_names import OwnNames, own_names
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -33,6 +35,9 @@ from radiant_core.io.records import load_cameras, load_plan, load_scene, load_sp
 from radiant_core.io.run_store import content_key, is_sealed, read_json, seal, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
+
+if TYPE_CHECKING:
+    from radiant_core.sfm.config import SfmResult
 
 Emit = Callable[[Event], None]
 PLACING = ("frames", "source", "names", "held_out", "copy", "changed", "origin", "sfm", "model")
@@ -87,7 +92,8 @@ def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
             raise BadInput(f"{len(training.cameras)} of its training photographs could be placed, expected at least 2.")
         initial, outputs = train_device(folder, training, placed.images, task, (stage, emit))
     except (BadInput, StageFailed) as error:
-        return _missing(folder, stage, str(error), emit)
+        # The reason stands in frame.json, which others read.
+        return _missing(folder, stage, own_names("field", folder).without(str(error)), emit)
     save_splats(folder / "initial.safetensors", initial)
     save_scene(folder / "scene.safetensors", training)
     save_cameras(folder / "held_out.safetensors", placed.scene.cameras.select(held))
@@ -151,7 +157,7 @@ def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str,
     from radiant_core.sfm.reconstruct import reconstruct
 
     result = reconstruct(photos, folder / "sfm", SfmConfig(**task["sfm"]), lambda progress: emit(sfm_progress(stage, progress)))
-    for message in result.warnings:
+    for message in _told(result, own_names("field", folder)):
         emit(Warned(stage=stage, message=message))
     for decision in (decision for decision in result.decisions if decision.topic == "memory"):
         emit(Decided(decision=replace(decision, stage=stage)))
@@ -162,6 +168,15 @@ def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str,
     emit(Decided(decision=_frame_decision(stage, asdict(frame.uncertainty), len(positions))))
     _draw_frame(folder, frame.scene.cameras, positions, task["origin"], frame.sigma_m)
     return _Placed(scene=frame.scene, images=result.undistorted_folder, uncertainty=asdict(frame.uncertainty))
+
+
+def _told(result: SfmResult, names: OwnNames) -> Sequence[str]:
+    """The warnings of structure from motion, of a device's own folder with numbers in place of names."""
+    if names.source is None:
+        return result.warnings
+    names.keep(message for message in result.warnings if message not in result.unnamed_warnings)
+    where = f" Their names stay in {names.notes.name} of the device."
+    return [message + where * (message not in result.warnings) for message in result.unnamed_warnings]
 
 
 def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[float, float, float]], origin: Any, sigma_m: float) -> None:

@@ -28,6 +28,7 @@ def sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
         unit="% above the horizon in the image that has most",
         reason=f"a sky is modelled from {100 * MIN_SKY_SHARE:.0f} % of one image on" if wanted else BY_PRESET,
         forced=not wanted,
+        changes_nothing=not looks_up,
     )
 
 
@@ -41,6 +42,7 @@ def fill_decision(stage: str, num_filled: int, num_points: int, *, wanted: bool)
         unit="image cells without a sparse point" if wanted else "points",
         reason="places without sparse points would start empty" if wanted else BY_PRESET,
         forced=not wanted,
+        changes_nothing=not num_filled,
     )
 
 
@@ -54,6 +56,7 @@ def teachers_decision(stage: str, rendered: Sequence[Rendered], cameras: Sequenc
         figure=float(num_early),
         unit="views",
         reason="a device's views need no other device; the edge renders the rest itself",
+        changes_nothing=not num_early,
     )
 
 
@@ -68,13 +71,14 @@ def density_decision(stage: str, counts: Any, num_before: int, num_after: int) -
         figure=float(num_after),
         unit=f"Gaussians from {num_before:,}",
         reason="adaptive density control follows the gradients of projected centres",
+        changes_nothing=not any((counts.num_cloned, counts.num_split, counts.num_pruned_transparent, counts.num_pruned_large)),
     )
 
 
 def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Decision:
     """Gaussians held at the limits of size and elongation, and those that no pixel shows."""
     held = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
-    limits = f"{config.max_elongation} times the second axis, {config.max_scale_per_distance} of the distance to the nearest camera"
+    limits = f"{config.max_elongation:.3g} times the second axis, {config.max_scale_per_distance:.3g} of the distance to the nearest camera"
     return Decision(
         stage=stage,
         topic="shapes",
@@ -95,6 +99,7 @@ def blind_spots_decision(stage: str, merged: Any, *, wanted: bool) -> Decision:
         unit="% of the scene",
         reason="the owner of that place has no Gaussian near it" if wanted else BY_PRESET,
         forced=not wanted,
+        changes_nothing=not (merged.num_filled or merged.num_dropped),
     )
 
 

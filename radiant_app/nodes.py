@@ -43,6 +43,7 @@ from radiant_app.node_decisions import (
     sky_decision,
     teachers_decision,
 )
+from radiant_app.own_names import own_names
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -58,6 +59,7 @@ from radiant_core.splats import Splats, morton_order
 
 if TYPE_CHECKING:
     from radiant_core.aggregate.synthetic_views import Rendered
+    from radiant_core.sfm.config import SfmProgress
     from radiant_core.train.checkpoint import CheckpointFolder
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.trainer import FitOptions, TrainResult
@@ -75,11 +77,16 @@ MASKS = "masks"
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json."""
+    """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json.
+
+    What a device says of photographs of its own is told without their names.
+    """
     runner = _runner_of(kind)
     notes: dict[str, list[Any]] = {"decisions": [], "warnings": []}
+    names = own_names(kind, folder)
 
     def emit_and_note(event: Event) -> None:
+        event = names.without_in(event)
         if isinstance(event, Decided):
             notes["decisions"].append(asdict(event.decision))
         elif isinstance(event, Warned):
@@ -471,6 +478,8 @@ def training_summary(result: Any) -> dict[str, float | int]:
     }
 
 
-def sfm_progress(stage: str, progress: Any) -> StageProgress:
+def sfm_progress(stage: str, progress: SfmProgress) -> StageProgress:
     """An event of how far structure from motion is."""
-    return StageProgress(stage=stage, done=progress.done, total=progress.total, note=progress.phase)
+    return StageProgress(
+        stage=stage, done=progress.done, total=progress.total, phase=progress.phase, step=progress.step, num_steps=progress.num_steps
+    )

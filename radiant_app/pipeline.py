@@ -18,7 +18,7 @@ from radiant_app.config import RunConfig
 from radiant_app.dealing import SharedDealer, deal_files, evaluation_task, received
 from radiant_app.evaluation import LPIPS_NAME, PICTURE_KINDS
 from radiant_app.event_file import EventFile
-from radiant_app.events import Listener, Warned
+from radiant_app.events import Listener, Outlined, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import run_task
@@ -31,7 +31,17 @@ from radiant_app.promises import promises_of
 from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.run_folder import Manifest, opened_run
 from radiant_app.sources import detect_source, source_files
-from radiant_app.stages import Progress, counting_down, executor_of, plan_stage, require_plan, training_settings, with_uploads
+from radiant_app.stages import (
+    Progress,
+    counted,
+    counting_down,
+    executor_of,
+    nodes_of,
+    plan_stage,
+    require_plan,
+    training_settings,
+    with_uploads,
+)
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
@@ -112,6 +122,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
 
     The last of what it returns: devices whose models were refused, with the reasons. StageFailed where all were.
     """
+    progress.listen(Outlined(stages=("sfm", *nodes_of(system), "evaluation")))
     scene, images = sfm_stage(config, progress)
     held_out = held_out_mask(scene.cameras.names)
     training = scene.restricted_to(np.flatnonzero(~held_out))
@@ -138,6 +149,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
+    progress.listen(Outlined(stages=("sfm", *counted(tree), "evaluation")))
     listen = counting_down(config, system, edge_plans, progress)
     positions = training.cameras.centers[:, :2]
     rescue = Rescue(dealer=dealer, positions=positions, tree=tree, first_plan_key=first_key, listen=listen)

@@ -19,6 +19,7 @@ from radiant_app.predictions import planned_training, prediction_warnings, train
 from radiant_app.run_folder import Manifest
 from radiant_app.time_left import TimeLeftListener
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
@@ -57,6 +58,16 @@ class Progress:
         if isinstance(event, StageSkipped):
             for noted in read_notes(self.manifest.folder / event.stage, event.stage):
                 self.listen(noted)
+
+
+def nodes_of(system: System) -> tuple[str, ...]:
+    """Ids of the nodes that a run on the system has before anybody knows who gets nothing to do."""
+    return (*(f"devices/{device.id}" for device in system.devices), *(f"edges/{edge.id}" for edge in system.edges), "cloud")
+
+
+def counted(tree: Tree) -> tuple[str, ...]:
+    """Ids of the nodes that count as stages of a run: a teacher is a part of its edge."""
+    return tuple(node.id for node in tree if node.tier != "teacher")
 
 
 def plan_stage(

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+import sys
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+FILE_WIDTH = 10_000
+"""A table in a file is as wide as it needs to be; none is wider."""
 
 
 def print_summary(result: Any) -> None:
     """One line per job of a batch."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("job", "status", "time (s)", "PSNR (dB)", "Gaussians", "result")
@@ -18,20 +24,27 @@ def print_summary(result: Any) -> None:
         figures = [job.seconds, job.figures.get("psnr_db"), job.figures.get("num_gaussians")]
         texts = ["" if value is None else form.format(value) for form, value in zip(("{:.1f}", "{:.2f}", "{:,}"), figures, strict=True)]
         table.add_row(job.name, job.status, *texts, job.message or (job.out if job.exit_code == 0 else ""))
-    Console().print(table, markup=False)
+    _print(table)
     typer.echo(f"summary: {result.folder / 'summary.html'}")
 
 
 def print_figures(result: dict[str, Any]) -> None:
     """One line per scored photograph, and their mean and median."""
-    from rich.console import Console
     from rich.table import Table
 
     forms = {"psnr_db": "{:.2f}", "ssim": "{:.4f}", "psnr_cc_db": "{:.2f}", "ssim_cc": "{:.4f}", "flip": "{:.4f}", "lpips": "{:.4f}"}
     table = Table("photograph", *forms)
     for row in (*result["images"], {"name": "mean", **result}, {"name": "median", **result["median"]}):
         table.add_row(row["name"], *("" if row[figure] is None else form.format(row[figure]) for figure, form in forms.items()))
-    Console().print(table, markup=False)
+    _print(table)
+
+
+def _print(table: Table) -> None:
+    """A table within a terminal's width, in a file with nothing cut; names are no markup."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() else FILE_WIDTH
+    Console(width=width, markup=False, emoji=False).print(table, markup=False, emoji=False)
 
 
 def finish(result: dict[str, Any], as_json: bool) -> None:

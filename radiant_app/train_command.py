@@ -21,7 +21,7 @@ import numpy as np
 from radiant_app.commands import require_file_to_be
 from radiant_app.config import RunConfig
 from radiant_app.evaluation import image_row, save_comparison, scored_part, summary_of
-from radiant_app.events import Decided, Event, Listener, StageDone, StageProgress, StageSkipped, StageStarted, Warned
+from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 from radiant_app.memory import base_bytes_in, peak_bytes, resident_bytes
 from radiant_app.nodes import CHECKPOINTS, first_model, fit, fit_options, load_training_views, needed, training_summary, without_useless
 from radiant_app.pipeline import require_size, sfm_stage
@@ -115,6 +115,7 @@ def train(
         return _single_ply(request, listen, resume, clock)
     with opened_folder(request.out, request.settings, resume, KEPT) as manifest:
         progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
+        listen(Outlined(stages=(*(() if has_scene(request.source) else ("sfm",)), STAGE, "evaluation")))
         scene, photos = _scene_and_photos(request, progress)
 
         def tell(event: Event) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
 from radiant_app.memory import peak_bytes
+from radiant_app.own_names import own_names
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.run_store import seal
 
@@ -38,6 +39,10 @@ def main(arguments: list[str]) -> int:
         with writing:
             events.write(encode(event) + "\n")
 
+    def fail(message: str, exit_code: int) -> int:
+        emit(own_names(kind, Path(folder)).without_in(Failed(stage=stage, message=message, exit_code=exit_code)))
+        return exit_code
+
     threading.Thread(target=_beat, args=(stage, emit), daemon=True).start()
     try:
         from radiant_app.nodes import run_node
@@ -48,14 +53,11 @@ def main(arguments: list[str]) -> int:
         emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
         seal(Path(folder), key, outputs)
     except RadiantError as error:
-        emit(Failed(stage=stage, message=str(error), exit_code=error.exit_code))
-        return error.exit_code
+        return fail(str(error), error.exit_code)
     except OSError as error:
-        emit(Failed(stage=stage, message=f"{error.strerror or error} ({error.filename or folder})", exit_code=BadInput.exit_code))
-        return BadInput.exit_code
+        return fail(f"{error.strerror or error} ({error.filename or folder})", BadInput.exit_code)
     except MemoryError:
-        emit(Failed(stage=stage, message="not enough memory: lower --max-splats or --long-side-px, or free some.", exit_code=1))
-        return 1
+        return fail("not enough memory: lower --max-splats or --long-side-px, or free some.", 1)
     return 0
 
 

@@ -23,3 +23,5 @@ class Decision:
     """Why this figure leads to this choice, one sentence."""
     forced: bool = False
     """Whether the user asked for this choice."""
+    changes_nothing: bool = False
+    """Whether all stays as it was, such as "0 of 3 photographs are left out": the report lists it, the terminal does not."""

@@ -25,7 +25,7 @@ from rich.console import Console
 from radiant_app.bench.runner import BenchOptions
 from radiant_app.commands import stage_bar
 from radiant_app.demo import sample_scenes_folder
-from radiant_app.nodes import load_images, load_training_views
+from radiant_app.nodes import load_images, load_training_views, sfm_progress
 from radiant_app.progress import ProgressDisplay, tracked
 from radiant_app.sources import images_of_scene, load_scene_of, masks_of_scene
 from radiant_core import __version__
@@ -237,8 +237,9 @@ def _load(source: Path, work: Path) -> _Source:
         scene, images, masks = load_scene_of(source), images_of_scene(source), masks_of_scene(source)
     except BadInput:
         task = {"source": str(source), "sfm": {}}
-        with stage_bar(ProgressDisplay(Console(stderr=True)), "sfm") as report:
-            result = reconstruct_source(task, work / "sfm", lambda at: report(at.done, at.total, at.phase))
+        display = ProgressDisplay(Console(stderr=True))
+        with stage_bar(display, "sfm"):
+            result = reconstruct_source(task, work / "sfm", lambda progress: display(sfm_progress("sfm", progress)))
         scene, images, masks = result.scene, result.undistorted_folder, None
     name = source.resolve().parent.name if source.name in ("images", "sfm") else source.resolve().name
     return _Source(name=name, scene=scene, images=images, masks=masks)

@@ -77,6 +77,25 @@ def watermark(photograph: Path, seed: int = 0) -> None:
     photograph.write_bytes(b"\xff\xd8" + kept + marked + jpeg.tobytes()[2:])
 
 
+def add_broken(folder: Path) -> list[Path]:
+    """Put files beside the photographs of a device that are skipped, find no pose or add nothing; their names are canaries too."""
+    first = min(folder.glob("*.jpg"))
+    data = first.read_bytes()
+    kept = b"".join(data[start:end] for start, end in _application_segments(data))
+    pixels = np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION))
+    noise = np.random.default_rng(0).integers(0, 256, pixels.shape, np.uint8)
+    foreign, blurred = (cv2.imencode(".jpg", image)[1].tobytes() for image in (noise, cv2.GaussianBlur(pixels, (0, 0), 9)))
+    content = {"truncated": data[: len(data) // 2], "empty": b"", "foreign": foreign, "copied": data}
+    content |= {"blurred": blurred[:2] + kept + blurred[2:], "of no camera": b"no photograph"}
+    made = [folder / f"zz secret {what} [{folder.name}].jpg" for what in content]
+    for path, written in zip(made, content.values(), strict=True):
+        path.write_bytes(written)
+    inner = folder / f"secret subfolder [{folder.name}]"
+    inner.mkdir()
+    (inner / f"secret inner [{folder.name}].jpg").write_bytes(data)
+    return [*made, inner]
+
+
 def _text(kind: str, photograph: Path) -> bytes:
     return TEXT % (kind.encode(), photograph.name.encode())
 
@@ -94,17 +113,22 @@ def _application_segments(data: bytes) -> Iterator[tuple[int, int]]:
         start = end
 
 
-def canaries_of(photographs: Path, poses: Cameras, size_px: int) -> Canaries:
-    """What to look for of the device with these watermarked photographs and poses; pixels at two sizes, one given by its long side."""
+def canaries_of(photographs: Path, poses: Cameras, size_px: int, broken: Iterable[str] = ()) -> Canaries:
+    """What to look for of the device with these watermarked photographs and poses; pixels at two sizes, one given by its long side.
+
+    Of `broken` files only the names are looked for.
+    """
     found: dict[str, list[bytes]] = {kind: [] for kind in PHOTOGRAPH_KINDS}
+    found["name"] = [path.stem.encode() for path in photographs.rglob("*")]
     for name, place in photograph_positions(photographs).items():
+        if name in broken:
+            continue
         data = (photographs / name).read_bytes()
         exif = data.find(b"Exif\0\0")
         assert exif > 0 and place is not None, "the sample photographs have EXIF with GPS"
         # From the GPS directory on: what stands before is the same in photographs of other devices.
         length = struct.unpack(">H", data[exif - 2 : exif])[0]
         found["EXIF"] += [data[start : start + 24] for start in range(exif + length - 80, exif + length - 32, 8)]
-        found["name"].append(Path(name).stem.encode())
         found["digest"] += [hashlib.sha256(data).digest(), hashlib.sha256(data).hexdigest().encode()]
         for kind in SEGMENTS:
             found[kind].append(_text(kind, photographs / name))

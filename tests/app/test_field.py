@@ -9,26 +9,33 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
-from radiant_app.events import Event, StageDone, StageSkipped, Warned
-from radiant_app.field import _middle
+from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
+from radiant_app.field import Captured, _middle, _tell_unplaced
 from radiant_app.field_nodes import _placed_once
 from radiant_app.inbox import _are_one_group
+from radiant_app.nodes import run_node
+from radiant_app.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
 from radiant_app.pipeline import RunResult, run
 from radiant_app.report import ledger_by_tier
+from radiant_app.stages import Progress
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
+from radiant_core.io.run_store import write_json
 from radiant_core.train.needs import Overrides
 from radiant_viewer.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
-from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, canaries_of, files_with, watermark
+from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, add_broken, canaries_of, files_with, watermark
 
 TINY = Overrides(long_side_px=96, num_steps=60, max_num_splats=1500)
 ONE_EDGE = '[[edge]]\nid = "north"\n[[edge.device]]\nid = "north-1"\n[[edge.device]]\nid = "south-1"\n'
@@ -149,6 +156,7 @@ def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path,
     source = split_by_device(hamlet / "images", tmp_path / "captured")
     for photograph in source.rglob("*.jpg"):
         watermark(photograph)
+    broken = {name: add_broken(source / name) for name in ("north-1", "south-1")}
     if frames == "gps":
         system = tmp_path / "one_edge.toml"
         system.write_text(ONE_EDGE)
@@ -168,7 +176,8 @@ def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path,
         if path.endswith((".jpg", ".png")):
             opened.setdefault(path, set()).add(process)
     for device in ("north-1", "south-1"):
-        photographs = [str(path) for path in (source / device).iterdir()]
+        # Given poses say which photographs there are; without them every file is looked at.
+        photographs = [str(path) for path in (source / device).glob("*.jpg") if frames == "gps" or path not in broken[device]]
         readers = {process for path in photographs for process in opened.get(path, set())}
         assert all(path in opened for path in photographs), "the tracing saw nothing"
         own = (f"devices/{device}", f"positions/{device}")
@@ -178,24 +187,34 @@ def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path,
         assert all(f"devices/{device}" in process for process in others), others
     assert_no_image_bytes(tmp_path / "run", source)
     assert "\tnetwork" not in log.read_text(errors="replace"), "the local executor needs no socket"
-    assert_no_canary_elsewhere(tmp_path / "run", source)
+    (tmp_path / "run" / "said.txt").write_text(done.stdout + done.stderr)
+    assert_no_canary_elsewhere(tmp_path / "run", source, broken)
+    if frames == "gps":
+        for device, paths in broken.items():
+            notes = (tmp_path / "run" / "devices" / device / NOTES_NAME).read_text()
+            told = (tmp_path / "run" / "manifest.json").read_text()
+            assert all(path.name in notes for path in paths if not {"copied", "blurred"} & set(path.stem.split()))
+            assert "files skipped, each of which is truncated" in told and "photographs have no pose and are left out." in told
     assert_models_and_little_else_were_sent(tmp_path / "run")
 
 
-def assert_no_canary_elsewhere(run_folder: Path, source: Path) -> None:
-    """Nothing of a device's photographs is in a file of any other node, nothing of its poses but at its edge; the owner's report aside."""
+def assert_no_canary_elsewhere(run_folder: Path, source: Path, broken: dict[str, list[Path]]) -> None:
+    """Nothing of a device's photographs is in a file of any other node or of the owner, nothing of its poses but at its edge."""
+    of_owner = [path for path in run_folder.iterdir() if path.is_file() or path.name in ("evaluation", "delivered", "pictures")]
+    assert {"report.html", "manifest.json", "events.jsonl", "said.txt"} <= {path.name for path in of_owner}
     nodes = [path for kind in ("devices", "positions", "edges") for path in (run_folder / kind).glob("*")]
     nodes += [path for path in (run_folder / "cloud", run_folder / "planning") if path.is_dir()]
     for name in ("north-1", "south-1"):
         device = run_folder / "devices" / name
-        canaries = canaries_of(source / name, load_cameras(device / "cameras.safetensors"), size_px=64)
+        skipped = [path.name for path in broken[name]]
+        canaries = canaries_of(source / name, load_cameras(device / "cameras.safetensors"), 64, skipped)
         assert all(len(patterns) >= 6 for patterns in canaries.patterns.values())
         (own_edge,) = (path.parent.parent for path in run_folder.glob(f"edges/*/inbox/{name}"))
         elsewhere = [node for node in nodes if node.name != name and node != own_edge]
         assert len(elsewhere) >= 2 and run_folder / "cloud" in elsewhere
         # A reconstruction of the other device's own photographs is most of all bytes: tests/stress/test_canaries.py searches that too.
         assert files_with(canaries, [path for node in elsewhere for path in node.iterdir() if path.name != "sfm"]) == []
-        assert files_with(canaries.of(PHOTOGRAPH_KINDS), [own_edge]) == []
+        assert files_with(canaries.of(PHOTOGRAPH_KINDS), [own_edge, *of_owner]) == []
         # The search finds what is there.
         assert files_with(canaries.of(POSE_KINDS), [own_edge])
         found = {hit.split(" in /")[0] for hit in files_with(canaries, [source / name])}
@@ -228,7 +247,7 @@ def split_by_device(images: Path, target: Path) -> Path:
 
 def assert_no_image_bytes(folder: Path, source: Path) -> None:
     """Nothing an edge, the cloud or the owner wrote is an image of a scene or holds a stretch of a photograph's bytes."""
-    stretches = [photo.read_bytes()[start : start + 32] for photo in source.rglob("*.jpg") for start in (2000, 5000)]
+    stretches = [photo.read_bytes()[start : start + 32] for photo in source.rglob("drone*.jpg") for start in (2000, 5000)]
     places = [folder / "edges", folder / "cloud", folder / "evaluation", folder / "delivered"]
     written = [path for place in places for path in place.rglob("*") if path.is_file()]
     written += [path for path in folder.iterdir() if path.is_file()]
@@ -258,6 +277,63 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     assert list(result.metrics["missing"]) == ["south-1"] and "triangulated" in result.metrics["missing"]["south-1"]
     assert any(isinstance(event, Warned) and event.stage == "devices/south-1" for event in events)
     assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100
+
+
+def test_a_device_that_fails_names_no_photograph(hamlet: Path, tmp_path: Path) -> None:
+    source, folder = tmp_path / "captured", tmp_path / "devices" / "north-1"
+    source.mkdir()
+    folder.mkdir(parents=True)
+    name = "secret [of] mine.jpg"
+    (source / name).write_bytes((hamlet / "images" / "drone_0000.jpg").read_bytes()[:5000])
+    task = {"frames": "gps", "source": str(source), "names": [name], "held_out": [], "copy": False, "origin": [50.0, 8.0, 100.0]}
+    task["sfm"] = {"matching": "auto", "seed": 0, "two_view_points": True, "memory_bytes": None}
+    write_json(folder / "task.json", task)
+    events: list[Event] = []
+    run_node("field", folder, "devices/north-1", events.append)
+    assert any("truncated" in event.message for event in events if isinstance(event, Warned))
+    assert name in (folder / NOTES_NAME).read_text()
+    told = [*map(encode, events), (folder / "frame.json").read_text(), (folder / "notes.json").read_text()]
+    assert "truncated" in told[-2] and not any("secret" in text for text in told)
+
+
+def test_whatever_a_device_says_is_without_its_names(tmp_path: Path) -> None:
+    for name in ("a.jpg", "a.jpg.png", "night\n.jpg", "zoo.jpg"):
+        (tmp_path / name).touch()
+    names = OwnNames(notes=tmp_path / NOTES_NAME, source=tmp_path, given=("gone.jpg",))
+    decision = Decision(stage="devices/a.jpg", topic="a.jpg", choice="left out: a.jpg, zoo.jpg", figure=1.0, unit="px", reason="(gone.jpg)")
+    hidden = names.without_in(Decided(decision=decision))
+    assert isinstance(hidden, Decided) and hidden.decision.stage == "devices/a.jpg"
+    assert {hidden.decision.topic, hidden.decision.choice.removeprefix("left out: "), hidden.decision.reason[1:-1]} == {HIDDEN}
+    failed = names.without_in(
+        Failed(stage="s", message=f"cannot read {tmp_path / 'a.jpg.png'} or {'night' + chr(10) + '.jpg'!r}", exit_code=2)
+    )
+    assert failed == Failed(stage="s", message=f"cannot read {tmp_path}/{HIDDEN} or '{HIDDEN}'", exit_code=2)
+    kept = StageProgress(stage="s", done=1, total=2, note="data.jpg of 3, a.jpgx")
+    assert names.without_in(kept) == kept, "other words stay"
+    assert "left out: a.jpg, zoo.jpg" in (tmp_path / NOTES_NAME).read_text()
+
+
+def test_a_folder_of_all_devices_has_no_secret_names(tmp_path: Path) -> None:
+    write_json(tmp_path / "task.json", {"source": str(tmp_path), "names": ["a.jpg"], "held_out": [], "copy": True})
+    assert own_names("field", tmp_path).without("a.jpg is truncated") == "a.jpg is truncated"
+    write_json(tmp_path / "task.json", {"source": str(tmp_path), "names": ["a.jpg"], "held_out": [], "copy": False})
+    assert own_names("field", tmp_path).without("a.jpg is truncated") == f"{HIDDEN} is truncated"
+    assert own_names("device", tmp_path).without("a.jpg is truncated") == "a.jpg is truncated"
+
+
+def test_unplaced_photographs_of_a_devices_own_folder_are_counted() -> None:
+    nowhere = np.full((3, 3), np.nan)
+    nowhere[1] = 0.0
+    for owners, expected in [
+        (("north-1", "north-1", "south-1"), ["1 of 2 photographs of device north-1 have", "1 of 1 photographs of device south-1 have"]),
+        ((None, None, None), ["2 of 3 photographs have no usable position: a.jpg, c.jpg."]),
+    ]:
+        heard: list[Event] = []
+        captured = Captured(names=("a.jpg", "b.jpg", "c.jpg"), owners=owners, positions=nowhere, origin=None)
+        _tell_unplaced(captured, cast(Progress, SimpleNamespace(listen=heard.append)))
+        told = [event.message for event in heard if isinstance(event, Warned)]
+        assert len(told) == len(expected) and all(message.startswith(start) for message, start in zip(told, expected, strict=True))
+        assert owners[0] is None or ".jpg" not in " ".join(told)
 
 
 def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Path, tmp_path: Path) -> None:

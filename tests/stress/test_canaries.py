@@ -22,7 +22,7 @@ from radiant_app.demo import sample_scenes_folder
 from radiant_app.inbox import VIRTUAL_CAMERAS
 from radiant_core.io.colmap import read_model, write_model
 from radiant_core.io.records import load_cameras
-from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, Canaries, Search, canaries_of, files_with, watermark
+from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, Canaries, Search, add_broken, canaries_of, files_with, watermark
 from tests.app.test_field import assert_models_and_little_else_were_sent
 from tests.contract.ray_machines import ray_cluster
 
@@ -71,7 +71,7 @@ def test_no_canary_leaves_its_device(
 
 
 def marked_photographs(scene: Path, most: int, folder: Path) -> tuple[Path, Path]:
-    """Photographs with watermarks, a folder of each device, and the COLMAP model of their poses."""
+    """Photographs with watermarks and broken ones, a folder of each device, and the COLMAP model of their poses."""
     model = read_model(scene / "known")
     names = sorted(image.name for image in model.images)[:most]
     for index, name in enumerate(names):
@@ -79,6 +79,8 @@ def marked_photographs(scene: Path, most: int, folder: Path) -> tuple[Path, Path
         own.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(scene / "images" / name, own / name)
         watermark(own / name)
+    for device in DEVICES:
+        add_broken(folder / "captured" / device)
     (folder / "poses").mkdir()
     write_model(folder / "poses", model.without({image.name for image in model.images} - set(names)))
     return folder / "captured", folder / "poses"
@@ -126,21 +128,22 @@ def search_all(run: Path, captured: Path, carried: list[Path]) -> str:
     """Look for every device's canaries where they must not be; what was searched, in words."""
     nodes = [path for kind in ("devices", "positions", "edges") for path in (run / kind).glob("*")]
     nodes += [path for path in (run / "cloud", run / "planning") if path.is_dir()]
-    of_owner = [path for path in run.iterdir() if path.is_file()]
+    of_owner = [path for path in run.iterdir() if path.is_file() or path.name in ("evaluation", "delivered", "pictures")]
     num_patterns, places = 0, set[Path]()
     for name in DEVICES:
         poses = load_cameras(run / "devices" / name / "cameras.safetensors")
-        canaries = canaries_of(captured / name, poses, SIZE_PX)
+        canaries = canaries_of(captured / name, poses, SIZE_PX, [path.name for path in (captured / name).glob("zz secret*")])
         own_edge = run / "edges" / name.split("-")[0]
         elsewhere = [node for node in nodes if node.name != name and node != own_edge]
-        # What other devices must not hold of this one's poses its edge may, and the owner may know names and poses.
+        # What other devices must not hold of this one's poses its edge may, and the owner too.
         assert files_with(canaries, [*elsewhere, *carried]) == []
         assert files_with(canaries.of(PHOTOGRAPH_KINDS), [own_edge]) == []
-        assert files_with(canaries.of(("EXIF", "GPS", "pixels", "JPEG", *SEGMENTS)), of_owner) == []
+        assert files_with(canaries.of(PHOTOGRAPH_KINDS), of_owner) == []
         assert files_with(canaries.of(POSE_KINDS), [own_edge]), "the search finds what is there"
         assert_each_kind_is_found_when_planted(canaries, run / "cloud" / "scene.ply")
         num_patterns += sum(map(len, canaries.patterns.values()))
-        places |= {path for node in [*elsewhere, own_edge] for path in node.rglob("*") if path.is_file()} | {*of_owner, *carried}
+        held = {path for place in [*elsewhere, own_edge, *of_owner] for path in [place, *place.rglob("*")] if path.is_file()}
+        places |= {*held, *carried}
     num_bytes = sum(path.stat().st_size for path in places)
     num_photographs = sum(1 for _ in captured.rglob("*.jpg"))
     return f"{num_photographs} photographs, {num_patterns:,} patterns, {len(places):,} files and {num_bytes / 1e6:,.1f} MB searched"

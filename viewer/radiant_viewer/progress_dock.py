@@ -116,8 +116,11 @@ class ProgressDock(QDockWidget):
 def _summary(progress: RunProgress) -> str:
     if not progress.stages:
         return f"This run is {progress.status or 'of an older version'}; it kept no stream of events."
-    done = sum(stage.state in ("done", "skipped") for stage in progress.stages)
-    parts = [f"Run {progress.status or 'unknown'}", f"{done} of {len(progress.stages)} stages that began are finished"]
+    done = {stage.stage for stage in progress.stages if stage.state in ("done", "skipped")}
+    finished = f"{len(done)} of {len(progress.stages)} stages that began are finished"
+    if progress.expected:
+        finished = f"{len(done & set(progress.expected))} of {len(progress.expected)} stages finished"
+    parts = [f"Run {progress.status or 'unknown'}", finished]
     if progress.is_running and progress.seconds_left is not None:
         parts.append(f"devices and edges: about {duration_text(max(1, round(progress.seconds_left)))} left")
     if progress.warnings:

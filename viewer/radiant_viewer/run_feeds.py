@@ -40,6 +40,8 @@ class RunProgress:
     """All stages in the order they began, what was warned of, and the seconds that devices and edges still need, if known."""
 
     stages: tuple[StageState, ...] = ()
+    expected: tuple[str, ...] = ()
+    """Names of the stages that the run has in all; empty where it did not say so."""
     warnings: tuple[str, ...] = ()
     seconds_left: float | None = None
     is_running: bool = False

@@ -1,11 +1,4 @@
-"""Which of several models speaks for a place: the one whose region it is, unless another one saw it clearly better. Once per join.
-
-    coverage of x by a model's cameras = Σ over the images that show x of  min(1, 4 r) / z · f / width
-
-r is how far inside the image x lies (0 at its rim, 1 in its middle), so that what is only grazed counts little; z is depth. Occlusion does
-not count: with depths compared, models whose depths are wrong in places lost those to neighbours that were no better
-(docs/experiments/aggregation.md).
-"""
+"""Which of several models speaks for a place: the one whose region it is, unless another one saw it clearly better. Once per join."""
 
 from __future__ import annotations
 
@@ -18,6 +11,7 @@ from shapely import Polygon, contains_xy, distance, points, prepare
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.geometry.coverage import coverage
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.power_diagram import assign
 
@@ -25,7 +19,6 @@ KEPT_COVERAGE = 0.8
 """A region's owner speaks for a place that its cameras cover at least this well, compared with those that cover it best."""
 CONTESTED_COVERAGE = 0.1
 """A place is contested where a second model's cameras cover it at least this well, compared with the best."""
-_RIM = 0.25
 
 Claims = Callable[[FloatArray], NDArray[np.int64]]
 """Positions (P,2) m → whose region each lies in (P,), as the plan says."""
@@ -60,24 +53,6 @@ def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | No
         owner = np.where(keeps, claimed, owner)
     second = np.partition(covered, -2, axis=1)[:, -2] if len(cameras) > 1 else np.zeros(len(checked))
     return Ownership(owner=owner, contested=(second > 0) & (second >= CONTESTED_COVERAGE * best))
-
-
-def coverage(places: ArrayLike, cameras: Cameras) -> FloatArray:
-    """How well cameras cover each of the places (P,3) m: the formula above, in image widths per unit of length; 0 where none sees it."""
-    # Rows of coordinates, and only what is in front and in the image goes on: half the time of (P,3) arrays.
-    rows = np.ascontiguousarray(np.asarray(places, np.float64).T)
-    covered = np.zeros(rows.shape[1])
-    for K, pose, (width, height) in zip(cameras.Ks, cameras.cam_from_world, cameras.sizes_wh, strict=True):
-        projection = K @ pose[:3]
-        depths = projection[2, :3] @ rows + projection[2, 3]
-        front = np.flatnonzero(depths > 0)
-        shown, depths = rows[:, front], depths[front]
-        columns = np.abs((projection[0, :3] @ shown + projection[0, 3]) / depths * (2 / width) - 1)
-        lines = np.abs((projection[1, :3] @ shown + projection[1, 3]) / depths * (2 / height) - 1)
-        inside = 1 - np.maximum(columns, lines)
-        seen = np.flatnonzero(inside > 0)
-        covered[front[seen]] += np.minimum(1.0, inside[seen] / _RIM) * (K[0, 0] / width) / depths[seen]
-    return covered
 
 
 def claims_of_cells(sites: FloatArray, weights: FloatArray) -> Claims:

@@ -3,7 +3,7 @@
     share of x = min(1, coverage(x) / median coverage of the scene's own points),   0 where fewer than `MIN_VIEWS` images show x, fewer
                                                                         than `MIN_POINTS` points lie near, or it is below `MIN_SHARE`
 
-`coverage` is that of `aggregate.ownership`: the sum over the images that show x of their resolution there, less at their rims. x stands at
+`coverage` is that of `geometry.coverage`: the sum over the images that show x of their resolution there, less at their rims. x stands at
 the middle height of the `NUM_NEAREST` points around it; occlusion does not count. Where structure from motion placed no points, images
 may show a place, but no two of them agreed on what stands there: a model's haze. C cameras, K places, P points.
 """
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from radiant_core.aggregate.ownership import coverage
 from radiant_core.cameras import Cameras
+from radiant_core.geometry.coverage import coverage
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.scene import SfmScene
 

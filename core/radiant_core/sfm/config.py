@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -76,9 +76,17 @@ class SfmProgress:
     phase: Phase
     done: int
     total: int
+    step: int = 0
+    """Number of the phase among those of the job, from 1; 0 where nobody counted them."""
+    num_steps: int = 0
 
 
 Report = Callable[[SfmProgress], None]
+
+
+def numbered_steps(report: Report, phases: Sequence[Phase]) -> Report:
+    """A report that says which of the job's `phases` each one is; a phase that comes twice has its number twice."""
+    return lambda progress: report(replace(progress, step=phases.index(progress.phase) + 1, num_steps=len(phases)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,5 +99,7 @@ class SfmResult:
     """Usable photographs without a pose in the scene."""
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...]
+    unnamed_warnings: tuple[str, ...] = ()
+    """Of `reconstruct`: the same with numbers of photographs in place of their names, for those who are not to know them."""
     masks_folder: Path | None = None
     """Masks of the undistorted photographs, see `radiant_core.io.masks`; None without any."""

@@ -22,7 +22,7 @@ from radiant_core.io.photos import CameraKey, Photograph
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
-from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
@@ -90,6 +90,7 @@ def scene_from_poses(
     `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are 0.
     Raises BadInput when a photograph is missing, has another size than its camera, or when no point can be triangulated.
     """
+    report = numbered_steps(report, ("checking photographs", "features", "matching", "triangulating"))
     photographs = _photographs_of(cameras, listed(photo_folder, report, cameras.names).photographs)
     config, _ = within_memory(config, [photo.size_wh for photo in photographs])
     with kept_database(work_folder, database_key(photographs, config, masks)) as database:

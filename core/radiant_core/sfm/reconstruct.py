@@ -6,12 +6,13 @@ Once per scene: list and check the photographs, features, matches, poses (`datab
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import ColmapModel, read_model, write_model
 from radiant_core.io.photos import Photograph, PhotoListing
-from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
@@ -37,6 +38,8 @@ __all__ = [
     "scene_from_mill19",
 ]
 
+PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "undistorting")
+
 
 def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None) -> SfmResult:
     """Cameras, points and undistorted photographs of the usable photographs in `photo_folder`.
@@ -45,6 +48,7 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
     features and matches of the same photographs, masks and settings are used, all else is removed first. Raises BadInput when fewer than
     two photographs can be used or they do not overlap, or for masks that do not fit.
     """
+    report = numbered_steps(report, PHASES)
     listing = listed(photo_folder, report)
     photographs = listing.photographs
     config, limited = within_memory(config, [photo.size_wh for photo in photographs])
@@ -76,6 +80,7 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
         unregistered=mapped.unregistered,
         decisions=(*limited, matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
         warnings=(*_skip_warnings(listing), *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
+        unnamed_warnings=(*_skip_counts(listing), *_unregistered_counts(mapped.unregistered, photographs), *warnings),
         masks_folder=masks,
     )
 
@@ -88,11 +93,12 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
     Raises BadInput when the model cannot be read, an image is missing or has another shape than its camera, or a mask does not fit.
     """
     model = read_model(model_folder)
+    pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
+    report = numbered_steps(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
     model = model.without({skipped.name for skipped in listing.skipped})
     _require_images(model, listing, image_folder)
     images_to_use = image_folder
-    pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
     if masks is not None or not pinhole:
         start_clean(work_folder)
     given = take_masks(masks, listing.photographs, work_folder)
@@ -138,8 +144,18 @@ def _skip_warnings(listing: PhotoListing) -> tuple[str, ...]:
     return tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
 
 
+def _skip_counts(listing: PhotoListing) -> tuple[str, ...]:
+    total = len(listing.photographs) + len(listing.skipped)
+    counts = Counter(skipped.reason for skipped in listing.skipped)
+    return tuple(f"{count} of {total} files skipped, each of which {reason}." for reason, count in counts.items())
+
+
 def _unregistered_warnings(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:
+    names = ", ".join(unregistered[:10])
+    return tuple(f"{count.removesuffix('.')}: {names}." for count in _unregistered_counts(unregistered, photographs))
+
+
+def _unregistered_counts(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:
     if not unregistered:
         return ()
-    names = ", ".join(unregistered[:10])
-    return (f"{len(unregistered)} of {len(photographs)} photographs have no pose and are left out: {names}.",)
+    return (f"{len(unregistered)} of {len(photographs)} photographs have no pose and are left out.",)

@@ -157,6 +157,7 @@ def _repeats_decision(repeated: NDArray[np.bool_]) -> Decision:
         figure=float(repeated.sum()),
         unit="photographs that show another's picture from its place",
         reason="a second copy takes steps and shows nothing new",
+        changes_nothing=not repeated.any(),
     )
 
 
@@ -168,4 +169,5 @@ def _blur_decision(blurred: NDArray[np.bool_], worst: float) -> Decision:
         figure=100 * worst,
         unit="% of the others' sharpness at common points, in the least sharp one",
         reason=f"below {100 * MIN_SHARPNESS:.0f} % a photograph teaches its blur; one that alone shows a place is kept",
+        changes_nothing=not blurred.any(),
     )

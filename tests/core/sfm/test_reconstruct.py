@@ -74,6 +74,8 @@ def test_what_was_skipped_and_decided_is_said(hamlet_result: tuple) -> None:
     assert any(warning.startswith("cut.jpg is truncated") for warning in result.warnings)
     assert result.unregistered == ("other.jpg",)
     assert any("other.jpg" in warning and "no pose" in warning for warning in result.warnings)
+    assert len(result.unnamed_warnings) == len(result.warnings) and "each of which is truncated" in " ".join(result.unnamed_warnings)
+    assert not any(name in warning for name in ("cut", "other") for warning in result.unnamed_warnings)
     topics = {decision.topic for decision in result.decisions}
     assert {"matching", "frame"} <= topics
     assert result.decisions[0].choice.startswith("spatial")
@@ -115,6 +117,8 @@ def test_progress_moves_through_the_phases_and_ends_complete(hamlet_result: tupl
     for phase in phases:
         last = [progress for progress in told if progress.phase == phase][-1]
         assert last.done == last.total
+    assert [next(progress.step for progress in told if progress.phase == phase) for phase in phases] == list(range(1, len(phases) + 1))
+    assert {progress.num_steps for progress in told} == {len(phases)}
 
 
 def test_an_existing_pinhole_model_is_used_as_it_is(hamlet: Path, tmp_path: Path) -> None:

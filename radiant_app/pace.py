@@ -1,0 +1,76 @@
+"""How long what runs will still take, by its own pace: the time that it took for what is done, times what is left. Asked at every redraw.
+
+    left_s = (total − done) · (now − begun) / (done − done at the beginning)
+
+A stage of several steps (structure from motion) is timed step by step: how long a later one takes nobody knows from an earlier one. While
+nothing is heard the figure grows, so that it never counts down to 0 s over work that is not done; before anything was measured there is
+none.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from radiant_app.events import StageProgress
+
+LEAST_S, SURE_S = 1.0, 10.0
+LEAST_SHARE = 0.01
+"""Nothing is said of the first second, nor of the first 10 s where less than this share of a step is done: what begins is no pace."""
+
+
+@dataclass(kw_only=True)
+class Pace:
+    """The pace of one stage."""
+
+    clock: Callable[[], float] = time.monotonic
+    _first: StageProgress | None = None
+    _last: StageProgress | None = None
+    _step_s: float = 0.0
+    _begun_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._begun_s = self.clock()
+
+    def hear(self, event: StageProgress) -> None:
+        """Take how far the stage is; another phase or fewer done begin anew."""
+        last = self._last
+        if last is None or event.phase != last.phase or event.done < last.done:
+            self._first, self._step_s = event, self.clock()
+        self._last = event
+
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the stage began."""
+        return self.clock() - self._begun_s
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds that the stage, or its step where it has several, will still take; None while nothing says so."""
+        if self._first is None or self._last is None:
+            return None
+        done, left = self._last.done - self._first.done, self._last.total - self._last.done
+        ran_s = self.clock() - self._step_s
+        if not (done > 0 and left > 0 and ran_s >= LEAST_S):
+            return None
+        if ran_s < SURE_S and done < LEAST_SHARE * (done + left):
+            return None
+        return left * ran_s / done
+
+    @property
+    def text(self) -> str:
+        """As "elapsed 0:03, left about 0:40"; of a stage of several steps what is left of the one that runs."""
+        left_s = self.left_s
+        if left_s is None:
+            return f"elapsed {clock_text(self.elapsed_s)}"
+        of_step = " in step" * (self._last is not None and self._last.num_steps > 1)
+        return f"elapsed {clock_text(self.elapsed_s)}, left{of_step} about {clock_text(max(1.0, left_s))}"
+
+
+def clock_text(seconds: float) -> str:
+    """Seconds as a clock shows them: 0:03, 12:40, 1:02:03."""
+    minutes, rest = divmod(math.ceil(seconds - 0.5), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
