@@ -163,7 +163,7 @@ class _Cluster:
             )
         node_id = message["node"]
         if node_id not in self.running:
-            return None
+            return self.wait(timeout_s)
         if "began" in message:
             return node_id, Began(machine=message["began"])
         if "line" in message:
