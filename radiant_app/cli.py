@@ -20,7 +20,7 @@ from radiant_app.cli_replan import replan_plan
 from radiant_app.option_types import LongSide, RasterCellOption, SizeOption
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.tables import finish, print_figures, print_summary
-from radiant_core.errors import BadInput, RadiantError
+from radiant_core.errors import BadInput, CannotWrite, RadiantError
 
 app = typer.Typer(
     help="Photographs of a large scene into one 3D Gaussian model, planned and trained over unequal machines.",
@@ -366,7 +366,7 @@ def main() -> NoReturn:
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except RadiantError as error:
-        _say(str(error))
+        _say(f"{error} {_how_to_go_on()}".strip() if isinstance(error, CannotWrite) else str(error))
         sys.exit(error.exit_code)
     except OSError as error:
         _say(f"{error.strerror or error} ({error.filename}): check the path, the rights and the free space.")
@@ -376,9 +376,14 @@ def main() -> NoReturn:
         sys.exit(BadInput.exit_code)
     signal.setitimer(signal.ITIMER_REAL, 0)
     if code == INTERRUPTED:
-        resumable = set(sys.argv[1:2]) & {"run", "demo", "train"}
-        _say("interrupted" + ("; what was finished is kept: go on with the same command and --resume." if resumable else "."))
+        _say(f"interrupted. {_how_to_go_on()}".strip())
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _how_to_go_on() -> str:
+    """What to say of a command that did not come to its end."""
+    resumable = set(sys.argv[1:2]) & {"run", "demo", "train"}
+    return "What was finished is kept: go on with the same command and --resume." if resumable else ""
 
 
 def interrupt_on_signals() -> None:

@@ -30,10 +30,10 @@ from radiant_app.prediction_error import prediction_of
 from radiant_app.promises import promises_of
 from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.run_folder import Manifest, opened_run
-from radiant_app.sources import detect_source, source_files
+from radiant_app.source_key import source_key
+from radiant_app.sources import detect_source
 from radiant_app.stages import Progress, counting_down, executor_of, plan_stage, require_plan, training_settings, with_uploads
 from radiant_app.system_file import even_system, load_system
-from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
@@ -41,7 +41,7 @@ from radiant_core.evaluate.lpips import MIN_SIDE_PX, LpipsNetwork, load_lpips, s
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, save_splats
-from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
@@ -170,8 +170,7 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
         sfm["memory_bytes"] = memory_bytes
     masks = None if config.masks is None else config.masks.resolve()
     write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks)})
-    masked = [] if masks is None else [source_files(masks, config.out)]
-    key = content_key(__version__, sfm, source_files(config.source, config.out), *masked)
+    key = source_key(config, sfm, folder, progress.listen)
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
     scene = load_scene(folder / "scene.safetensors")
     if len(scene.cameras) < 3:

@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from radiant_app.config import RunConfig
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
-from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.errors import BadInput, CannotWrite, StoreDamaged
 from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, write_json
 
 MANIFEST_VERSION = 1
@@ -184,11 +184,10 @@ def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (
     """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
     try:
         yield
-    except StoreDamaged:
-        # What was computed and stored is no input: whatever else lies there is worth looking at.
-        raise
-    except BadInput:
-        if not any(found for pattern in keep for found in out.glob(pattern)):
+    except BadInput as error:
+        # What was computed and stored is no input, nor is a disk: whatever else lies there is worth looking at, or going on with.
+        worth_it = isinstance(error, StoreDamaged | CannotWrite) and _is_begun(out)
+        if not worth_it and not any(found for pattern in keep for found in out.glob(pattern)):
             for inner in list(out.iterdir()):
                 shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
             for folder in made:

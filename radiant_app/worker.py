@@ -6,6 +6,7 @@ holds open: when it closes, the executor is gone and so is the worker, however t
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import sys
@@ -16,11 +17,13 @@ from pathlib import Path
 
 from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
 from radiant_app.memory import peak_bytes
-from radiant_core.errors import BadInput, RadiantError
+from radiant_core.errors import BadInput, CannotWrite, RadiantError
 from radiant_core.io.run_store import seal
 
 BEAT_S = 5.0
 """How often a worker says that it is alive."""
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+"""What the system says where a disk is full or broken."""
 
 
 def main(arguments: list[str]) -> int:
@@ -48,10 +51,11 @@ def main(arguments: list[str]) -> int:
         emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
         seal(Path(folder), key, outputs)
     except RadiantError as error:
-        emit(Failed(stage=stage, message=str(error), exit_code=error.exit_code))
+        emit(Failed(stage=stage, message=str(error), exit_code=error.exit_code, cannot_write=isinstance(error, CannotWrite)))
         return error.exit_code
     except OSError as error:
-        emit(Failed(stage=stage, message=f"{error.strerror or error} ({error.filename or folder})", exit_code=BadInput.exit_code))
+        message = f"{error.strerror or error} ({error.filename or folder})"
+        emit(Failed(stage=stage, message=message, exit_code=BadInput.exit_code, cannot_write=error.errno in DISK_ERRORS))
         return BadInput.exit_code
     except MemoryError:
         emit(Failed(stage=stage, message="not enough memory: lower --max-splats or --long-side-px, or free some.", exit_code=1))

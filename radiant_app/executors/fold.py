@@ -13,7 +13,6 @@ container) finds its nodes as it left them. What has arrived is heard before any
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
@@ -23,12 +22,10 @@ from radiant_app.events import Event, Listener, StageDone, StageSkipped, StageSt
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.run_store import is_sealed
+from radiant_core.io.run_store import disk_is_full, is_sealed
 
 URGENCY = {"device": 0, "edge": 1, "cloud": 2, "teacher": 3}
 """Order in which nodes that can run are started: that of the longest way to the end. A teacher only shortens its edge."""
-FULL_BYTES = 1 << 20
-"""With less than this left a disk counts as full: the libraries that write there end their process without a word."""
 SILENT_S = 300.0
 """A worker beats every few seconds from a thread of its own; without a beat for so long it counts as dead and is stopped."""
 LOOK_S = 1.0
@@ -257,7 +254,7 @@ class Fold:
     def _finish(self, running: _Running, ended: Ended) -> None:
         task, error = running.task, ended.error
         if error is not None:
-            full = shutil.disk_usage(task.folder).free < FULL_BYTES
+            full = disk_is_full(task.folder)
             if ended.crashed and not full and self.num_tries[running.node.id] < self.faults.attempts:
                 note = " ".join([running.note, f"{_reason(task, error)} It is tried again from its last checkpoint."]).strip()
                 self._start(running.node, task, self._now_s(), note)

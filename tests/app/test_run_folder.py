@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -10,8 +12,8 @@ from radiant_app import run_folder
 from radiant_app.config import RunConfig
 from radiant_app.events import StageDone, StageStarted, Warned
 from radiant_app.run_folder import Manifest, new_folder, opened_run
-from radiant_core.errors import BadInput
-from radiant_core.io.run_store import RunLock
+from radiant_core.errors import BadInput, CannotWrite
+from radiant_core.io.run_store import RunLock, atomic_path, write_atomic
 
 
 def config(out: Path) -> RunConfig:
@@ -105,3 +107,24 @@ def test_a_path_that_is_no_text_and_a_seed_out_of_range_are_refused(field: str, 
     for seed in (-1, 2**31):
         with pytest.raises(BadInput, match="seed is"):
             RunConfig(source=tmp_path, out=tmp_path / "out", seed=seed)
+
+
+def test_a_disk_that_is_full_empties_no_folder_and_leaves_none_that_holds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "run"
+
+    def compute() -> None:
+        with opened_run(config(out), resume=False):
+            (out / "sfm").mkdir()
+            write_atomic(out / "sfm" / "database.db", b"features of an hour")
+            with atomic_path(out / "sfm" / "scene"):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(CannotWrite, match="No space left"):
+        compute()
+    assert (out / "sfm" / "database.db").read_bytes() == b"features of an hour"
+    with pytest.raises(BadInput, match="--resume"), opened_run(config(out), resume=False):
+        pass
+    monkeypatch.setattr(Manifest, "save", lambda manifest: write_atomic(tmp_path / "missing" / "manifest.json", b""))
+    with pytest.raises(CannotWrite), opened_run(config(tmp_path / "second"), resume=False):
+        pass
+    assert not (tmp_path / "second").exists()
