@@ -171,7 +171,7 @@ def _opened(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[None]:
         for job in jobs:
             if job.out.is_dir():
                 require_empty(job.out)
-    with new_folder(folder):
+    with new_folder(folder, resumable=True):
         pass
     with RunLock(folder):
         yield

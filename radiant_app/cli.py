@@ -167,12 +167,15 @@ def sfm(
     out: Out,
     matching: Annotated[Matching, typer.Option(help=_MATCHING_HELP)] = "auto",
     masks: MaskFolder = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what was interrupted in --out: features and matches are kept.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
 
-    finish(commands.sfm(source, out, matching, _listener(), masks), as_json)
+    finish(commands.sfm(source, out, matching, _listener(), masks, resume=resume), as_json)
 
 
 app.command()(plan)
@@ -382,7 +385,7 @@ def main() -> NoReturn:
 
 def _how_to_go_on() -> str:
     """What to say of a command that did not come to its end."""
-    resumable = set(sys.argv[1:2]) & {"run", "demo", "train"}
+    resumable = set(sys.argv[1:2]) & {"run", "demo", "train", "sfm"}
     return "What was finished is kept: go on with the same command and --resume." if resumable else ""
 
 
