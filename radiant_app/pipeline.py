@@ -42,12 +42,18 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, save_splats
 from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.signing import keeps_modes
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import initial_splats
+
+NO_MODES = (
+    "the disk of {out} keeps no access rights (NTFS, exFAT, a network drive?): whoever can read it can read the keys that this run signs "
+    "its models and tasks with, and sign in their place. Where that matters, choose a folder on another disk."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +99,8 @@ def run(
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
         progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
+        if not keeps_modes(config.out):
+            progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
         more: dict[str, Any] = {"executor": config.executor}
         if config.frames == "shared":
             cloud_plan, tree, refused = _run_shared(config, system, progress)
