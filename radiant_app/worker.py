@@ -16,8 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
-from radiant_app.memory import peak_bytes
-from radiant_core.errors import BadInput, CannotWrite, RadiantError
+from radiant_app.memory import OUT_OF_MEMORY, is_out_of_memory, peak_bytes
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.run_store import seal
 
 BEAT_S = 5.0
@@ -57,9 +57,11 @@ def main(arguments: list[str]) -> int:
         message = f"{error.strerror or error} ({error.filename or folder})"
         emit(Failed(stage=stage, message=message, exit_code=BadInput.exit_code, cannot_write=error.errno in DISK_ERRORS))
         return BadInput.exit_code
-    except MemoryError:
-        emit(Failed(stage=stage, message="not enough memory: lower --max-splats or --long-side-px, or free some.", exit_code=1))
-        return 1
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        emit(Failed(stage=stage, message=OUT_OF_MEMORY, exit_code=StageFailed.exit_code))
+        return StageFailed.exit_code
     return 0
 
 
