@@ -404,8 +404,9 @@ def test_a_full_disk_gets_one_sentence_and_keeps_what_was_computed(hamlet: Path,
         finished = radiant("run", hamlet, "--out", disk / "run", *TINY_OPTIONS)
         assert finished.returncode == 2 and "free space" in finished.stderr and "Traceback" not in finished.stderr, finished.stderr
         assert "go on with the same command and --resume" in finished.stderr
-        manifest = json.loads((disk / "run" / "manifest.json").read_text())
-        assert manifest["status"] == "failed" and (disk / "run" / "sfm" / "database.db").stat().st_size > 0
+        # There was no room to write more of the end than this.
+        assert read_progress(disk / "run").status in ("failed", "interrupted")
+        assert (disk / "run" / "sfm" / "database.db").stat().st_size > 0
     finally:
         subprocess.run(["umount", str(disk)], check=True)
 
