@@ -28,7 +28,7 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.job_file import RECORDS, Job, load_jobs
 from radiant_app.run_folder import new_folder, require_empty
-from radiant_app.sources import source_files
+from radiant_app.sources import all_files
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.run_store import SEAL_NAME, RunLock, content_key, read_json, write_atomic, write_json
@@ -132,7 +132,7 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
     write_json(record / "task.json", {"arguments": arguments})
     if not all((job.out / name).is_file() for name in PRODUCTS):
         (record / SEAL_NAME).unlink(missing_ok=True)
-    key = content_key(__version__, job.arguments, source_files(job.source, job.out), *job.input_files)
+    key = content_key(__version__, job.arguments, all_files(job.source, job.out), *job.input_files)
     stage = f"job {job.name}"
     skipped = False
 
@@ -171,7 +171,7 @@ def _opened(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[None]:
         for job in jobs:
             if job.out.is_dir():
                 require_empty(job.out)
-    with new_folder(folder):
+    with new_folder(folder, resumable=True):
         pass
     with RunLock(folder):
         yield

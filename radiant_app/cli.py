@@ -18,10 +18,12 @@ from radiant_app.cli_output import export, render
 from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
 from radiant_app.cli_replan import replan_plan
+from radiant_app.memory import OUT_OF_MEMORY, is_out_of_memory
 from radiant_app.option_types import LongSide, RasterCellOption, SizeOption
 from radiant_app.quantities import bytes_of, seconds_of
+from radiant_app.streams import make_streams_last
 from radiant_app.tables import finish, print_figures, print_summary
-from radiant_core.errors import BadInput, RadiantError
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 
 app = typer.Typer(
     help="Photographs of a large scene into one 3D Gaussian model, planned and trained over unequal machines.",
@@ -170,12 +172,15 @@ def sfm(
     out: Out,
     matching: Annotated[Matching, typer.Option(help=_MATCHING_HELP)] = "auto",
     masks: MaskFolder = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what was interrupted in --out: features and matches are kept.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
 
-    result = commands.sfm(source, out, matching, _listener(), masks)
+    result = commands.sfm(source, out, matching, _listener(), masks, resume=resume)
     finish(result if as_json else {**result, "unregistered": ", ".join(result["unregistered"]) or "none"}, as_json)
 
 
@@ -366,12 +371,19 @@ def doctor(as_json: AsJson = False) -> None:
 
 def main() -> NoReturn:
     """Entry point: one sentence for what a user can mend, exit code 2 for bad input, 130 for Ctrl-C."""
+    make_streams_last()
     interrupt_on_signals()
     try:
+        _require_working_folder()
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False)
     except RadiantError as error:
-        _say(str(error))
+        _say(f"{error} {_how_to_go_on()}".strip() if isinstance(error, CannotWrite) else str(error))
         sys.exit(error.exit_code)
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        _say(f"{OUT_OF_MEMORY} {_how_to_go_on()}".strip())
+        sys.exit(StageFailed.exit_code)
     except OSError as error:
         _say(f"{error.strerror or error} ({error.filename}): check the path, the rights and the free space.")
         sys.exit(BadInput.exit_code)
@@ -380,9 +392,22 @@ def main() -> NoReturn:
         sys.exit(BadInput.exit_code)
     signal.setitimer(signal.ITIMER_REAL, 0)
     if code == INTERRUPTED:
-        resumable = set(sys.argv[1:2]) & {"run", "demo", "train"}
-        _say("interrupted" + ("; what was finished is kept: go on with the same command and --resume." if resumable else "."))
+        _say(f"interrupted. {_how_to_go_on()}".strip())
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _require_working_folder() -> None:
+    """Raise BadInput where the folder that a relative path begins in is gone: libraries die there of what they cannot find."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        raise BadInput("the folder that this was started in does not exist any more: change to one that does.") from None
+
+
+def _how_to_go_on() -> str:
+    """What to say of a command that did not come to its end."""
+    resumable = set(sys.argv[1:2]) & {"run", "demo", "train", "sfm"}
+    return "What was finished is kept: go on with the same command and --resume." if resumable else ""
 
 
 def interrupt_on_signals() -> None:

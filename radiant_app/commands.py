@@ -16,7 +16,7 @@ from radiant_app.cloud_task import virtual_cameras_of
 from radiant_app.events import StageProgress, StageStarted
 from radiant_app.nodes import sfm_progress, sfm_record
 from radiant_app.progress import ProgressDisplay
-from radiant_app.run_folder import new_folder
+from radiant_app.run_folder import sfm_folder
 from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
@@ -27,12 +27,14 @@ from radiant_core.io.upload import load_upload
 from radiant_core.scene import SfmScene
 
 
-def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay, masks: Path | None = None) -> dict[str, Any]:
-    """Structure from motion of `source` into the new folder `out`."""
+def sfm(
+    source: Path, out: Path, matching: Any, display: ProgressDisplay, masks: Path | None = None, *, resume: bool = False
+) -> dict[str, Any]:
+    """Structure from motion of `source` into the new folder `out`, or with `resume` on with one that was interrupted there."""
     from radiant_app.sources import reconstruct_source
 
     task = {"source": str(source), "sfm": {"matching": matching}, "masks": None if masks is None else str(masks)}
-    with new_folder(out), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
+    with sfm_folder(out, task, resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
         result = reconstruct_source(task, out, lambda progress: display(sfm_progress("sfm", progress)))
     save_scene(out / "scene.safetensors", result.scene)
     write_json(out / "result.json", sfm_record(result, out))

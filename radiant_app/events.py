@@ -111,6 +111,8 @@ class Failed:
     stage: str
     message: str
     exit_code: int
+    cannot_write: bool = False
+    """Whether it is a `CannotWrite`, after which nothing is tidied away."""
 
 
 @dataclass(frozen=True, kw_only=True)

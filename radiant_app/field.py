@@ -282,7 +282,9 @@ def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | N
     folder.mkdir(parents=True, exist_ok=True)
     task = {"photographs": str(place.resolve()), "cell_m": cell_m, "held_out": list(held_out)}
     write_json(folder / "task.json", task)
-    key = content_key(__version__, task, [(path.name, path.stat().st_size) for path in sorted(place.iterdir()) if path.is_file()])
+    # Another process may not open them. Reading their heads again is cheap, and where those say the same nothing follows from it.
+    photographs = [path for path in sorted(place.iterdir()) if path.suffix.lower() in SUFFIXES and path.is_file()]
+    key = content_key(__version__, task, [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in photographs])
     run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
     return read_json(folder / ("positions.json" if cell_m is None else "raster.json"))
 

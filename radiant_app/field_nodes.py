@@ -12,6 +12,7 @@ Of photographs that it skips it tells the number; their names stay in its own_no
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -23,16 +24,17 @@ import numpy as np
 from radiant_app.delivering import signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, moved_cameras, numbered, sim3_of
-from radiant_app.nodes import load_images, place_of, sfm_progress, train_device
+from radiant_app.nodes import load_images, place_of, read_notes, sfm_progress, train_device
 from radiant_app.own_names import OwnNames, own_names
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import WGS84_SEMI_MAJOR_M
+from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.photos import photograph_positions
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras, save_scene, save_splats
-from radiant_core.io.run_store import content_key, is_sealed, read_json, seal, write_json
+from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_json, seal, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 
@@ -40,8 +42,11 @@ if TYPE_CHECKING:
     from radiant_core.sfm.config import SfmResult
 
 Emit = Callable[[Event], None]
-PLACING = ("frames", "source", "names", "held_out", "copy", "changed", "origin", "sfm", "model")
-"""What of a device's task decides its scene."""
+PLACING = ("frames", "source", "names", "held_out", "copy", "origin", "sfm", "model", "photographs")
+"""What of a device's task decides its scene, with the hash of its photographs."""
+SPOKEN = ("checkpoint_every_s", "changed")
+"""What of a device's task decides nothing of its result: sizes and times of photographs speak for what they hold."""
+MADE_FROM = "made_from.json"
 
 
 def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
@@ -84,6 +89,32 @@ def told_raster(lat_lon_alt: FloatArray, cell_m: float) -> dict[str, Any]:
 def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Structure from motion, frame and model of one device's own photographs."""
     task = read_json(folder / "task.json")
+    task["photographs"] = _photographs_key(task)
+    key = content_key(__version__, {name: value for name, value in task.items() if name not in SPOKEN}, *_poses_in(folder))
+    made_from = {"key": key, "photographs": task["photographs"]}
+    kept = _kept(folder, made_from, stage, emit)
+    made = kept if kept is not None else _made(folder, task, stage, emit)
+    write_json(folder / MADE_FROM, made_from)
+    uploaded = signed_upload(folder, task) if read_json(folder / "frame.json", ("status",))["status"] == "placed" else []
+    return [*made, MADE_FROM, *uploaded]
+
+
+def _kept(folder: Path, made_from: dict[str, str], stage: str, emit: Emit) -> Sequence[str] | None:
+    """The files of a device that is done with just these photographs, whenever they were touched since; None where it is to begin."""
+    if not (folder / MADE_FROM).is_file() or not (folder / SEAL_NAME).is_file():
+        return None
+    before, sealed = read_json(folder / MADE_FROM, ("key", "photographs")), read_json(folder / SEAL_NAME, ("key", "files"))
+    if before["photographs"] != made_from["photographs"]:
+        emit(Warned(stage=stage, message="its photographs changed since its model was made: it is made again."))
+    if before != made_from or not is_sealed(folder, sealed["key"]):
+        return None
+    for event in read_notes(folder, stage):
+        emit(event)
+    return [name for name in sealed["files"] if name not in ("notes.json", MADE_FROM, RECORD_NAME, SIGNATURE_NAME)]
+
+
+def _made(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> Sequence[str]:
+    """The files of a device that begins."""
     try:
         placed = _placed_once(folder, task, stage, emit)
         held = np.isin(placed.scene.cameras.names, task["held_out"])
@@ -101,7 +132,17 @@ def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     write_json(folder / "frame.json", {"status": "placed", "reason": "", "uncertainty": placed.uncertainty})
     write_json(folder / "own.json", {"images": str(placed.images)})
     arrays = ("initial", "scene", "held_out", "cameras")
-    return [*outputs, *(f"{name}.safetensors" for name in arrays), "frame.json", "own.json", *signed_upload(folder, task)]
+    return [*outputs, *(f"{name}.safetensors" for name in arrays), "frame.json", "own.json"]
+
+
+def _photographs_key(task: dict[str, Any]) -> str:
+    """Hash of the photographs that a device's task names; one that cannot be read counts as such."""
+    paths = [Path(task["source"]) / name for name in (*task["names"], *task["held_out"])]
+    return content_key([path if path.is_file() and os.access(path, os.R_OK) else None for path in paths])
+
+
+def _poses_in(folder: Path) -> list[Path]:
+    return [path for path in (folder / "poses", folder / "poses.safetensors") if path.exists()]
 
 
 def _missing(folder: Path, stage: str, reason: str, emit: Emit) -> Sequence[str]:
@@ -123,8 +164,8 @@ class _Placed:
 def _placed_once(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
     """As `_placed`, or what an earlier process of this task placed, from placed/: the points come out in another order every time, and a
     training goes on from its checkpoints only with the same scene."""
-    place, poses = folder / "placed", [path for path in (folder / "poses", folder / "poses.safetensors") if path.exists()]
-    key = content_key(__version__, {name: value for name, value in task.items() if name in PLACING}, *poses)
+    place, placing = folder / "placed", {name: value for name, value in task.items() if name in PLACING}
+    key = content_key(__version__, placing, *_poses_in(folder))
     if not is_sealed(place, key) or not (folder / read_json(place / "record.json", ("images",))["images"]).is_dir():
         placed = _placed(folder, task, stage, emit)
         shutil.rmtree(place, ignore_errors=True)

@@ -11,6 +11,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.run_store import read_json, write_json
 
 BASE_NAME = "memory.json"
+OUT_OF_MEMORY = "not enough memory: lower --max-splats or --long-side-px, free some, or raise the limit (ulimit -v)."
 
 
 def reset_peak_bytes() -> int:
@@ -49,6 +50,11 @@ def peak_bytes() -> int:
     import resource
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that there is no memory: torch says so by a RuntimeError, numpy and Python by a MemoryError."""
+    return isinstance(error, MemoryError) or "can't allocate memory" in str(error)
 
 
 def _status_bytes(name: str) -> int:

@@ -30,7 +30,8 @@ from radiant_app.prediction_error import prediction_of
 from radiant_app.promises import promises_of
 from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.run_folder import Manifest, opened_run
-from radiant_app.sources import detect_source, source_files
+from radiant_app.source_key import source_key
+from radiant_app.sources import detect_source
 from radiant_app.stages import (
     Progress,
     counted,
@@ -43,7 +44,6 @@ from radiant_app.stages import (
     with_uploads,
 )
 from radiant_app.system_file import even_system, load_system
-from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
@@ -51,13 +51,19 @@ from radiant_core.evaluate.lpips import MIN_SIDE_PX, LpipsNetwork, load_lpips, s
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, save_splats
-from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.signing import keeps_modes
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import initial_splats
+
+NO_MODES = (
+    "the disk of {out} keeps no access rights (NTFS, exFAT, a network drive?): whoever can read it can read the keys that this run signs "
+    "its models and tasks with, and sign in their place. Where that matters, choose a folder on another disk."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +109,8 @@ def run(
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
         progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
+        if not keeps_modes(config.out):
+            progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
         more: dict[str, Any] = {"executor": config.executor}
         if config.frames == "shared":
             cloud_plan, tree, refused = _run_shared(config, system, progress)
@@ -182,8 +190,7 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
         sfm["memory_bytes"] = memory_bytes
     masks = None if config.masks is None else config.masks.resolve()
     write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks)})
-    masked = [] if masks is None else [source_files(masks, config.out)]
-    key = content_key(__version__, sfm, source_files(config.source, config.out), *masked)
+    key = source_key(config, sfm, folder, progress.listen)
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
     scene = load_scene(folder / "scene.safetensors")
     if len(scene.cameras) < 3:

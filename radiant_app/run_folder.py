@@ -24,10 +24,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from radiant_app.config import RunConfig
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_core import __version__
-from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, write_json
+from radiant_core.errors import BadInput, CannotWrite, StoreDamaged
+from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, read_json, write_json
 
 MANIFEST_VERSION = 1
+SFM_TASK = "task.json"
+"""What `radiant sfm` was asked for, beside its work."""
 RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings", "ledger")
 
 
@@ -145,33 +147,69 @@ def _ending(manifest: Manifest) -> Iterator[Manifest]:
 
 
 @contextmanager
-def new_folder(out: Path) -> Iterator[None]:
+def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[None]:
+    """The folder of `radiant sfm` for a `task`, which it keeps in task.json: new, or with `resume` what an interrupted one left, whose
+    features and matches are used. Held by one process at a time.
+
+    Raises BadInput as `new_folder`, and with `resume` where the folder is of something else, of another task, or finished.
+    """
+    asked = {
+        name: str(Path(value).resolve()) if name in ("source", "masks") and value is not None else value for name, value in task.items()
+    }
+    if resume and out.is_dir() and _is_begun(out):
+        with RunLock(out):
+            _require_unfinished(out, asked)
+            yield
+        return
+    made = _made_folders(out)
+    with RunLock(out):
+        require_empty(out)
+        with _undone_after_bad_input(out, made):
+            write_json(out / SFM_TASK, asked)
+            yield
+
+
+def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
+    if not (out / SFM_TASK).is_file():
+        raise BadInput(f"{out} holds no {SFM_TASK}, so nothing was begun there that can go on: choose another folder.")
+    before = read_json(out / SFM_TASK)
+    differing = sorted(name for name in task if not isinstance(before, dict) or before.get(name) != task[name])
+    if differing:
+        told = ", ".join(differing)
+        raise BadInput(f"{out} was begun with another {told}: repeat that to go on, remove it, or choose another folder.")
+    if (out / "result.json").is_file():
+        raise BadInput(f"{out} is finished, there is nothing to go on with: choose another folder to make the scene anew.")
+
+
+@contextmanager
+def new_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
     """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot be made.
 
-    After a BadInput within, everything that was made here goes again.
+    After a BadInput within, everything that was made here goes again; where it is `resumable`, not after a full disk.
     """
-    made = _made_folders(out)
-    with _undone_after_bad_input(out, made):
+    made = _made_folders(out, resumable=resumable)
+    with _undone_after_bad_input(out, made, resumable=resumable):
         yield
 
 
-def _made_folders(out: Path) -> list[Path]:
+def _made_folders(out: Path, *, resumable: bool = True) -> list[Path]:
     """`out`, which afterwards is an empty folder, and its parents, as far as they had to be made; innermost first."""
     if out.is_symlink() and not out.exists():
         raise BadInput(f"{out} is a link to {out.readlink()}, which does not exist: make that folder or choose another name.")
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file, expected a folder: choose another name.")
     if out.is_dir():
-        require_empty(out)
+        require_empty(out, resumable=resumable)
     missing = [folder for folder in (out, *out.parents) if not folder.exists()]
     out.mkdir(parents=True, exist_ok=True)
     return missing
 
 
-def require_empty(out: Path) -> None:
+def require_empty(out: Path, *, resumable: bool = True) -> None:
     """Raise BadInput when the folder holds anything but what a kill leaves before anything was begun."""
     if _is_begun(out):
-        raise BadInput(f"{out} exists and is not empty: choose another folder, or go on with a run there by --resume.")
+        way_on = ", or go on with what was begun there by --resume" if resumable else ""
+        raise BadInput(f"{out} exists and is not empty: choose another folder{way_on}.")
 
 
 def _is_begun(out: Path) -> bool:
@@ -180,15 +218,14 @@ def _is_begun(out: Path) -> bool:
 
 
 @contextmanager
-def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = ()) -> Iterator[None]:
+def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
     """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
     try:
         yield
-    except StoreDamaged:
-        # What was computed and stored is no input: whatever else lies there is worth looking at.
-        raise
-    except BadInput:
-        if not any(found for pattern in keep for found in out.glob(pattern)):
+    except BadInput as error:
+        # What was computed and stored is no input, nor is a disk: whatever else lies there is worth looking at, or going on with.
+        worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _is_begun(out)
+        if not worth_it and not any(found for pattern in keep for found in out.glob(pattern)):
             for inner in list(out.iterdir()):
                 shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
             for folder in made:

@@ -32,8 +32,8 @@ def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
     return "photographs", source, None
 
 
-def source_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
-    """Name, size and time of change of every file of the source, without the run `own` where that lies inside."""
+def all_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
+    """Name, size and time of change of every file of the source, used or not, without the run `own` where that lies inside."""
     own = own.resolve()
     files = [path for path in source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(own)]
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 from radiant_app.events import UPLINK, Event, Listener, StageDone, StageSkipped, StageStarted, TimeLeft
@@ -34,6 +34,8 @@ class TimeLeftListener:
     _started_s: dict[str, float] = field(default_factory=dict[str, float])
     _measured: dict[tuple[str, str], float] = field(default_factory=dict[tuple[str, str], float])
     _done: set[str] = field(default_factory=set[str])
+    _paused: set[str] = field(default_factory=set[str])
+    """Whose time says nothing, since the run stood still meanwhile."""
 
     def __post_init__(self) -> None:
         self._planned = planned_stages(self.system, self.edge_plans)
@@ -48,12 +50,13 @@ class TimeLeftListener:
             return
         if isinstance(event, StageStarted):
             self._started_s[node] = self.clock()
+            self._paused.discard(node)
         elif isinstance(event, StageDone):
             # Shares of the stages do not matter to the correction, only their sum.
             sending_s = sum(row.seconds for row in self._planned if row.node == node and row.stage == "send") if self.emulated else 0.0
             compute = [row for row in self._planned if row.node == node and row.stage != "send"]
             planned_s = sum(row.seconds for row in compute)
-            if planned_s > 0:
+            if planned_s > 0 and node not in self._paused:
                 factor = max(0.0, event.seconds - sending_s) / planned_s
                 self._measured |= {(node, row.stage): row.seconds * factor for row in compute}
             self._end(node)
@@ -67,6 +70,12 @@ class TimeLeftListener:
     def too_late(self, node_id: str, ran_s: float) -> str | None:
         """See `Watch`."""
         return self._over(node_id, ran_s, self.deadline_factor) if self.deadline_factor else None
+
+    def paused(self, node_ids: Collection[str], seconds: float) -> None:
+        """See `Watch`."""
+        for node in self._started_s.keys() & set(node_ids):
+            self._paused.add(node)
+            self._started_s[node] += seconds
 
     def _over(self, node_id: str, ran_s: float, factor: float) -> str | None:
         expected_s = self._expected_s.get(node_id)

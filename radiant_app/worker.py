@@ -6,6 +6,7 @@ holds open: when it closes, the executor is gone and so is the worker, however t
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import sys
@@ -15,13 +16,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
-from radiant_app.memory import peak_bytes
+from radiant_app.memory import OUT_OF_MEMORY, is_out_of_memory, peak_bytes
 from radiant_app.own_names import own_names
-from radiant_core.errors import BadInput, RadiantError
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.run_store import seal
 
 BEAT_S = 5.0
 """How often a worker says that it is alive."""
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+"""What the system says where a disk is full or broken."""
 
 
 def main(arguments: list[str]) -> int:
@@ -39,8 +42,9 @@ def main(arguments: list[str]) -> int:
         with writing:
             events.write(encode(event) + "\n")
 
-    def fail(message: str, exit_code: int) -> int:
-        emit(own_names(kind, Path(folder)).without_in(Failed(stage=stage, message=message, exit_code=exit_code)))
+    def fail(exit_code: int, message: str, *, cannot_write: bool = False) -> int:
+        failed = Failed(stage=stage, message=message, exit_code=exit_code, cannot_write=cannot_write)
+        emit(own_names(kind, Path(folder)).without_in(failed))
         return exit_code
 
     threading.Thread(target=_beat, args=(stage, emit), daemon=True).start()
@@ -53,11 +57,14 @@ def main(arguments: list[str]) -> int:
         emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
         seal(Path(folder), key, outputs)
     except RadiantError as error:
-        return fail(str(error), error.exit_code)
+        return fail(error.exit_code, str(error), cannot_write=isinstance(error, CannotWrite))
     except OSError as error:
-        return fail(f"{error.strerror or error} ({error.filename or folder})", BadInput.exit_code)
-    except MemoryError:
-        return fail("not enough memory: lower --max-splats or --long-side-px, or free some.", 1)
+        message = f"{error.strerror or error} ({error.filename or folder})"
+        return fail(BadInput.exit_code, message, cannot_write=error.errno in DISK_ERRORS)
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        return fail(StageFailed.exit_code, OUT_OF_MEMORY)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""The few errors of the project: bad input, a stage that failed, a stored file that changed."""
+"""The few errors of the project: bad input, a stage that failed, a file that cannot be written, a stored file that changed."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ class BadInput(RadiantError, ValueError):
 
 class StageFailed(RadiantError):
     """A stage of a run did not finish; the message names the stage and its reason."""
+
+
+class CannotWrite(BadInput):
+    """A file of ours cannot be written, most often since the disk is full: no fault of the input, and what stands there is kept."""
 
 
 class StoreDamaged(BadInput):

@@ -6,11 +6,13 @@ them; teachers take what is left. Runs once per run; between two messages it onl
     crashed      the process ended without a word, or was silent for `SILENT_S`: tried again from its checkpoint, `attempts` times in all
     late         by `Watch`, which knows the plan's times: given up where the rest can go on without it, else a warning
     failed       said so itself: a warning where the rest can go on without it, else the end of the run
+
+Time counts against a node only as far as the fold itself ran and could hear it: a run that is suspended for an hour (SIGSTOP, a frozen
+container) finds its nodes as it left them. What has arrived is heard before anybody is judged, and what is sealed is done.
 """
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
@@ -20,16 +22,18 @@ from radiant_app.events import Event, Listener, StageDone, StageSkipped, StageSt
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.run_store import is_sealed
+from radiant_core.io.run_store import disk_is_full, is_sealed
 
 URGENCY = {"device": 0, "edge": 1, "cloud": 2, "teacher": 3}
 """Order in which nodes that can run are started: that of the longest way to the end. A teacher only shortens its edge."""
-FULL_BYTES = 1 << 20
-"""With less than this left a disk counts as full: the libraries that write there end their process without a word."""
 SILENT_S = 300.0
 """A worker beats every few seconds from a thread of its own; without a beat for so long it counts as dead and is stopped."""
 LOOK_S = 1.0
 """Longest time between two looks at who is late or silent."""
+MOST_LOOKS = 5
+"""So many times `LOOK_S` is the most that counts against a node between two looks: where it was longer, the fold did not run."""
+PAUSE_S = 30.0
+"""A wait that took so much longer than it was asked to was a pause of the whole process. Below, a busy machine explains it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +95,10 @@ class Watch(Protocol):
         """Why nobody should wait for it any longer, and None while somebody should."""
         ...
 
+    def paused(self, node_ids: Collection[str], seconds: float) -> None:
+        """The run stood still for so long while these nodes ran: what they will have taken says nothing of others."""
+        ...
+
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
@@ -110,8 +118,10 @@ class _Running:
     node: Tree
     task: NodeTask
     started_s: float
-    heard_s: float
-    """When it last gave a sign of life, by the system's clock."""
+    watched_s: float = 0.0
+    """How long it has run, as far as that counts against it."""
+    silent_s: float = 0.0
+    """As `watched_s`, since its last sign of life."""
     began: bool = False
     """Whether it runs, or waits for a machine."""
     note: str = ""
@@ -136,12 +146,14 @@ class Fold:
     """Teachers whose edge has all its devices."""
     num_tries: dict[str, int] = field(default_factory=dict)
     origin_s: float = 0.0
+    looked_s: float = 0.0
+    """When it was last looked who is late, by the system's clock."""
 
     def run(self, tree: Tree) -> Mapping[str, NodeTime]:
         """Run every node; see `Executor.fold`."""
         waiting = sorted(tree, key=lambda node: URGENCY[node.tier])
         edges = [node for node in tree if node.tier == "edge"]
-        self.origin_s = self.clock()
+        self.origin_s, self.looked_s = self.clock(), time.monotonic()
         try:
             while waiting or self.running:
                 while (node := self._next(waiting)) is not None:
@@ -149,14 +161,35 @@ class Fold:
                     self._begin(node)
                     self._drop_needless(edges)
                 if self.running:
-                    message = self.runner.wait(LOOK_S)
-                    if message is not None:
-                        self._handle(*message)
-                    self._look_for_late()
+                    if self._hear():
+                        self._look_for_late()
                     self._drop_needless(edges)
         finally:
             self.runner.stop_all()
         return self.times
+
+    def _hear(self) -> bool:
+        """Handle what has arrived, for `LOOK_S` at most; whether nothing is left. Else it may be the end of the one that seems late."""
+        begun_s = time.monotonic()
+        message = self.runner.wait(LOOK_S)
+        waited_s = time.monotonic() - begun_s
+        if waited_s > LOOK_S + PAUSE_S:
+            self._tell_pause(waited_s)
+        until_s = time.monotonic() + LOOK_S
+        while message is not None and time.monotonic() < until_s:
+            self._handle(*message)
+            message = self.runner.wait(0.0) if self.running else None
+        if message is not None:
+            self._handle(*message)
+        return message is None
+
+    def _tell_pause(self, seconds: float) -> None:
+        at_work = [running for running in self.running.values() if running.began]
+        for running in at_work:
+            message = f"the run stood still for {seconds:.0f} s meanwhile, as if suspended: they are in its time, and make nobody late."
+            self.listen(Warned(stage=running.task.stage, message=message))
+        if self.faults.watch is not None:
+            self.faults.watch.paused([running.node.id for running in at_work], seconds)
 
     def _drop_needless(self, edges: list[Tree]) -> None:
         """An edge whose devices are all there takes what its teachers have rendered so far and does the rest itself."""
@@ -194,7 +227,7 @@ class Fold:
 
     def _start(self, node: Tree, task: NodeTask, now_s: float, note: str = "") -> None:
         self.num_tries[node.id] = self.num_tries.get(node.id, 0) + 1
-        running = _Running(node=node, task=task, started_s=now_s, heard_s=time.monotonic(), note=note)
+        running = _Running(node=node, task=task, started_s=now_s, note=note)
         self.running[node.id] = running
         if self.runner.start(node, task):
             self._began(running)
@@ -207,20 +240,21 @@ class Fold:
 
     def _handle(self, node_id: str, message: Event | Began | Ended | None) -> None:
         running = self.running[node_id]
-        running.heard_s = time.monotonic()
+        running.silent_s = 0.0
         if isinstance(message, Began):
-            running.started_s = self._now_s()
+            running.started_s, running.watched_s = self._now_s(), 0.0
             self._began(running, message.machine)
         elif isinstance(message, Ended):
             del self.running[node_id]
-            self._finish(running, running.given_up or message)
+            done = message.error is None or is_sealed(running.task.folder, running.task.key)
+            self._finish(running, Ended() if done else running.given_up or message)
         elif message is not None:
             self.listen(message)
 
     def _finish(self, running: _Running, ended: Ended) -> None:
         task, error = running.task, ended.error
         if error is not None:
-            full = shutil.disk_usage(task.folder).free < FULL_BYTES
+            full = disk_is_full(task.folder)
             if ended.crashed and not full and self.num_tries[running.node.id] < self.faults.attempts:
                 note = " ".join([running.note, f"{_reason(task, error)} It is tried again from its last checkpoint."]).strip()
                 self._start(running.node, task, self._now_s(), note)
@@ -235,15 +269,19 @@ class Fold:
             self.listen(StageDone(stage=task.stage, seconds=now_s - running.started_s))
 
     def _look_for_late(self) -> None:
+        now_s = time.monotonic()
+        passed_s, self.looked_s = min(now_s - self.looked_s, MOST_LOOKS * LOOK_S), now_s
         for node_id, running in self.running.items():
+            running.watched_s += passed_s
+            running.silent_s += passed_s
             if running.given_up is not None or not running.began:
                 continue
-            stage, silent_s = running.task.stage, time.monotonic() - running.heard_s
+            stage, silent_s = running.task.stage, running.silent_s
             if silent_s > SILENT_S:
                 message = f"{stage}: its process gave no sign of life for {silent_s:.0f} s and was stopped; run again with --resume."
                 self._give_up(running, Ended(error=StageFailed(message), crashed=True))
             elif self.faults.watch is not None:
-                self._look_at(node_id, running, self._now_s() - running.started_s, self.faults.watch)
+                self._look_at(node_id, running, running.watched_s, self.faults.watch)
 
     def _look_at(self, node_id: str, running: _Running, ran_s: float, watch: Watch) -> None:
         if (reason := watch.too_late(node_id, ran_s)) is not None:

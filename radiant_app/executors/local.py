@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import queue
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,11 +18,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from radiant_app.events import Beat, Event, Failed, Listener, decode
-from radiant_app.executors.fold import FULL_BYTES, Ended, Faults, Fold
+from radiant_app.executors.fold import Ended, Faults, Fold
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
-from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.run_store import is_sealed
+from radiant_core.errors import BadInput, CannotWrite, StageFailed
+from radiant_core.io.run_store import disk_is_full, is_sealed
 
 STOP_GRACE_S = 3.0
 
@@ -128,13 +127,15 @@ class _Processes:
 
 def end_of(task: NodeTask, failure: Failed | None, code: int) -> Ended:
     """How a node ended whose process said `failure` and exited with `code` (negative: killed by that signal)."""
+    if failure is not None and failure.cannot_write:
+        return Ended(error=CannotWrite(f"{task.stage}: {failure.message}"))
     if failure is not None:
         error = BadInput if failure.exit_code == BadInput.exit_code else StageFailed
         return Ended(error=error(f"{task.stage}: {failure.message}"))
     if code == 0 and is_sealed(task.folder, task.key):
         return Ended()
-    if shutil.disk_usage(task.folder).free < FULL_BYTES:
-        return Ended(error=BadInput(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out."))
+    if disk_is_full(task.folder):
+        return Ended(error=CannotWrite(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out."))
     reason = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
     message = f"{task.stage}: its process {reason} before it was done; see {log_path(task.folder)}, then run again with --resume."
     return Ended(error=StageFailed(message), crashed=True)

@@ -14,7 +14,9 @@ dies, Ray ends the process that is connected to it; then that is the driver, and
 from __future__ import annotations
 
 import json
+import os
 import queue
+import secrets
 import socket
 import subprocess
 import sys
@@ -39,6 +41,7 @@ SEEN_S = 20.0
 """How long a file that another machine wrote may take to be seen here: network file systems keep directories for some seconds."""
 STOP_S = 15.0
 CONNECT_S = 10.0
+SECRET_BYTES = 32
 LOG_NAME = "ray.log"
 DRIVER = "import sys; from radiant_app.executors.ray_driver import main; sys.exit(main(sys.argv[1:]))"
 """Imported by its name, so that Ray's workers import the task and get no copy of it."""
@@ -109,6 +112,7 @@ class _Cluster:
                 stdout=subprocess.PIPE,
                 stderr=log,
                 text=True,
+                env=_environment(self.address),
                 start_new_session=True,
             )
         threading.Thread(target=self._read, args=(self.process,), daemon=True).start()
@@ -163,7 +167,7 @@ class _Cluster:
             )
         node_id = message["node"]
         if node_id not in self.running:
-            return None
+            return self.wait(timeout_s)
         if "began" in message:
             return node_id, Began(machine=message["began"])
         if "line" in message:
@@ -209,6 +213,16 @@ class _Cluster:
             for line in lines:
                 self.messages.put(json.loads(line))
         self.messages.put(None)
+
+
+def _environment(address: str) -> dict[str, str]:
+    """What the driver's process finds around it. A cluster of this machine alone listens on the loopback address alone, and whoever joins
+    has to know its secret, which Ray takes from here before it looks for one, or makes one, in ~/.ray."""
+    if address != "local":
+        return dict(os.environ)
+    # Told 127.0.0.1 as its address, Ray takes that of the network; where it knows no clusters of several machines, it stays at home.
+    secret = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(SECRET_BYTES)}
+    return {**os.environ, "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", **secret}
 
 
 def _wait_for_seal(folder: Path, sha256: str | None) -> None:

@@ -17,6 +17,7 @@ import queue
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -235,11 +236,12 @@ def _threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
     return max(1, int(least))
 
 
-def _connect(address: str) -> str | None:
-    """Connect to the cluster; why that is not possible, or None."""
+def _connect(address: str, temporary: Path) -> str | None:
+    """Connect to the cluster; why that is not possible, or None. One of this machine alone keeps its sockets and logs in `temporary`."""
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address == "local":
-        ray.init(address="local", include_dashboard=False, object_store_memory=LOCAL_STORE_BYTES, **quiet)
+        sizes: dict[str, Any] = {"include_dashboard": False, "object_store_memory": LOCAL_STORE_BYTES}
+        ray.init(address="local", _temp_dir=str(temporary), **sizes, **quiet)
         return None
     try:
         ray.init(address=address, **quiet)
@@ -259,11 +261,13 @@ def main(arguments: list[str]) -> int:
     # Ray prints to standard output too: the messages keep the real one.
     _OUT = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
-    refused = _connect(arguments[0])
-    if refused is not None:
-        _say(refused=refused)
-        return 2
-    _say(ready=True)
-    _Driver().run()
-    ray.shutdown()
+    # The paths of sockets are limited to 107 bytes: $TMPDIR may be longer by itself.
+    with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True) as temporary:
+        refused = _connect(arguments[0], Path(temporary))
+        if refused is not None:
+            _say(refused=refused)
+            return 2
+        _say(ready=True)
+        _Driver().run()
+        ray.shutdown()
     return 0

@@ -21,11 +21,12 @@ from radiant_app.events import (
     decode,
     encode,
 )
+from radiant_app.executors import local
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
-from radiant_core.errors import BadInput, StageFailed
+from radiant_core.errors import BadInput, CannotWrite, StageFailed
 
 DEVICES = tuple(Tree(id=f"devices/{number}", tier="device") for number in "123")
 TREE = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=DEVICES),))
@@ -95,6 +96,25 @@ def test_a_failed_worker_is_named_with_its_reason_and_the_others_are_stopped(tmp
     assert not (tmp_path / "devices" / "1" / "done.json").exists()
 
 
+def test_a_disk_that_is_full_is_no_bad_input_of_a_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = encode(Failed(stage="devices/2", message="cannot write model: No space left.", exit_code=2, cannot_write=True))
+    with pytest.raises(CannotWrite, match="No space left"):
+        executor({"devices/2": f"print({line!r}); raise SystemExit(2)"}).fold(TREE, preparer(tmp_path, []), lambda event: None)
+    monkeypatch.setattr(local, "disk_is_full", lambda folder: True)
+    with pytest.raises(CannotWrite, match="is full"):
+        executor({"devices/3": "import os; os.kill(os.getpid(), 7)"}).fold(TREE, preparer(tmp_path, []), lambda event: None)
+
+
+def test_a_worker_says_whether_the_disk_or_its_input_is_at_fault(tmp_path: Path) -> None:
+    for error, cannot_write in (("OSError(28, 'full')", True), ("CannotWrite('full')", True), ("FileNotFoundError(2, 'x')", False)):
+        work = "from radiant_core.errors import CannotWrite; from radiant_app import nodes, task_schema, worker\n"
+        fails = f"{work}def fail(*_): raise {error}\nnodes.run_node = fail; task_schema.require_task = print\n"
+        mend = f"{fails}worker.main(['device', {str(tmp_path)!r}, 'devices/1', 'key'])"
+        ended = subprocess.run([sys.executable, "-c", mend], capture_output=True, text=True, check=False)
+        event = decode(ended.stdout.splitlines()[-1])
+        assert isinstance(event, Failed) and event.exit_code == 2 and event.cannot_write == cannot_write
+
+
 def test_a_killed_worker_is_named_and_resuming_finishes(tmp_path: Path) -> None:
     with pytest.raises(StageFailed, match=r"devices/3: its process was killed by signal 9 .* --resume"):
         executor({"devices/3": "import os; os.kill(os.getpid(), 9)"}).fold(TREE, preparer(tmp_path, []), lambda event: None)
@@ -121,9 +141,9 @@ def test_a_worker_that_forgets_to_seal_is_not_believed(tmp_path: Path) -> None:
 
 def test_the_injected_clock_decides_the_times(tmp_path: Path) -> None:
     ticks = iter(range(100, 200))
-    local = executor({}, num_workers=1)
-    local.clock = lambda: float(next(ticks))
-    times = local.fold(TREE, preparer(tmp_path, []), lambda event: None)
+    one = executor({}, num_workers=1)
+    one.clock = lambda: float(next(ticks))
+    times = one.fold(TREE, preparer(tmp_path, []), lambda event: None)
     assert times["devices/1"].started_s == 1.0 and times["cloud"].ended_s == 10.0
 
 

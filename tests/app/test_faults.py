@@ -180,6 +180,9 @@ class Impatient:
     def too_late(self, node_id: str, ran_s: float) -> str | None:
         return "it is too slow" if node_id == "devices/2" else None
 
+    def paused(self, node_ids: Collection[str], seconds: float) -> None:
+        """It makes no difference."""
+
 
 def test_who_is_too_late_is_stopped_and_the_rest_goes_on(tmp_path: Path) -> None:
     devices = tuple(Tree(id=f"devices/{number}", tier="device") for number in "12")

@@ -19,7 +19,7 @@ from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
 from radiant_app.field import Captured, _middle, _tell_unplaced
-from radiant_app.field_nodes import _placed_once
+from radiant_app.field_nodes import _placed_once, run_field
 from radiant_app.inbox import _are_one_group
 from radiant_app.nodes import run_node
 from radiant_app.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
@@ -56,8 +56,10 @@ def system(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def finished(hamlet: Path, system: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult]:
-    out = tmp_path_factory.mktemp("field") / "run"
-    config = RunConfig(source=hamlet / "images", poses=hamlet / "known", frames="known", system=system, out=out, overrides=TINY)
+    folder = tmp_path_factory.mktemp("field")
+    shutil.copytree(hamlet / "images", folder / "photos")
+    given = {"source": folder / "photos", "poses": hamlet / "known", "frames": "known"}
+    config = RunConfig(**given, system=system, out=folder / "run", overrides=TINY)
     return config, run(config)
 
 
@@ -116,6 +118,40 @@ def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> Non
     run(config, events.append, resume=True)
     assert not any(isinstance(event, StageDone) for event in events) and any(isinstance(event, StageSkipped) for event in events)
     assert (config.out / "scene.ply").read_bytes() == before
+
+
+def test_photographs_that_were_only_touched_are_not_trained_on_again(finished: tuple[RunConfig, RunResult], tmp_path: Path) -> None:
+    config, _ = finished
+    shutil.copytree(config.out, tmp_path / "run")
+    times_ns = {path: path.stat().st_mtime_ns for path in config.source.iterdir()}
+    for path in times_ns:
+        path.touch()
+    (config.source / "notes.txt").write_text("windy")
+    events: list[Event] = []
+    try:
+        run(replace(config, out=tmp_path / "run"), events.append, resume=True)
+    finally:
+        for path, time_ns in times_ns.items():
+            os.utime(path, ns=(time_ns, time_ns))
+    assert {event.stage for event in events if isinstance(event, StageDone)} == {"devices/north-1", "devices/south-1"}
+    assert not [event for event in events if isinstance(event, StageProgress)], "each looked and found what it knew"
+    manifests = [json.loads((out / "manifest.json").read_text()) for out in (config.out, tmp_path / "run")]
+    kept = [sorted((row["stage"], row["topic"]) for row in manifest["decisions"]) for manifest in manifests]
+    assert kept[0] == kept[1] and (config.out / "scene.ply").read_bytes() == (tmp_path / "run" / "scene.ply").read_bytes()
+
+
+def test_a_device_says_that_its_photographs_changed_before_it_begins_again(finished: tuple[RunConfig, RunResult], tmp_path: Path) -> None:
+    config, _ = finished
+    device = tmp_path / "north-1"
+    shutil.copytree(config.out / "devices" / "north-1", device)
+    shutil.copytree(config.source, tmp_path / "photos")
+    task = json.loads((device / "task.json").read_text())
+    for name in task["names"][:1]:
+        (tmp_path / "photos" / name).write_bytes(b"no photograph")
+    (device / "task.json").write_text(json.dumps({**task, "source": str(tmp_path / "photos")}))
+    events: list[Event] = []
+    run_field(device, "devices/north-1", events.append)
+    assert isinstance(events[0], Warned) and "its photographs changed" in events[0].message and task["names"][0] not in events[0].message
 
 
 def test_weights_for_lpips_make_every_device_score_again_and_nothing_else(finished: tuple[RunConfig, RunResult], tmp_path: Path) -> None:

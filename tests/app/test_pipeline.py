@@ -29,6 +29,8 @@ from radiant_app.nodes import run_device, run_edge
 from radiant_app.pipeline import RunResult, run
 from radiant_app.progress import ProgressDisplay
 from radiant_app.report import TIERS
+from radiant_app.sources import all_files
+from radiant_core import __version__
 from radiant_core.aggregate.extend import NewRegion
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
@@ -36,7 +38,7 @@ from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.geojson_region import load_region
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, load_splats
-from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.io.upload import load_upload, save_upload
 from radiant_core.train.needs import Overrides
 from tests.app.alex_weights import write_alex_weights
@@ -125,6 +127,27 @@ def test_resuming_skips_every_finished_stage_and_keeps_the_scene(finished: tuple
     skipped, done = ({e.stage for e in of if isinstance(e, kind)} for of, kind in ((events, StageSkipped), (first, StageDone)))
     assert skipped <= done and all("/teachers/" in stage for stage in done - skipped)
     assert (config.out / "scene.ply").read_bytes() == before
+
+
+def test_what_is_no_photograph_and_a_touch_change_nothing_and_an_older_run_goes_on(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    copy = tmp_path / "copy"
+    shutil.copytree(config.out, copy)
+    # As it was sealed before its photographs were known by content.
+    sfm = read_json(copy / "sfm" / "task.json")["sfm"]
+    (copy / "sfm" / "source.json").unlink(missing_ok=True)
+    record = read_json(copy / "sfm" / "done.json")
+    write_json(copy / "sfm" / "done.json", {**record, "key": content_key(__version__, sfm, all_files(config.source, copy))})
+    for changed in ([], [config.source / ".DS_Store", next(config.source.glob("*_0003*"))]):
+        for path in changed:
+            path.touch()
+        events: list[Event] = []
+        run(replace(config, out=copy), events.append, resume=True)
+        assert not [event for event in events if isinstance(event, StageDone)]
+        assert not [event for event in events if isinstance(event, Warned) and "again" in event.message]
+    assert (copy / "scene.ply").read_bytes() == (config.out / "scene.ply").read_bytes()
 
 
 def test_weights_for_lpips_given_later_make_resume_score_again_and_nothing_else(
@@ -371,7 +394,7 @@ def test_a_truncated_photograph_is_skipped_named_and_no_failure(finished: tuple[
     assert again.returncode == 0 and "cut.jpg" in again.stdout + again.stderr, again.stderr
 
 
-def test_a_full_disk_gets_one_sentence_and_leaves_nothing(hamlet: Path, tmp_path: Path) -> None:
+def test_a_full_disk_gets_one_sentence_and_keeps_what_was_computed(hamlet: Path, tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True, check=False)
@@ -380,7 +403,10 @@ def test_a_full_disk_gets_one_sentence_and_leaves_nothing(hamlet: Path, tmp_path
     try:
         finished = radiant("run", hamlet, "--out", disk / "run", *TINY_OPTIONS)
         assert finished.returncode == 2 and "free space" in finished.stderr and "Traceback" not in finished.stderr, finished.stderr
-        assert list(disk.iterdir()) == []
+        assert "go on with the same command and --resume" in finished.stderr
+        # There was no room to write more of the end than this.
+        assert read_progress(disk / "run").status in ("failed", "interrupted")
+        assert (disk / "run" / "sfm" / "database.db").stat().st_size > 0
     finally:
         subprocess.run(["umount", str(disk)], check=True)
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from radiant_app import run_folder
 from radiant_app.config import RunConfig
 from radiant_app.events import StageDone, StageStarted, Warned
-from radiant_app.run_folder import Manifest, new_folder, opened_run
-from radiant_core.errors import BadInput
-from radiant_core.io.run_store import RunLock
+from radiant_app.run_folder import Manifest, new_folder, opened_run, sfm_folder
+from radiant_core.errors import BadInput, CannotWrite
+from radiant_core.io.run_store import RunLock, atomic_path, write_atomic
 
 
 def config(out: Path) -> RunConfig:
@@ -105,3 +108,79 @@ def test_a_path_that_is_no_text_and_a_seed_out_of_range_are_refused(field: str, 
     for seed in (-1, 2**31):
         with pytest.raises(BadInput, match="seed is"):
             RunConfig(source=tmp_path, out=tmp_path / "out", seed=seed)
+
+
+def test_a_disk_that_is_full_empties_no_folder_and_leaves_none_that_holds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "run"
+
+    def compute() -> None:
+        with opened_run(config(out), resume=False):
+            (out / "sfm").mkdir()
+            write_atomic(out / "sfm" / "database.db", b"features of an hour")
+            with atomic_path(out / "sfm" / "scene"):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(CannotWrite, match="No space left"):
+        compute()
+    assert (out / "sfm" / "database.db").read_bytes() == b"features of an hour"
+    with pytest.raises(BadInput, match="--resume"), opened_run(config(out), resume=False):
+        pass
+    monkeypatch.setattr(Manifest, "save", lambda manifest: write_atomic(tmp_path / "missing" / "manifest.json", b""))
+    with pytest.raises(CannotWrite), opened_run(config(tmp_path / "second"), resume=False):
+        pass
+    assert not (tmp_path / "second").exists()
+
+
+SFM = {"source": "photos", "sfm": {"matching": "auto"}, "masks": None}
+
+
+def begin_sfm(out: Path, task: dict[str, Any] = SFM, *, resume: bool = False, error: BaseException | None = None) -> None:
+    with sfm_folder(out, task, resume=resume):
+        (out / "database.db").touch()
+        if error is not None:
+            raise error
+
+
+def test_structure_from_motion_that_was_interrupted_goes_on_and_nothing_else_does(tmp_path: Path) -> None:
+    out = tmp_path / "sfm"
+    with pytest.raises(KeyboardInterrupt):
+        begin_sfm(out, error=KeyboardInterrupt())
+    with pytest.raises(BadInput, match="go on with what was begun there by --resume"):
+        begin_sfm(out)
+    with pytest.raises(BadInput, match="begun with another masks, sfm: repeat that"):
+        begin_sfm(out, {**SFM, "sfm": {"matching": "spatial"}, "masks": "masks"}, resume=True)
+    with RunLock(out), pytest.raises(BadInput, match="another process"):
+        begin_sfm(out, resume=True)
+    with pytest.raises(BadInput, match="no overlap"):
+        begin_sfm(out, resume=True, error=BadInput("no overlap"))
+    assert (out / "database.db").is_file(), "what an earlier attempt left is not for this one to remove"
+    begin_sfm(out, resume=True)
+    (out / "result.json").touch()
+    with pytest.raises(BadInput, match="finished"):
+        begin_sfm(out, resume=True)
+    (tmp_path / "other" / "sparse").mkdir(parents=True)
+    with pytest.raises(BadInput, match=r"holds no task\.json"):
+        begin_sfm(tmp_path / "other", resume=True)
+    begin_sfm(tmp_path / "new", resume=True)
+
+
+def test_structure_from_motion_keeps_its_work_after_a_full_disk_and_not_after_bad_input(tmp_path: Path) -> None:
+    for error, kept in ((BadInput("no overlap"), False), (CannotWrite("the disk is full"), True)):
+        with pytest.raises(BadInput):
+            begin_sfm(tmp_path / "sfm", error=error)
+        assert (tmp_path / "sfm" / "database.db").exists() == kept
+
+
+def test_pictures_that_fill_the_disk_go_away_again_and_nobody_is_told_to_resume_them(tmp_path: Path) -> None:
+    def render() -> None:
+        with new_folder(tmp_path / "frames"):
+            (tmp_path / "frames" / "1.png").touch()
+            raise CannotWrite("the disk is full")
+
+    with pytest.raises(CannotWrite):
+        render()
+    assert not (tmp_path / "frames").exists()
+    (tmp_path / "mine").touch()
+    with pytest.raises(BadInput) as refused, new_folder(tmp_path):
+        pass
+    assert "--resume" not in str(refused.value)

@@ -17,7 +17,7 @@ from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSki
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
-from radiant_app.executors.ray_cluster import RayExecutor, place_of
+from radiant_app.executors.ray_cluster import RayExecutor, _environment, place_of
 from radiant_app.pipeline import run
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
@@ -123,6 +123,14 @@ def is_alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z" and os.getpgid(pid) > 0
     except (OSError, ProcessLookupError):
         return False
+
+
+def test_a_cluster_of_this_machine_alone_gets_a_secret_of_its_own_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    first, second = _environment("local"), _environment("local")
+    assert first["RAY_AUTH_MODE"] == "token" and len(first["RAY_AUTH_TOKEN"]) == 64
+    assert first["RAY_AUTH_TOKEN"] != second["RAY_AUTH_TOKEN"] and first["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] == "0"
+    assert _environment("127.0.0.1:6379") == dict(os.environ), "how another cluster is joined is for its owner to say"
 
 
 def test_the_machines_of_nodes_are_named_by_what_they_are() -> None:

@@ -9,6 +9,7 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -66,3 +67,21 @@ def test_killed_at_random_moments_it_ends_with_the_same_features_and_matches(tmp
         story += 1
     with capsys.disabled():
         print(f"{num_kills} of {NUM_KILLS} kills survived in {story} runs of {whole_s:.1f} CPU s, all with the same features and matches")
+
+
+def test_a_polite_kill_of_the_command_leaves_one_sentence_and_a_folder_that_goes_on(tmp_path: Path) -> None:
+    images = sample_scenes_folder() / "hamlet" / "images"
+    command = [sys.executable, "-m", "radiant_app", "sfm", str(images), "--out", str(tmp_path / "sfm")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not (tmp_path / "sfm" / "database.db").exists():
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.terminate()
+        _, errors = process.communicate(timeout=300)
+    assert process.returncode == 130, errors
+    assert errors.splitlines()[-1] == "radiant: interrupted. What was finished is kept: go on with the same command and --resume."
+    assert "@ 0x" not in errors
+    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2 and "--resume" in refused.stderr
+    again = subprocess.run([*command, "--resume"], capture_output=True, text=True, timeout=600, check=False)
+    assert again.returncode == 0 and "12" in again.stdout, again.stderr

@@ -20,10 +20,13 @@ __all__ = [
     "ColmapPoints",
     "checked_model",
     "find_model",
+    "image_names",
+    "model_files",
     "read_model",
     "write_model",
 ]
 MAX_FILE_BYTES = 1 << 33
+STEMS = ("cameras", "images", "points3D")
 _PARSERS = {parser.SUFFIX: parser for parser in (colmap_binary, colmap_text)}
 
 
@@ -37,25 +40,36 @@ def find_model(folder: Path) -> Path:
     )
 
 
+def model_files(folder: Path) -> list[Path]:
+    """The files of the model in `folder` that `read_model` reads; raises as that where there is none."""
+    suffix = _format_of(folder)
+    if suffix is None:
+        raise BadInput(f"{folder} holds no COLMAP model: expected cameras, images and points3D, all .bin or all .txt.")
+    return [folder / f"{stem}{suffix}" for stem in STEMS]
+
+
+def image_names(folder: Path) -> tuple[str, ...]:
+    """Names of the images of the model in `folder`; raises as `read_model`."""
+    path = model_files(folder)[STEMS.index("images")]
+    return tuple(image.name for image in _PARSERS[path.suffix].parse_images(_bytes_of(path), str(path)))
+
+
 def read_model(folder: Path) -> ColmapModel:
     """The model in `folder` (binary where both formats are there).
 
     Raises BadInput naming the file and the byte or line when it is missing, truncated, has trailing bytes, an unknown
     camera model, values that are not finite, a name that leaves the folder, an id twice, or an id that is not there.
     """
-    suffix = _format_of(folder)
-    if suffix is None:
-        raise BadInput(f"{folder} holds no COLMAP model: expected cameras, images and points3D, all .bin or all .txt.")
-    parser = _PARSERS[suffix]
-    cameras = parser.parse_cameras(_bytes_of(folder / f"cameras{suffix}"), f"{folder}/cameras{suffix}")
-    images = parser.parse_images(_bytes_of(folder / f"images{suffix}"), f"{folder}/images{suffix}")
-    points = parser.parse_points(_bytes_of(folder / f"points3D{suffix}"), f"{folder}/points3D{suffix}")
+    paths = model_files(folder)
+    parser = _PARSERS[paths[0].suffix]
+    parsers = (parser.parse_cameras, parser.parse_images, parser.parse_points)
+    cameras, images, points = (parse(_bytes_of(path), str(path)) for parse, path in zip(parsers, paths, strict=True))
     return checked_model(cameras, images, points, str(folder))
 
 
 def _format_of(folder: Path) -> str | None:
     for suffix in _PARSERS:
-        if all((folder / f"{stem}{suffix}").is_file() for stem in ("cameras", "images", "points3D")):
+        if all((folder / f"{stem}{suffix}").is_file() for stem in STEMS):
             return suffix
     return None
 

@@ -13,6 +13,7 @@ import json
 import math
 import os
 import secrets
+import shutil
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -21,13 +22,26 @@ from typing import IO, Any, Self
 
 import numpy as np
 
-from radiant_core.errors import BadInput, RadiantError, StoreDamaged
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StoreDamaged
 
 SEAL_NAME = "done.json"
 SEAL_VERSION = 1
 LOCK_NAME = ".lock"
 MAX_JSON_BYTES = 64 * 2**20
 """Default limit of a JSON file: a plan of 100,000 cameras takes some 2 MB."""
+FULL_BYTES = 1 << 20
+"""With less than this left a disk counts as full: libraries that write there end their process, or half a file, without a word."""
+
+
+def disk_is_full(folder: Path) -> bool:
+    """Whether the disk of a folder has no room left that is worth naming."""
+    return shutil.disk_usage(folder).free < FULL_BYTES
+
+
+def require_room(folder: Path) -> None:
+    """Raise CannotWrite where the disk of a folder is full, after a library wrote there that would not say so."""
+    if disk_is_full(folder):
+        raise CannotWrite(f"the disk of {folder} is full: free space or choose another output folder.")
 
 
 @contextmanager
@@ -35,7 +49,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """A name beside `path` for a library that writes files itself; what it wrote takes the place of `path` when the block ends well.
 
     Temporary file in the same folder, fsync, replace, fsync of the folder: after a power cut the old or the new file is there.
-    Raises BadInput when the system refuses (disk full, no such folder, not allowed); the old file is then untouched.
+    Raises CannotWrite when the system refuses (disk full, no such folder, not allowed); the old file is then untouched.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
@@ -45,7 +59,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.replace(path)
         _fsync(path.parent)
     except OSError as error:
-        raise BadInput(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
+        raise CannotWrite(f"cannot write {path}: {error.strerror or error}: free space or choose another output folder.") from error
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -142,7 +156,7 @@ def content_key(*parts: Any) -> str:
 def seal(folder: Path, key: str, names: Sequence[str]) -> None:
     """Write folder/done.json: `key` and the SHA-256 of each file `names` (relative, "/" between parts), all forced to disk.
 
-    Raises StoreDamaged when a file is missing, BadInput when a name leaves the folder or done.json cannot be written.
+    Raises StoreDamaged when a file is missing, BadInput when a name leaves the folder, CannotWrite when done.json cannot be written.
     """
     folder = Path(folder)
     for name in names:
@@ -153,7 +167,7 @@ def seal(folder: Path, key: str, names: Sequence[str]) -> None:
         for name in names:
             _fsync(folder / name)
     except OSError as error:
-        raise BadInput(f"cannot seal {folder}: {error.strerror or error}: free space or choose another output folder.") from error
+        raise CannotWrite(f"cannot seal {folder}: {error.strerror or error}: free space or choose another output folder.") from error
     write_json(folder / SEAL_NAME, {"version": SEAL_VERSION, "key": key, "files": files})
 
 

@@ -1,6 +1,6 @@
 """Ed25519 keys of senders, as PEM files: the private one stays with its sender, the public one is registered with its receiver.
 
-    <sender>/identity/signing_key.pem    private, PKCS 8, mode 0600; made once, never copied
+    <sender>/identity/signing_key.pem    private, PKCS 8, mode 0600 (where there are modes); made once, never copied
     <sender>/identity/signing_key.pub    public, made with it; its copy <receiver>/senders/<sender>.pub is the registration
 
 Once per sender and run. Scheme: RFC 8032, from the package cryptography.
@@ -9,6 +9,7 @@ Once per sender and run. Scheme: RFC 8032, from the package cryptography.
 from __future__ import annotations
 
 import os
+import secrets
 import stat
 from pathlib import Path
 
@@ -29,6 +30,8 @@ from radiant_core.io.run_store import atomic_path, read_bounded, write_atomic
 KEY_NAME, PUBLIC_NAME = "signing_key.pem", "signing_key.pub"
 SIGNATURE_BYTES = 64
 MAX_KEY_BYTES = 4096
+OTHERS = 0o077
+"""Rights of everybody but a file's owner."""
 
 
 def make_signing_key(folder: Path) -> bool:
@@ -49,11 +52,14 @@ def make_signing_key(folder: Path) -> bool:
 
 
 def load_signing_key(folder: Path) -> Ed25519PrivateKey:
-    """The private key that `make_signing_key` left; BadInput where it is missing, no such key, or others than its owner may read it."""
+    """The private key that `make_signing_key` left; BadInput where it is missing, no such key, or others than its owner may read it.
+
+    Where the file system keeps no modes, nobody could forbid that, and the key is taken as it is.
+    """
     path = folder / KEY_NAME
     data = read_bounded(path, MAX_KEY_BYTES)
     mode = stat.S_IMODE(path.stat().st_mode)
-    if mode & 0o077:
+    if mode & OTHERS and keeps_modes(folder):
         raise BadInput(f"{path} can be read by others (mode {mode:o}): chmod 600 it, or remove it for a new one and register that.")
     try:
         key = load_pem_private_key(data, None)
@@ -62,6 +68,20 @@ def load_signing_key(folder: Path) -> Ed25519PrivateKey:
     if not isinstance(key, Ed25519PrivateKey):
         raise BadInput(f"{path} holds another kind of key, expected Ed25519: remove it for a new one and register that.")
     return key
+
+
+def keeps_modes(folder: Path) -> bool:
+    """Whether a file in `folder` that only its owner may read stays so; NTFS, exFAT and many network drives know no such modes."""
+    probe = folder / f".mode-{secrets.token_hex(4)}"
+    try:
+        os.close(os.open(probe, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+        try:
+            return not stat.S_IMODE(probe.stat().st_mode) & OTHERS
+        finally:
+            probe.unlink()
+    except OSError:
+        # Where nothing can be written, nobody can say: a key that others may read is then refused.
+        return True
 
 
 def load_public_key(path: Path) -> Ed25519PublicKey:

@@ -1,4 +1,4 @@
-"""Calls into pycolmap: logging, Ctrl-C, progress and errors in one place.
+"""Calls into pycolmap: logging, signals, progress and errors in one place.
 
 The database is never opened by Python's own sqlite3 while pycolmap has it open: two SQLite libraries in one process drop
 each other's file locks, and pycolmap was seen to die of a bus error.
@@ -6,6 +6,8 @@ each other's file locks, and pycolmap was seen to die of a bus error.
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, TypeVar
@@ -17,6 +19,9 @@ from radiant_core.errors import StageFailed
 __all__ = ["call_colmap", "pycolmap"]
 TICK_S = 0.25
 Result = TypeVar("Result")
+# Imported, COLMAP's logging takes SIGTERM over and answers it with a list of what is on its stack; whoever was to have it gets it back.
+if threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
 pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL.value)
 
 

@@ -5,7 +5,7 @@
 
 COLMAP writes features and matches in transactions: a process that is killed leaves whole ones. It does not wait for the disk, so that
 nothing is kept once the machine itself went down. What cannot be read is not kept either, and what COLMAP fails on is not kept for the
-next attempt. Mapping is done anew.
+next attempt, unless it failed on a full disk. Mapping is done anew.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 
 from radiant_core.errors import RadiantError, StageFailed
 from radiant_core.io.photos import Photograph
-from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.io.run_store import content_key, read_json, require_room, write_json
 from radiant_core.sfm.colmap_calls import pycolmap
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.database import restore_names
@@ -45,6 +45,7 @@ def kept_database(work_folder: Path, key: str) -> Iterator[Path]:
     try:
         yield database
     except StageFailed:
+        require_room(work_folder)
         record.unlink(missing_ok=True)
         raise
 

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from radiant_core.io.run_store import require_room
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
 from radiant_core.sfm.config import Report, SfmProgress
 
@@ -37,6 +38,8 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
         num_threads=num_threads,
         cancellation_token=pycolmap.CancellationToken(),
     )
+    # COLMAP takes no notice of an image that could not be written.
+    require_room(work_folder)
     part.rename(final)
     report(SfmProgress(phase="undistorting", done=1, total=1))
     return Undistorted(model_folder=final / "sparse", image_folder=final / "images")

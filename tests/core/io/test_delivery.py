@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import random
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +28,8 @@ from radiant_core.io.delivery import (
     sent_files,
     verified_delivery,
 )
-from radiant_core.io.signing import KEY_NAME, PUBLIC_NAME, load_public_key, load_signing_key, make_signing_key
+from radiant_core.io.signing import KEY_NAME, PUBLIC_NAME, keeps_modes, load_public_key, load_signing_key, make_signing_key
+from tests.app.no_modes import without_modes
 from tests.memory_folder import memory_folder
 
 RUN = "0123456789abcdef" * 2
@@ -96,9 +99,25 @@ def test_a_key_is_made_once_and_only_its_owner_reads_it(tmp_path: Path) -> None:
     assert key.stat().st_mode & 0o777 == 0o600 and (tmp_path / "identity").stat().st_mode & 0o777 == 0o700
     public.unlink()
     assert not make_signing_key(tmp_path / "identity") and key.read_bytes() == before and public.is_file()
+    assert keeps_modes(tmp_path)
     key.chmod(0o640)
     with pytest.raises(BadInput, match=r"can be read by others \(mode 640\): chmod 600"):
         load_signing_key(tmp_path / "identity")
+
+
+SIGNS = """
+import sys
+from pathlib import Path
+from radiant_core.io.signing import load_signing_key, make_signing_key
+folder = Path(sys.argv[1])
+print(make_signing_key(folder), make_signing_key(folder), len(load_signing_key(folder).sign(b"x")), len(list(folder.iterdir())))
+"""
+
+
+def test_where_a_disk_keeps_no_modes_a_key_is_taken_as_it_is(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", SIGNS, str(tmp_path / "identity")]
+    ended = subprocess.run(command, env=without_modes(tmp_path), capture_output=True, text=True, check=False)
+    assert ended.stdout == "True False 64 2\n", ended.stderr
 
 
 def test_what_is_no_key_is_refused_in_one_sentence(tmp_path: Path) -> None:

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_core.errors import StageFailed
+from radiant_core.errors import CannotWrite, StageFailed
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.sfm import database as sfm_database
+from radiant_core.sfm import undistort as sfm_undistort
 from radiant_core.sfm.colmap_calls import pycolmap
 from radiant_core.sfm.config import SfmConfig, SfmProgress
 from radiant_core.sfm.kept_database import RECORD_NAME, database_key, kept_database
@@ -122,3 +123,20 @@ def test_what_colmap_fails_on_is_not_kept_for_the_next_attempt(tmp_path: Path) -
     with pytest.raises(StageFailed), kept_database(tmp_path, "key"):
         raise StageFailed("the database disk image is malformed")
     assert not (tmp_path / RECORD_NAME).exists()
+
+
+def test_what_colmap_fails_on_with_a_full_disk_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=4096))
+    with pytest.raises(CannotWrite, match="is full"), kept_database(tmp_path, "key"):
+        raise StageFailed("database or disk is full")
+    assert (tmp_path / RECORD_NAME).exists()
+
+
+def test_images_that_were_undistorted_onto_a_full_disk_are_not_believed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=4096))
+    monkeypatch.setattr(sfm_undistort, "call_colmap", lambda *arguments, **options: None)
+    with pytest.raises(CannotWrite, match="is full"):
+        sfm_undistort.undistort(tmp_path, tmp_path, tmp_path, 1, lambda progress: None)
+    assert not (tmp_path / "undistorted").exists()
