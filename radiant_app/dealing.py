@@ -107,7 +107,7 @@ class Dealer:
         if node.tier == "cloud":
             return {"signed": True}
         edge = node.name if node.tier == "edge" else self._edge_of(node.name)
-        devices = next(plan.device_ids for plan in self.edge_plans if plan.edge_id == edge)
+        devices = self._devices_of(edge)
         introduce(self.run, f"edges/{edge}", "cloud", [f"devices/{device}" for device in devices])
         sends: dict[str, Any] = {"sends": self.sends(node.tier)}
         if node.tier == "edge":
@@ -121,6 +121,9 @@ class Dealer:
 
     def _edge_of(self, device: str) -> str:
         return next(plan.edge_id for plan in self.edge_plans if device in plan.device_ids)
+
+    def _devices_of(self, edge: str) -> tuple[str, ...]:
+        return next(plan.device_ids for plan in self.edge_plans if plan.edge_id == edge)
 
     def sends(self, tier: str) -> list[str]:
         """Files that a device or edge sends beside its model."""
@@ -144,6 +147,10 @@ class Dealer:
         """What an edge gets of a device: its model as it was uploaded, and its cameras."""
         raise NotImplementedError
 
+    def num_dealt(self, device: str) -> int:
+        """How many photographs a device was dealt to train on: it sends no more cameras."""
+        raise NotImplementedError
+
     def delivered(self, node: Tree) -> bool:
         """Whether a device or edge is done in this run and has a model."""
         return self.is_done(node.id)
@@ -165,7 +172,8 @@ class Dealer:
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         self.deal_device(node.name, folder / "inbox")
         self.deal_record(device.id, folder)
-        return {"long_side_px": self.train.long_side_px, "backend": self.backend}, [folder / "inbox"]
+        task = {"long_side_px": self.train.long_side_px, "backend": self.backend, "num_dealt": self.num_dealt(node.name)}
+        return task, [folder / "inbox"]
 
     def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
         """What its devices uploaded."""
@@ -180,6 +188,7 @@ class Dealer:
             self.deal_record(f"devices/{device}", folder)
         task = {
             "devices": devices,
+            "num_dealt": [self.num_dealt(device) for device in devices],
             "strips": [self._strip_of(device) for device in devices],
             "train": asdict(self.train),
             "aggregate": asdict(self.aggregate),
@@ -207,6 +216,7 @@ class Dealer:
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
         task = {
             "edges": edges,
+            "num_dealt": [sum(map(self.num_dealt, self._devices_of(edge))) for edge in edges],
             "sites": self.cloud_plan.sites[rows].tolist(),
             "weights": self.cloud_plan.weights[rows].tolist(),
             "train": asdict(self.train),
@@ -271,6 +281,10 @@ class SharedDealer(Dealer):
         """Its upload, and its cameras in the owner's scene."""
         self.deal_upload(self.run / "devices" / device, place)
         deal_files(self.run / "devices" / device, self.sends("device"), place)
+
+    def num_dealt(self, device: str) -> int:
+        """By the plan."""
+        return len(self._camera_indices(device))
 
     def _camera_indices(self, device: str) -> Any:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
