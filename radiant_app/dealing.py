@@ -107,7 +107,7 @@ class Dealer:
         if node.tier == "cloud":
             return {"signed": True}
         edge = node.name if node.tier == "edge" else self._edge_of(node.name)
-        devices = self._devices_of(edge)
+        devices = next(plan.device_ids for plan in self.edge_plans if plan.edge_id == edge)
         introduce(self.run, f"edges/{edge}", "cloud", [f"devices/{device}" for device in devices])
         sends: dict[str, Any] = {"sends": self.sends(node.tier)}
         if node.tier == "edge":
@@ -121,9 +121,6 @@ class Dealer:
 
     def _edge_of(self, device: str) -> str:
         return next(plan.edge_id for plan in self.edge_plans if device in plan.device_ids)
-
-    def _devices_of(self, edge: str) -> tuple[str, ...]:
-        return next(plan.device_ids for plan in self.edge_plans if plan.edge_id == edge)
 
     def sends(self, tier: str) -> list[str]:
         """Files that a device or edge sends beside its model."""
@@ -177,8 +174,7 @@ class Dealer:
 
     def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
         """What its devices uploaded."""
-        leaves = [next(iter(child)) for child in node.children]
-        devices = [device.name for device in leaves if self.delivered(device)]
+        devices = self._delivered_of(node)
         for place in ("inbox", DELIVERIES):
             shutil.rmtree(folder / place, ignore_errors=True)
         if not devices:
@@ -199,13 +195,19 @@ class Dealer:
         }
         return task, [folder / "inbox"]
 
+    def _delivered_of(self, edge: Tree) -> list[str]:
+        """The devices below an edge that are done and have a model."""
+        leaves = [next(iter(child)) for child in edge.children]
+        return [device.name for device in leaves if self.delivered(device)]
+
     def _strip_of(self, device: str) -> list[list[float]]:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
         return plan.strips[plan.device_ids.index(device)].tolist()
 
     def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
         """What the edges uploaded, and the plan's borders."""
-        edges = [edge.name for edge in node.children if self.delivered(edge)]
+        num_dealt = {edge.name: sum(map(self.num_dealt, self._delivered_of(edge))) for edge in node.children if self.delivered(edge)}
+        edges = list(num_dealt)
         for place in ("inbox", DELIVERIES):
             shutil.rmtree(folder / place, ignore_errors=True)
         if not edges:
@@ -216,7 +218,7 @@ class Dealer:
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
         task = {
             "edges": edges,
-            "num_dealt": [sum(map(self.num_dealt, self._devices_of(edge))) for edge in edges],
+            "num_dealt": list(num_dealt.values()),
             "sites": self.cloud_plan.sites[rows].tolist(),
             "weights": self.cloud_plan.weights[rows].tolist(),
             "train": asdict(self.train),
