@@ -29,7 +29,7 @@ from radiant_app.sources import load_scene_of
 from radiant_app.system_file import dump_system, even_system, load_system
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
+from radiant_core.io.plan_export import ABSOLUTE, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypoints
@@ -51,6 +51,10 @@ if TYPE_CHECKING:
     from radiant_viewer.images import Image
 
 Report = Callable[[float, float, str], None]
+NO_HEIGHTS = (
+    f"Altitudes are above the sea and stand in the lists as {ABSOLUTE}, which flight planners do not fly: give the ground's with --ground "
+    "for heights above it."
+)
 PHASES = ("reading positions", "planning", "drawing", "writing")
 
 
@@ -136,7 +140,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
     from radiant_viewer.views import waypoint_plan_picture
 
-    waypoints = found.waypoints
+    waypoints = replace(found.waypoints, ground_m=request.content.ground_m)
     positions = waypoints.positions_m
     made = _made_plan(positions[:, :2], waypoints.origin, system, request, report, waypoints.names)
     content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
@@ -147,7 +151,8 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     report(3, len(PHASES), PHASES[3])
     _write(request.out, made, content, pictures, waypoints)
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
-    return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **content.summary(), **written}
+    warnings = found.warnings if waypoints.heights_m is not None else (*found.warnings, NO_HEIGHTS)
+    return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **written}
 
 
 def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:

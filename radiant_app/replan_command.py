@@ -29,6 +29,7 @@ from radiant_app.sources import load_scene_of
 from radiant_app.system_file import dump_system, even_system, load_system
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
+from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
@@ -274,7 +275,9 @@ def _moved_csv(before: _Before, new: Replan) -> str:
     ids = [device.id for device in new.system.devices]
     for index in np.flatnonzero(new.moved).tolist():
         x, y = before.positions[index, :2].tolist()
-        writer.writerow((before.names[index], f"{x:.3f}", f"{y:.3f}", ids[new.device_before[index]], ids[new.device_after[index]]))
+        writer.writerow(
+            (cell_of_text(before.names[index]), f"{x:.3f}", f"{y:.3f}", ids[new.device_before[index]], ids[new.device_after[index]])
+        )
     return text.getvalue()
 
 

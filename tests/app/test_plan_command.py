@@ -17,6 +17,7 @@ from rich.console import Console
 
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.plan_content import ContentRequest
 from radiant_app.plan_tables import method_table
 from radiant_app.progress import ProgressDisplay
 from radiant_core.errors import BadInput
@@ -43,9 +44,12 @@ id = "s1"
 """
 
 
-def make_plan(source: Path, out: Path, system: Path | None = None, method: Any = "exact") -> dict[str, Any]:
+def make_plan(
+    source: Path, out: Path, system: Path | None = None, method: Any = "exact", content: ContentRequest | None = None
+) -> dict[str, Any]:
     display = ProgressDisplay(Console(file=io.StringIO()))
-    return plan(PlanRequest(source=source, out=out, system=system, method=method, seed=0), display)
+    content = content or ContentRequest()
+    return plan(PlanRequest(source=source, out=out, system=system, method=method, seed=0, content=content), display)
 
 
 def grid_csv(folder: Path, columns: int, rows: int) -> Path:
@@ -107,6 +111,20 @@ def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) 
     found = exif_waypoints(tmp_path).waypoints
     index = found.names.index(waypoints.names[0])
     np.testing.assert_array_equal(waypoints.lat_lon_alt[0], found.lat_lon_alt[index])
+    # GPS counts from the sea: nothing in the lists is flown as height above take-off until somebody says where the ground is.
+    assert "give the ground's with --ground" in result["warnings"] and "are heights above the sea" in result["forecast"]
+    assert headers_of(tmp_path / "out" / "plan_waypoints") == {"latitude,longitude,altitude_absolute(m),name"}
+    assert waypoints.absolute and waypoints.ground_m is None
+    ground_m = float(waypoints.lat_lon_alt[:, 2].min()) - 50
+    known = make_plan(tmp_path, tmp_path / "out" / "known.json", content=ContentRequest(ground_m=ground_m))
+    assert "--ground" not in known["warnings"] + known["forecast"]
+    assert headers_of(tmp_path / "out" / "known_waypoints") == {"latitude,longitude,altitude(m),name,altitude_absolute(m)"}
+    lists = [read_waypoints(path).waypoints for path in (tmp_path / "out" / "known_waypoints").iterdir()]
+    assert min(own.lat_lon_alt[:, 2].min() for own in lists) == pytest.approx(50, abs=1e-3)
+
+
+def headers_of(folder: Path) -> set[str]:
+    return {path.read_text().splitlines()[0] for path in folder.iterdir()}
 
 
 def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) -> None:

@@ -116,6 +116,10 @@ def save_plan(  # noqa: PLR0913
         if waypoints.heading_pitch_deg is not None:
             angles = waypoints.heading_pitch_deg.tolist()
             record["waypoints"]["heading_pitch_deg"] = [[None if np.isnan(angle) else angle for angle in pair] for pair in angles]
+        if waypoints.absolute:
+            record["waypoints"]["absolute"] = True
+        if waypoints.ground_m is not None:
+            record[GROUND_KEY] = waypoints.ground_m
     if warnings:
         record["warnings"] = list(warnings)
     record |= content or {}
@@ -170,7 +174,13 @@ def load_plan_file(path: Path) -> PlanFile:
             return PlanFile(cloud=cloud, edges=edges, ground_m=ground_m)
         looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None
         angles = None if looks is None else np.array(looks, dtype=np.float64)
-        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"], heading_pitch_deg=angles)
+        waypoints = Waypoints(
+            names=_texts(stored["names"]),
+            lat_lon_alt=stored["lat_lon_alt"],
+            heading_pitch_deg=angles,
+            absolute=stored.get("absolute") is True,
+            ground_m=ground_m,
+        )
         require_plan_of(len(waypoints), cloud, edges)
     return PlanFile(cloud=cloud, edges=edges, waypoints=waypoints, ground_m=ground_m)
 
