@@ -15,16 +15,20 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from radiant_app.commands import training_part
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.plan_command import PlanRequest, plan
 from radiant_app.plan_content import ContentRequest
 from radiant_app.plan_tables import method_table
 from radiant_app.progress import ProgressDisplay
+from radiant_app.system_file import load_system
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
-from radiant_core.io.records import load_plan, load_plan_waypoints
+from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene
 from radiant_core.io.waypoints import exif_waypoints, read_waypoints
+from radiant_core.plan.comparators import compare
+from radiant_core.plan.edge_sites import place_edges
 
 HAMLET = sample_scenes_folder() / "hamlet" / "images"
 SYSTEM = """
@@ -186,7 +190,23 @@ def test_compare_measures_every_method_on_the_same_positions(tmp_path: Path) -> 
     result = plan(request, ProgressDisplay(Console(file=io.StringIO())))
     over = {row["method"]: row["makespan_over_bound"] for row in result["methods"]}
     assert over["exact"] == 1.0
-    assert len(over) == 8
+    assert len(over) == 7 and result["methods_left_out"].startswith("content: ")
     table = method_table(result["methods"]).splitlines()
-    assert len(table) == 9
+    assert len(table) == 8
     assert table[1].split()[0] == "exact"
+
+
+def test_compare_knows_the_content_of_a_scene(tmp_path: Path) -> None:
+    run = sample_scenes_folder() / "runs" / "tiny"
+    request = PlanRequest(source=run, out=tmp_path / "plan.json", system=None, method="exact", seed=0, compare=True)
+    result = plan(request, ProgressDisplay(Console(file=io.StringIO())))
+    rows = {row["method"]: row for row in result["methods"]}
+    assert len(rows) == 8 and "methods_left_out" not in result
+    scene = training_part(load_scene(run / "sfm" / "scene.safetensors"))
+    seen = np.bincount(scene.observations[:, 1], minlength=len(scene.cameras))
+    assert seen.max() > 1.5 * np.median(seen[seen > 0]) or seen.min() < 0.5 * np.median(seen), "some photographs show less than others"
+    system = place_edges(load_system(tmp_path / "plan_system.toml"), scene.cameras.centers[:, :2], None, 0)
+    wanted = {row.method: row for row in compare(scene.cameras.centers[:, :2], system, content=seen)}["content"]
+    assert rows["content"]["makespan_s"] == wanted.makespan_s
+    assert rows["content"]["squared_distance_m2"] == pytest.approx(wanted.squared_distance_m2)
+    assert rows["content"]["squared_distance_m2"] != rows["kd"]["squared_distance_m2"], "halves of equal content are not halves of cameras"

@@ -20,6 +20,7 @@ from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import edge_table
 from radiant_core.plan.edge_capacity import without_devices
+from radiant_core.plan.even_shares import even_times_s
 from radiant_core.plan.paper_arp import PaperConfig
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.power_diagram import cell_polygons, rectangle
@@ -112,7 +113,8 @@ def followed_by_edges(regions: CloudPlan, positions: ArrayLike, system: System) 
     chosen = power_m2.argmin(axis=1)
     handed_over = _hand_over(chosen, power_m2, room)
     edge_of_camera = used[chosen]
-    edge_time_s = times_of_counts(system, np.bincount(edge_of_camera, minlength=len(system.edges)))
+    times_s = even_times_s if regions.method == "even" else times_of_counts
+    edge_time_s = times_s(system, np.bincount(edge_of_camera, minlength=len(system.edges)))
     lower_bound_s, makespan_s = float(fastest_edge_counts(system, len(positions)).edge_time_s.max()), float(edge_time_s.max())
     status: PlanStatus = "stopped"
     if not handed_over and makespan_s <= lower_bound_s:
