@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from shapely import Polygon, box, get_coordinates, segmentize
+from shapely import Point, Polygon, box, get_coordinates, get_parts, make_valid, segmentize, union_all
 from shapely.affinity import translate
 from shapely.geometry import mapping
 
-from radiant_core.frames import geodetic_from_enu
+from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
 from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.run_store import atomic_writer, write_atomic
 from radiant_core.numerics import FloatArray
@@ -35,6 +35,8 @@ HEIGHT, ABSOLUTE = "altitude(m)", "altitude_absolute(m)"
 CSV_HEADER = ("latitude", "longitude", HEIGHT, "name")
 ANGLE_HEADER = ("heading(deg)", "gimbalpitchangle")
 MAX_SIDE_M = 500.0
+NEAR_POLE_M, POLE_PIECES = 50_000.0, 500
+"""Nearer to a pole than this a polygon as wide as so many pieces is divided into these."""
 
 
 def save_device_waypoints(
@@ -159,15 +161,38 @@ def _polygon_feature(polygon: FloatArray, origin: FloatArray, about: dict[str, A
 
 def _geometry(polygon: FloatArray, origin: FloatArray) -> dict[str, Any]:
     """A polygon (V,2) m, counter-clockwise, about the origin (3,), as GeoJSON: Polygon, or MultiPolygon across the 180th meridian."""
-    ring = _lon_lat(get_coordinates(segmentize(Polygon(polygon), MAX_SIDE_M)), origin)
-    ring[:, 0] = origin[1] + (ring[:, 0] - origin[1] + 180) % 360 - 180
+    ring = _continuous(_lon_lat(get_coordinates(segmentize(Polygon(polygon), _side_m(polygon, origin))), origin), origin)
     shape = Polygon(np.round(ring, 9))
-    if ring[:, 0].min() >= -180 and ring[:, 0].max() <= 180:
+    if not shape.is_valid:
+        # A side that runs through a pole has every longitude there.
+        shape = make_valid(shape)
+    elif ring[:, 0].min() >= -180 and ring[:, 0].max() <= 180:
         return mapping(shape)
     # One turn east and west, so that what stands out on one side comes in on the other.
-    parts = [translate(shape, xoff=turn).intersection(box(-180, -90, 180, 90)) for turn in (-360, 0, 360)]
-    rings = [mapping(part.normalize().reverse())["coordinates"] for part in parts if isinstance(part, Polygon) and not part.is_empty]
+    cut = [translate(shape, xoff=turn).intersection(box(-180, -90, 180, 90)) for turn in (-360, 0, 360)]
+    # Around a pole the first and the last meridian are one.
+    parts = [part for part in get_parts(union_all(cut)) if isinstance(part, Polygon) and not part.is_empty]
+    rings = [mapping(part.normalize().reverse())["coordinates"] for part in parts]
     return {"type": "MultiPolygon", "coordinates": rings}
+
+
+def _side_m(polygon: FloatArray, origin: FloatArray) -> float:
+    """How long a piece of a side may be: beside a pole a straight one passes all longitudes within metres."""
+    pole_m = enu_from_geodetic(np.array([[np.copysign(90.0, origin[0]), origin[1], origin[2]]]), origin)[0, :2]
+    near = Polygon(polygon).distance(Point(pole_m)) < NEAR_POLE_M
+    return float(np.hypot(*np.ptp(polygon, axis=0)) / POLE_PIECES) if near else MAX_SIDE_M
+
+
+def _continuous(ring: FloatArray, origin: FloatArray) -> FloatArray:
+    """A closed ring (V,2) of longitude and latitude without jumps at the 180th meridian, near the origin's longitude; one around a pole
+    goes on along that, which is a line in longitude and latitude."""
+    lons = np.unwrap(ring[:, 0], period=360)
+    lons += 360 * np.round((origin[1] - lons.mean()) / 360)
+    ring = np.column_stack([lons, ring[:, 1]])
+    if abs(lons[-1] - lons[0]) < 180:
+        return ring
+    pole = np.copysign(90.0, origin[0])
+    return np.vstack([ring, [lons[-1], pole], [lons[0], pole], ring[0]])
 
 
 def _lon_lat(positions: FloatArray, origin: FloatArray) -> FloatArray:

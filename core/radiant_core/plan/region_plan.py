@@ -26,7 +26,7 @@ from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.capped_transport import deal_within
 from radiant_core.plan.constraints import PlanConstraints, Reference, deal_around
 from radiant_core.plan.deadline import edge_tables
-from radiant_core.plan.edge_sites import separated_sites
+from radiant_core.plan.edge_sites import require_within_reach, separated_sites
 from radiant_core.plan.even_shares import even_edge_counts, even_times_s
 from radiant_core.plan.paper_arp import PaperConfig, paper_regions
 from radiant_core.plan.plans import CloudPlan, PlanStatus
@@ -39,8 +39,6 @@ from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, 
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
 _BLOCK_PAIRS = 500_000
-MAX_COORDINATE_M = 1e8
-"""Coordinates may be UTM-sized, not of another planet."""
 MARGIN = 0.1
 """Width of land beyond the outermost cameras that still belongs to a region, as a share of their bounding box's longer side."""
 CERTIFICATE_TOLERANCE = 1e-12
@@ -198,9 +196,7 @@ def _plane(positions: ArrayLike, system: System) -> _Plane:
     if unplaced:
         raise BadInput(f"edge {unplaced[0]!r} has no position in metres: call place_edges first.")
     sites = np.array([edge.position for edge in system.edges], dtype=np.float64)
-    farthest_m = max(float(np.abs(positions).max()), float(np.abs(sites).max()))
-    if farthest_m > MAX_COORDINATE_M:
-        raise BadInput(f"a camera or edge is {farthest_m:.3g} m from the origin, expected at most {MAX_COORDINATE_M:g} m.")
+    require_within_reach(positions, sites)
     low, high = bounds(positions)
     centre, side_m = (low + high) / 2, float((high - low).max()) or 1.0
     margin_m = MARGIN * side_m

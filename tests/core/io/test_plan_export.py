@@ -333,3 +333,21 @@ def test_a_polygon_across_the_180th_meridian_is_cut_there_and_one_that_touches_i
         assert geometry["type"] == ("Polygon" if parts == 1 else "MultiPolygon") and len(rings(found)) == parts
         # A degree of longitude at the equator is 111,319.49 m, one of latitude 110,574.3 m (WGS84).
         assert found.area == pytest.approx((east - west) / 111319.49 * 500 / 110574.3, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("pole", "away_deg", "reach_m"), [(-90.0, 0.0, 100.0), (-90.0, 0.0009, 100.0), (90.0, 0.003, 100.0), (-90.0, 0.003, 20_000.0)]
+)
+def test_regions_at_a_pole_are_polygons_that_hold_their_waypoints(tmp_path: Path, pole: float, away_deg: float, reach_m: float) -> None:
+    waypoints, cloud, edges = planned((pole - np.copysign(away_deg, pole), 30.0, 0.0), reach_m, count=60)
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints)
+    regions = {feature["properties"]["edge"]: shape(feature["geometry"]) for feature in features(tmp_path / "r.geojson", "region")}
+    for region in regions.values():
+        west, south, east, north = region.bounds
+        assert region.is_valid and region.area > 0 and -180 <= west < east <= 180 and -90 <= south < north <= 90
+    held = [
+        regions[point["properties"]["edge"]].distance(Point(point["geometry"]["coordinates"][:2]))
+        for point in features(tmp_path / "r.geojson", "waypoint")
+    ]
+    # In degrees; sides are straight in metres and cut only every 500 m, which turns far beside a pole.
+    assert np.mean(np.array(held) < 1e-6) > 0.9
