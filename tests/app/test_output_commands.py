@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +101,19 @@ def test_names_in_a_file_of_cameras_write_nothing_outside_of_the_folder(run: Pat
         "good.png",
         "inner/folder.png",
     ]
+
+
+def test_a_picture_that_does_not_fit_into_memory_is_one_sentence(run: Path, tmp_path: Path) -> None:
+    large = tmp_path / "cameras.safetensors"
+    one = looking_at(np.array([[0.0, -80, 60]]), np.zeros((1, 3)), Lens(size_wh=(32, 32)))
+    save_cameras(large, replace(one, sizes_wh=np.array([[1 << 14, 1 << 14]])))
+    # A process of its own, which may hold 4 GB: one picture of 268 million pixels takes 3.2 GB and more at once.
+    arguments = ["-m", "radiant_app", "render", run / "scene.ply", "--cameras", large, "--out", tmp_path / "frames"]
+    command = ["prlimit", f"--as={4 << 30}", sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "a picture of 16384 × 16384 px does not fit into the free memory: add --long-side-px" in done.stderr
+    assert not (tmp_path / "frames").exists()
 
 
 def test_pictures_take_a_size_and_a_camera(run: Path, tmp_path: Path) -> None:
