@@ -144,6 +144,10 @@ class Dealer:
         """What an edge gets of a device: its model as it was uploaded, and its cameras."""
         raise NotImplementedError
 
+    def num_dealt(self, device: str) -> int:
+        """How many photographs a device was dealt to train on: it sends no more cameras."""
+        raise NotImplementedError
+
     def delivered(self, node: Tree) -> bool:
         """Whether a device or edge is done in this run and has a model."""
         return self.is_done(node.id)
@@ -165,12 +169,12 @@ class Dealer:
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         self.deal_device(node.name, folder / "inbox")
         self.deal_record(device.id, folder)
-        return {"long_side_px": self.train.long_side_px, "backend": self.backend}, [folder / "inbox"]
+        task = {"long_side_px": self.train.long_side_px, "backend": self.backend, "num_dealt": self.num_dealt(node.name)}
+        return task, [folder / "inbox"]
 
     def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
         """What its devices uploaded."""
-        leaves = [next(iter(child)) for child in node.children]
-        devices = [device.name for device in leaves if self.delivered(device)]
+        devices = self._delivered_of(node)
         for place in ("inbox", DELIVERIES):
             shutil.rmtree(folder / place, ignore_errors=True)
         if not devices:
@@ -180,6 +184,7 @@ class Dealer:
             self.deal_record(f"devices/{device}", folder)
         task = {
             "devices": devices,
+            "num_dealt": [self.num_dealt(device) for device in devices],
             "strips": [self._strip_of(device) for device in devices],
             "train": asdict(self.train),
             "aggregate": asdict(self.aggregate),
@@ -190,13 +195,19 @@ class Dealer:
         }
         return task, [folder / "inbox"]
 
+    def _delivered_of(self, edge: Tree) -> list[str]:
+        """The devices below an edge that are done and have a model."""
+        leaves = [next(iter(child)) for child in edge.children]
+        return [device.name for device in leaves if self.delivered(device)]
+
     def _strip_of(self, device: str) -> list[list[float]]:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
         return plan.strips[plan.device_ids.index(device)].tolist()
 
     def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
         """What the edges uploaded, and the plan's borders."""
-        edges = [edge.name for edge in node.children if self.delivered(edge)]
+        num_dealt = {edge.name: sum(map(self.num_dealt, self._delivered_of(edge))) for edge in node.children if self.delivered(edge)}
+        edges = list(num_dealt)
         for place in ("inbox", DELIVERIES):
             shutil.rmtree(folder / place, ignore_errors=True)
         if not edges:
@@ -207,6 +218,7 @@ class Dealer:
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
         task = {
             "edges": edges,
+            "num_dealt": list(num_dealt.values()),
             "sites": self.cloud_plan.sites[rows].tolist(),
             "weights": self.cloud_plan.weights[rows].tolist(),
             "train": asdict(self.train),
@@ -271,6 +283,10 @@ class SharedDealer(Dealer):
         """Its upload, and its cameras in the owner's scene."""
         self.deal_upload(self.run / "devices" / device, place)
         deal_files(self.run / "devices" / device, self.sends("device"), place)
+
+    def num_dealt(self, device: str) -> int:
+        """By the plan."""
+        return len(self._camera_indices(device))
 
     def _camera_indices(self, device: str) -> Any:
         plan = next(plan for plan in self.edge_plans if device in plan.device_ids)

@@ -10,8 +10,9 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from radiant_app.commands import require_file_to_be, require_run, stage_bar
+from radiant_app.inbox import moved_cameras, sim3_of
 from radiant_app.progress import ProgressDisplay
-from radiant_app.sources import has_scene, load_scene_of
+from radiant_app.sources import DELIVERED, has_scene, load_scene_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
@@ -104,8 +105,9 @@ def _common_frame(request: ExtendRequest) -> tuple[Sim3 | None, FloatArray | Non
 
 def _origin(run: Path) -> FloatArray | None:
     """Latitude, longitude and altitude of a run's origin; None without GPS."""
-    if has_scene(run):
-        frame = load_scene_of(run).frame
+    place = run / DELIVERED if (run / DELIVERED).is_dir() else run
+    if has_scene(place):
+        frame = load_scene_of(place).frame
         return frame.origin_lat_lon_alt if frame.kind == "metric" else None
     require_run(run)
     waypoints = load_plan_waypoints(run / "plan.json")
@@ -114,10 +116,12 @@ def _origin(run: Path) -> FloatArray | None:
 
 def _virtual_cameras(run: Path) -> Cameras:
     inbox = run / "cloud" / "inbox"
-    found = sorted(inbox.glob("*/virtual_cameras.safetensors"))
+    # Where frames come from GPS the cloud moved what its edges sent, and left some out.
+    moves = read_json(run / "cloud" / "corrections.json") if inbox.is_dir() else {}
+    found = [path for path in sorted(inbox.glob("*/virtual_cameras.safetensors")) if moves.get(path.parent.name) is not None]
     if not found:
         raise BadInput(f"{inbox} holds no virtual cameras to ask the new model at: run it with a cloud that retrains, the default.")
-    return concatenate_cameras([load_cameras(path) for path in found])
+    return concatenate_cameras([moved_cameras(load_cameras(path), sim3_of(moves[path.parent.name])) for path in found])
 
 
 def _moved(splats: Splats, cameras: Cameras, move: Sim3 | None) -> tuple[Splats, Cameras]:

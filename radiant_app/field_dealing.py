@@ -113,6 +113,10 @@ class FieldDealer(Dealer):
         self.deal_upload(self.run / "edges" / edge, place)
         deal_files(self.run / "edges" / edge, self.sends("edge"), place)
 
+    def num_dealt(self, device: str) -> int:
+        """Its photographs without those that it holds out."""
+        return len(self.shares[device].names) if device in self.shares else 0
+
     def delivered(self, node: Tree) -> bool:
         """Whether a device or edge is done in this run and has a model."""
         return self.has_model(node.id)

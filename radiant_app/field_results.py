@@ -11,7 +11,7 @@ import numpy as np
 
 from radiant_app.evaluation import region_width, summary_of
 from radiant_app.field_dealing import FieldDealer, device_cameras
-from radiant_app.inbox import moved_cameras, sim3_of
+from radiant_app.inbox import moved_cameras, numbered, sim3_of
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import StageFailed
 from radiant_core.evaluate.seam_error import pooled_seam_error
@@ -59,7 +59,7 @@ def save_delivered(run: Path, dealer: FieldDealer, origin: FloatArray | None) ->
     moves = dealer.moves()
     parts, owners = [], []
     for device, path in device_cameras(dealer).items():
-        cameras = load_cameras(path)
+        cameras = numbered(load_cameras(path), device)
         for move in moves[device]:
             cameras = moved_cameras(cameras, sim3_of(move))
         parts.append(cameras)

@@ -6,7 +6,7 @@ together, and a sender that it contradicts is left out. Once per edge and once a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -51,15 +51,17 @@ class Inbox:
     refused: dict[str, str]
 
 
-def read_inbox(folder: Path, senders: Sequence[str], stage: str, emit: Emit, *, signed: bool = False) -> Inbox:
+def read_inbox(
+    folder: Path, senders: Sequence[str], stage: str, emit: Emit, *, signed: bool = False, dealt: Mapping[str, int] | None = None
+) -> Inbox:
     """The models in inbox/<sender>/ that pass `check_splats`, brought together through their geometry; with `signed` only those whose
-    sender's signature is right."""
+    sender's signature is right, with `dealt` only those that send no more cameras than photographs were dealt to them."""
     places = {name: folder / "inbox" / name for name in senders}
     rejected = refusals(folder, senders, places) if signed else {}
     arrived = {}
     for name in senders:
         if name not in rejected:
-            found = _arrived(places[name])
+            found = _arrived(places[name], None if dealt is None else dealt[name])
             if isinstance(found, str):
                 rejected[name] = found
             else:
@@ -101,12 +103,28 @@ def _without_contradicted(inbox: Inbox, stage: str, emit: Emit) -> Inbox:
     )
 
 
-def _arrived(place: Path) -> tuple[Splats, Cameras] | str:
+def dealt_to(senders: Sequence[str], task: Mapping[str, Any]) -> dict[str, int] | None:
+    """How many photographs were dealt to each sender, as a node's task says; None where a task made by hand does not."""
+    return dict(zip(senders, task["num_dealt"], strict=True)) if "num_dealt" in task else None
+
+
+def too_many_cameras(cameras: Cameras, num_dealt: int | None) -> str | None:
+    """Why a sender with these cameras is refused: joining takes time and memory per camera, so that one could spend what is there for all.
+    Fewer are usual: some photographs are held out, have no pose, or add nothing."""
+    if num_dealt is None or len(cameras) <= num_dealt:
+        return None
+    return f"it sends {len(cameras):,} cameras, where {num_dealt:,} photographs were dealt to it."
+
+
+def _arrived(place: Path, num_dealt: int | None) -> tuple[Splats, Cameras] | str:
     """A sender's model and cameras, or why they are not to be used."""
     from radiant_core.aggregate.arrival import load_arrived
 
     try:
-        own = _cameras_in(place)
+        # Under numbers: one that gives its cameras another's names would end the joining for both.
+        own = numbered(_cameras_in(place), place.name)
+        if reason := too_many_cameras(own, num_dealt):
+            return reason
         if _uncertainty_in(place) is not None and not len(own):
             return "it says how unsure its frame is, but sends no cameras to refine it by."
     except BadInput as error:

@@ -32,7 +32,7 @@ from radiant_app.cloud_task import (
 )
 from radiant_app.delivering import refusals, signed_upload
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, VIRTUAL_VIEWS, Inbox, read_inbox, save_frames
+from radiant_app.inbox import NOTHING, VIRTUAL_CAMERAS, VIRTUAL_VIEWS, Inbox, dealt_to, read_inbox, save_frames, too_many_cameras
 from radiant_app.memory import base_bytes_in, resident_bytes
 from radiant_app.node_decisions import (
     blind_spots_decision,
@@ -271,6 +271,9 @@ def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
         # Its edge refuses it too, and says why.
         return []
     cameras = load_cameras(folder / "inbox" / "cameras.safetensors").scaled(task["long_side_px"])
+    if too_many_cameras(cameras, task.get("num_dealt")):
+        # Its edge refuses it too, and says why.
+        return []
     model = load_arrived(folder / "inbox" / "model.safetensors", cameras)
     if isinstance(model, str):
         # Its edge refuses it too, and says why.
@@ -296,7 +299,8 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     from radiant_core.train.config import TrainConfig
 
     task = read_json(folder / "task.json")
-    inbox = read_inbox(folder, task["devices"], stage, emit, signed=task.get("signed", False))
+    signed, dealt = task.get("signed", False), dealt_to(task["devices"], task)
+    inbox = read_inbox(folder, task["devices"], stage, emit, signed=signed, dealt=dealt)
     if not inbox.models:
         return _nothing_placed(folder, inbox)
     train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
@@ -368,7 +372,8 @@ def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
     task = read_json(folder / "task.json")
     aggregate = AggregateConfig(**task["aggregate"])
-    inbox = read_inbox(folder, task["edges"], stage, emit, signed=task.get("signed", False))
+    signed, dealt = task.get("signed", False), dealt_to(task["edges"], task)
+    inbox = read_inbox(folder, task["edges"], stage, emit, signed=signed, dealt=dealt)
     if not inbox.models:
         return _nothing_placed(folder, inbox)
     outputs = ["scene.ply", "summary.json", *save_frames(folder, inbox)]

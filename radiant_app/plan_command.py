@@ -29,7 +29,7 @@ from radiant_app.sources import load_scene_of
 from radiant_app.system_file import dump_system, even_system, load_system
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
+from radiant_core.io.plan_export import ABSOLUTE, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypoints
@@ -41,16 +41,19 @@ from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
+from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
 if TYPE_CHECKING:
     from radiant_viewer.images import Image
 
-if TYPE_CHECKING:
-    from radiant_viewer.images import Image
-
 Report = Callable[[float, float, str], None]
+NO_HEIGHTS = (
+    f"Altitudes are above the sea and stand in the lists as {ABSOLUTE}, which flight planners do not fly: give the ground's with --ground "
+    "for heights above it."
+)
+NO_CONTENT = "content: nobody knows before capture how much each image will show; compare the methods on a scene"
 PHASES = ("reading positions", "planning", "drawing", "writing")
 
 
@@ -81,6 +84,16 @@ class PlanRequest:
     """File of what is fixed, locked or pinned."""
     content: ContentRequest = field(default_factory=ContentRequest)
     """What is known of cameras and ground, and which buffer captures are wanted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _ToPlan:
+    """What is planned: positions (C,2) m about `origin`, names (C), and how much each camera sees (C,) where that is known."""
+
+    positions: FloatArray
+    origin: FloatArray | None
+    names: Sequence[str]
+    content: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,7 +134,8 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
     positions = scene.cameras.centers[:, :2]
-    made = _made_plan(positions, origin, system, request, report, scene.cameras.names)
+    cameras = _ToPlan(positions=positions, origin=origin, names=scene.cameras.names, content=_points_seen(scene))
+    made = _made_plan(cameras, system, request, report)
     content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
     pictures = side_pictures(positions, scene.frame.unit, made.cloud, made.compared, made.curve)
@@ -136,9 +150,9 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
     from radiant_viewer.views import waypoint_plan_picture
 
-    waypoints = found.waypoints
+    waypoints = replace(found.waypoints, ground_m=request.content.ground_m)
     positions = waypoints.positions_m
-    made = _made_plan(positions[:, :2], waypoints.origin, system, request, report, waypoints.names)
+    made = _made_plan(_ToPlan(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
     content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
     pictures = side_pictures(positions[:, :2], "m", made.cloud, made.compared, made.curve)
@@ -147,7 +161,8 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     report(3, len(PHASES), PHASES[3])
     _write(request.out, made, content, pictures, waypoints)
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
-    return {"planned": len(waypoints), **_summary(request.out, made, found.warnings), **content.summary(), **written}
+    warnings = found.warnings if waypoints.heights_m is not None else (*found.warnings, NO_HEIGHTS)
+    return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **written}
 
 
 def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:
@@ -192,17 +207,23 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
     return replace(found, waypoints=kept, warnings=(*found.warnings, note))
 
 
-def _made_plan(
-    positions: FloatArray, origin: FloatArray | None, system: System, request: PlanRequest, report: Report, names: Sequence[str]
-) -> _Plan:
+def _points_seen(scene: SfmScene) -> FloatArray | None:
+    """How many sparse points each camera sees, the content of its image; None where nobody knows."""
+    if not len(scene.observations):
+        return None
+    return np.bincount(scene.observations[:, 1], minlength=len(scene.cameras)).astype(np.float64)
+
+
+def _made_plan(cameras: _ToPlan, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
-    system = placed_by_raster(system, positions, origin, request.raster_cell_m, request.seed)
+    positions = cameras.positions
+    system = placed_by_raster(system, positions, cameras.origin, request.raster_cell_m, request.seed)
     training, warnings = None, ()
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
         training = training_key_of(train, request.train_preset)
         system, _, warnings = with_camera_limits(system, train, len(positions))
-    given = None if request.constraints is None else load_constraints(request.constraints, names)
+    given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
     start, constraints = (None, None) if given is None else (given.start, given.constraints)
     if request.raster_cell_m is not None:
         if request.slack is not None or constraints is not None:
@@ -213,7 +234,7 @@ def _made_plan(
         cloud = plan_regions(positions, system, method=request.method, slack=request.slack, constraints=constraints, start=start)
     if isinstance(cloud, PlanInfeasible):
         raise BadInput(f"plan: {cloud.reason}")
-    compared = compare(positions, system) if request.compare else ()
+    compared = compare(positions, system, content=cameras.content) if request.compare else ()
     curve: tuple[SlackPoint, ...] = ()
     if request.slack_curve:
         curve = slack_curve(positions, system, progress=lambda share: report(1 + share, len(PHASES), PHASES[1]))
@@ -250,9 +271,14 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
         "plan": str(out),
         "picture": str(beside(out, MAP)),
         "gantt": str(beside(out, GANTT)),
-        **({"methods": [method_row(row) for row in made.compared], "comparison": str(beside(out, METHODS))} if made.compared else {}),
+        **(_comparison(out, made.compared) if made.compared else {}),
         **({"slack_curve": [asdict(point) for point in made.curve], "slack_picture": str(beside(out, SLACKS))} if made.curve else {}),
     }
+
+
+def _comparison(out: Path, compared: Sequence[Compared]) -> dict[str, Any]:
+    without = {} if any(row.method == "content" for row in compared) else {"methods_left_out": NO_CONTENT}
+    return {"methods": [method_row(row) for row in compared], **without, "comparison": str(beside(out, METHODS))}
 
 
 def _require_places(out: Path) -> None:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_core.io.plan_content import GROUND_KEY, content_record
+from radiant_core.io.plan_content import content_record
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.border_forecast import BorderForecast, forecast_borders
 from radiant_core.plan.buffers import BufferRule, EdgeBuffer, plan_buffers
 from radiant_core.plan.footprints import Optics, Views, ground_footprints, region_shares, views_before_capture, views_of_cameras
@@ -23,8 +24,6 @@ from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 
-HIGHEST_FLIGHT_M = 500.0
-"""Drones are not allowed so high above the ground anywhere we know of: larger altitudes are heights above the sea."""
 MAX_IMAGES = 2_000_000
 _SHARE, _METRES = re.compile(r"(\d+(?:\.\d+)?)\s*%"), re.compile(r"(\d+(?:\.\d+)?)\s*m")
 
@@ -52,15 +51,12 @@ class PlanContent:
     assumed: str = ""
     reason: str | None = None
     """Why nothing was forecast, a whole sentence."""
-    ground_m: float | None = None
-    """Altitude of the ground, where it was given."""
 
     def record(self) -> dict[str, Any]:
-        """For plan.json; empty where nothing was given, forecast or buffered."""
-        ground = {} if self.ground_m is None else {GROUND_KEY: self.ground_m}
+        """For plan.json; empty where nothing was forecast or buffered."""
         if self.reason is not None and not self.buffers:
-            return ground
-        return ground | content_record(self.forecasts, self.buffers, self.assumed)
+            return {}
+        return content_record(self.forecasts, self.buffers, self.assumed)
 
     def summary(self) -> dict[str, Any]:
         """What the command line prints: one line of text a key, and the borders as rows."""
@@ -97,25 +93,14 @@ def content_of_waypoints(
     waypoints: Waypoints, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, request: ContentRequest
 ) -> PlanContent:
     """Forecasts and buffers of a plan of waypoints; system as planned."""
-    return replace(_waypoint_content(waypoints, cloud, edges, system, request), ground_m=request.ground_m)
-
-
-def _waypoint_content(
-    waypoints: Waypoints, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, request: ContentRequest
-) -> PlanContent:
-    ground_m = request.ground_m or 0.0
-    heights_m = waypoints.lat_lon_alt[:, 2] - ground_m
-    positions = waypoints.positions_m[:, :2]
-    reason = _no_forecast(heights_m, request)
-    if reason is not None:
-        return PlanContent(buffers=_near_buffers(positions, cloud, edges, system, request, reason), reason=reason)
+    positions, heights_m = waypoints.positions_m[:, :2], _forecast_heights(waypoints)
+    if isinstance(heights_m, str):
+        return PlanContent(buffers=_near_buffers(positions, cloud, edges, system, request, heights_m), reason=heights_m)
     looks = waypoints.heading_pitch_deg
     views = views_before_capture(positions, heights_m, request.optics, looks)
     aimed = "straight down" if looks is None else "as the flight plan says, else straight down"
-    optics = request.optics
-    assumed = (
-        f"assumed: ground at {ground_m:g} m, cameras {aimed}, {optics.field_of_view_deg:g}° across images of {1 / optics.aspect:.3g} : 1"
-    )
+    lens = f"{request.optics.field_of_view_deg:g}° across images of {1 / request.optics.aspect:.3g} : 1"
+    assumed = f"assumed: ground at {waypoints.ground_m or 0.0:g} m, cameras {aimed}, {lens}"
     return _content(views, cloud, edges, system, request, assumed)
 
 
@@ -165,15 +150,18 @@ def _near_buffers(
     return plan_buffers(positions, None, cloud, edges, system, request.buffer)
 
 
-def _no_forecast(heights_m: Any, request: ContentRequest) -> str | None:
-    low, high = float(heights_m.min()), float(heights_m.max())
-    if len(heights_m) > MAX_IMAGES:
-        return f"not made, for {len(heights_m)} positions are more than {MAX_IMAGES}."
-    if low <= 0:
-        return f"not made, for the lowest position is {-low:.3g} m below the ground or on it: give its altitude with --ground."
-    if high > HIGHEST_FLIGHT_M and request.ground_m is None:
-        return f"not made, for altitudes up to {high:.0f} m look like heights above the sea: give the ground's altitude with --ground."
-    return None
+def _forecast_heights(waypoints: Waypoints) -> FloatArray | str:
+    """Heights (P,) above the ground, or why there is no forecast."""
+    if len(waypoints) > MAX_IMAGES:
+        return f"not made, for {len(waypoints)} positions are more than {MAX_IMAGES}."
+    heights_m = waypoints.heights_m
+    if heights_m is None:
+        kind = "are" if waypoints.absolute else "look like"
+        high = waypoints.lat_lon_alt[:, 2].max()
+        return f"not made, for altitudes up to {high:.0f} m {kind} heights above the sea: give the ground's altitude with --ground."
+    if heights_m.min() <= 0:
+        return f"not made, for the lowest position is {-heights_m.min():.3g} m below the ground or on it: give its altitude with --ground."
+    return heights_m
 
 
 def _row(forecast: BorderForecast) -> dict[str, Any]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from radiant_app.commands import require_file_to_be, require_run, stage_bar
@@ -49,9 +51,8 @@ class RenderRequest:
 
 
 def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write PNG pictures into the new folder `out`, or a film; returns what was written. BadInput before anything is rendered."""
-    from radiant_core.render.rendered_view import render_views
-
+    """Write PNG pictures into the new folder `out`, or a film; returns what was written. BadInput before anything is rendered, and where a
+    picture does not fit into memory."""
     is_film = request.out.suffix.lower() in ENDINGS
     if request.out.suffix.lower() in OTHER_FILMS:
         raise BadInput(f"{request.out.name} is a film of a kind that is not written here: let its name end in {', '.join(ENDINGS)}.")
@@ -67,17 +68,32 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
             raise BadInput("the cameras are of different sizes, which no film can show: render single pictures into a folder.")
         size_wh = tuple(int(side) for side in cameras.sizes_wh[0] // 2 * 2)
         with MovieWriter(request.out, (size_wh[0], size_wh[1]), request.fps) as film, stage_bar(display, "render") as report:
-            for done, view in enumerate(render_views(splats, cameras), 1):
-                film.add(np.ascontiguousarray(view.image_bytes[: size_wh[1], : size_wh[0]]))
-                report(done, len(cameras), view.name)
+            for done, (name, image) in enumerate(_pictures(splats, cameras), 1):
+                film.add(np.ascontiguousarray(image[: size_wh[1], : size_wh[0]]))
+                report(done, len(cameras), name)
         return {"film": str(request.out), "frames": len(cameras), "seconds": round(len(cameras) / request.fps, 2)}
     with new_folder(request.out), stage_bar(display, "render") as report:
-        for done, view in enumerate(render_views(splats, cameras), 1):
-            path = request.out / f"{view.name}.png"
+        for done, (name, image) in enumerate(_pictures(splats, cameras), 1):
+            path = request.out / f"{name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomic(path, png_bytes(view.image_bytes))
-            report(done, len(cameras), view.name)
+            write_atomic(path, png_bytes(image))
+            report(done, len(cameras), name)
     return {"pictures": len(cameras), "folder": str(request.out)}
+
+
+def _pictures(splats: Splats, cameras: Cameras) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Name and picture (H,W,3) of each camera; BadInput where one does not fit into memory."""
+    from radiant_core.render.rendered_view import render_views
+
+    views = render_views(splats, cameras)
+    for width, height in cameras.sizes_wh:
+        try:
+            view = next(views)
+            image = view.image_bytes
+        except MemoryError:
+            told = f"a picture of {width} × {height} px does not fit into the free memory"
+            raise BadInput(f"{told}: add --long-side-px 4000, or less.") from None
+        yield view.name, image
 
 
 def _model(model: Path) -> Splats:

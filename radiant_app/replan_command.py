@@ -25,10 +25,11 @@ from radiant_app.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, m
 from radiant_app.predictions import depends_on_training, planned_training, with_camera_limits
 from radiant_app.progress import ProgressDisplay
 from radiant_app.run_folder import Manifest, read_manifest
-from radiant_app.sources import load_scene_of
+from radiant_app.sources import DELIVERED, load_scene_of
 from radiant_app.system_file import dump_system, even_system, load_system
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
+from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
@@ -41,6 +42,7 @@ from radiant_core.plan.prediction import corrected_system, planned_stages
 from radiant_core.plan.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
+from radiant_core.scene import SfmScene
 from radiant_core.train.needs import Overrides
 
 MOVED = "_moved.csv"
@@ -78,6 +80,7 @@ class _Before:
     origin: FloatArray | None
     waypoints: Waypoints | None
     names: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def parsed_values(texts: Sequence[str], option: str) -> dict[str, float]:
@@ -124,7 +127,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
             raise BadInput(f"replan: {new.reason}")
         report(1, 2, "writing")
         _write(request.out, before, new)
-    return _summary(request.out, before, new, warnings)
+    return _summary(request.out, before, new, (*warnings, *before.warnings))
 
 
 def _within_memory(system: System, num_positions: int) -> tuple[System, tuple[str, ...]]:
@@ -185,13 +188,13 @@ def _of_run(request: ReplanRequest) -> _Before:
     manifest = read_manifest(run)
     if not (run / SYSTEM_NAME).is_file():
         raise BadInput(f"{run} has no {SYSTEM_NAME}: it has not been planned yet, or by an earlier version; run it with --resume.")
-    cloud, edges = load_plan(run / "plan.json")
     in_the_field = manifest.config.get("frames", "shared") != "shared"
-    scene = training_part(load_scene_of(run / "delivered" if in_the_field else run))
+    _, dealt = load_plan(run / "plan.json")
+    (cloud, edges), scene = _delivered(run) if in_the_field else (load_plan(run / "plan.json"), training_part(load_scene_of(run)))
     require_plan_of(len(scene.cameras), cloud, edges)
     system = load_system(run / SYSTEM_NAME)
     measured = measured_seconds(run, manifest)
-    system = corrected_system(system, planned_stages(system, edges), measured)
+    system = corrected_system(system, planned_stages(system, dealt), measured)
     situation = _progress_of(run, manifest, system, edges, request.situation)
     keeps = situation.done | situation.closed
     captured = np.full(len(scene.cameras), in_the_field)
@@ -210,7 +213,24 @@ def _of_run(request: ReplanRequest) -> _Before:
         origin=origin,
         waypoints=None,
         names=scene.cameras.names,
+        warnings=_undelivered(dealt, edges),
     )
+
+
+def _delivered(run: Path) -> tuple[tuple[CloudPlan, tuple[EdgePlan, ...]], SfmScene]:
+    """Plan and scene of what devices that keep their photographs have delivered: nobody else knows where those were taken."""
+    folder = run / DELIVERED
+    if not folder.is_dir():
+        raise BadInput(f"{run} keeps photographs on their devices and has delivered no scene yet: finish it by --resume, or plan anew.")
+    return load_plan(folder / "plan.json"), load_scene_of(folder)
+
+
+def _undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) -> tuple[str, ...]:
+    """A sentence where devices have photographs in the plan of a run and none in what was delivered."""
+    arrived = {device: len(plan.cameras_of(device)) for plan in delivered for device in plan.device_ids}
+    lost = {device: len(plan.cameras_of(device)) for plan in dealt for device in plan.device_ids if not arrived.get(device)}
+    names = [f"{device} ({count})" for device, count in lost.items() if count]
+    return (f"Not in this plan are the photographs that never arrived, of {', '.join(names)}: have them taken again.",) if names else ()
 
 
 def _progress_of(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: Situation) -> Situation:
@@ -274,7 +294,9 @@ def _moved_csv(before: _Before, new: Replan) -> str:
     ids = [device.id for device in new.system.devices]
     for index in np.flatnonzero(new.moved).tolist():
         x, y = before.positions[index, :2].tolist()
-        writer.writerow((before.names[index], f"{x:.3f}", f"{y:.3f}", ids[new.device_before[index]], ids[new.device_after[index]]))
+        writer.writerow(
+            (cell_of_text(before.names[index]), f"{x:.3f}", f"{y:.3f}", ids[new.device_before[index]], ids[new.device_after[index]])
+        )
     return text.getvalue()
 
 

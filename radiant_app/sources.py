@@ -53,6 +53,10 @@ def reconstruct_source(task: dict[str, Any], folder: Path, report: Callable[[Any
     return reconstruct(images, folder, SfmConfig(**task["sfm"]), report, masks)
 
 
+DELIVERED = "delivered"
+"""Folder of a run in the field: the cameras and the plan of what its devices delivered, in the frame of its scene."""
+
+
 def has_scene(folder: Path) -> bool:
     """Whether a folder is that of a run or of `radiant sfm`, with a scene in it."""
     return any((folder / name).is_file() for name in ("sfm/scene.safetensors", "scene.safetensors"))

@@ -36,6 +36,7 @@ Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Pair = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=0)]
 
 
 def _inner(name: str) -> str:
@@ -95,6 +96,7 @@ class TeacherTask(Strict):
 
     long_side_px: Annotated[int, Field(ge=1)]
     backend: Backend
+    num_dealt: Count
     signed: Literal[True]
     checkpoint_every_s: Positive
 
@@ -107,9 +109,10 @@ class CloudLimits(Strict):
 
 
 class EdgeTask(_Sending):
-    """Join the models of `devices`, whose regions are `strips`."""
+    """Join the models of `devices`, whose regions are `strips`; each was dealt `num_dealt` photographs."""
 
     devices: Annotated[list[Id], Field(min_length=1)]
+    num_dealt: list[Count]
     strips: list[list[Pair]]
     aggregate: AggregateConfig
     memory_bytes: Positive | None
@@ -119,9 +122,10 @@ class EdgeTask(_Sending):
 
 
 class CloudTask(_Trained):
-    """Join the models of `edges`, whose regions are the power cells of `sites` with `weights`."""
+    """Join the models of `edges`, whose regions are the power cells of `sites` with `weights`; each was dealt `num_dealt` photographs."""
 
     edges: Annotated[list[Id], Field(min_length=1)]
+    num_dealt: list[Count]
     sites: list[Pair]
     weights: list[FiniteFloat]
     aggregate: AggregateConfig

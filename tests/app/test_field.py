@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
@@ -14,24 +15,29 @@ from typing import cast
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
+from radiant_app.extend_command import ExtendRequest, extend
 from radiant_app.field import Captured, _middle, _tell_unplaced
 from radiant_app.field_nodes import _placed_once, run_field
 from radiant_app.inbox import _are_one_group
 from radiant_app.nodes import run_node
 from radiant_app.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
 from radiant_app.pipeline import RunResult, run
+from radiant_app.progress import ProgressDisplay
+from radiant_app.replan_command import ReplanRequest, replan_files
 from radiant_app.report import ledger_by_tier
 from radiant_app.stages import Progress
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
-from radiant_core.io.records import load_cameras
+from radiant_core.io.records import load_cameras, load_plan, load_scene
 from radiant_core.io.run_store import write_json
+from radiant_core.plan.replan import Situation
 from radiant_core.train.needs import Overrides
 from radiant_viewer.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
@@ -313,6 +319,9 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     assert list(result.metrics["missing"]) == ["south-1"] and "triangulated" in result.metrics["missing"]["south-1"]
     assert any(isinstance(event, Warned) and event.stage == "devices/south-1" for event in events)
     assert "south-1" in result.report.read_text() and len(load_ply(config.out / "scene.ply")) > 100
+    new = replan_files(ReplanRequest(source=config.out, out=tmp_path / "new.json"), ProgressDisplay(Console(file=io.StringIO())))
+    dealt = next(plan for plan in load_plan(config.out / "plan.json")[1] if "south-1" in plan.device_ids)
+    assert f"photographs that never arrived, of south-1 ({len(dealt.cameras_of('south-1'))}): have them taken again" in new["warnings"]
 
 
 def test_a_device_that_fails_names_no_photograph(hamlet: Path, tmp_path: Path) -> None:
@@ -389,6 +398,16 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
     assert any("south-2 takes no part" in warning for warning in manifest["warnings"])
     told = next(row for row in manifest["ledger"] if row["node"] == "plan")
     assert told["num_photographs"] == 0 and 0 < told["other_bytes"] < 10_000, "names and positions alone"
+    # What was delivered can be planned anew and extended; nobody knows more than the plan of what arrived.
+    display = ProgressDisplay(Console(file=io.StringIO()))
+    delivered = len(load_scene(config.out / "delivered" / "scene.safetensors").cameras)
+    assert delivered < sum(len(plan.camera_indices) for plan in load_plan(config.out / "plan.json")[1]), "some are held out or have no pose"
+    new = replan_files(
+        ReplanRequest(source=config.out, out=tmp_path / "new.json", situation=Situation(dead=frozenset(["south-1"]))), display
+    )
+    assert new["captured"] == delivered and new["lost"] == new["moved"] == 0, "what a dead device has delivered stays"
+    extended = extend(ExtendRequest(old=config.out, new=config.out, out=tmp_path / "more.ply", num_epochs=1), display)
+    assert extended["frames"] == "both runs have one origin" and extended["views"] > 0 and extended["gaussians"] > 100
     # Without a place it is not planned, so that nobody else has anything new to do.
     import cv2
 

@@ -13,7 +13,7 @@ import pytest
 from radiant_app.delivering import introduce
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.inbox import NOTHING, numbered, read_inbox, save_frames, sim3_of, sim3_record
-from radiant_core.cameras import Cameras
+from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry import frame_refinement
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame
@@ -63,6 +63,21 @@ def test_what_is_sound_is_joined_in_the_senders_order_and_the_rest_named(tmp_pat
         assert (move := inbox.corrections[name]) is not None and (move.scale, move.translation.tolist()) == (1.0, [0, 0, 0])
         assert np.array_equal(inbox.cameras[index].cam_from_world, CAMERAS.cam_from_world)
     assert np.array_equal(inbox.models[0].means, GROUND.means)
+
+
+def test_who_sends_more_cameras_than_it_was_dealt_is_refused_and_fewer_are_usual(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        arrive(tmp_path, name)
+    inbox = read_inbox(tmp_path, ["a", "b", "c"], "edges/north", lambda event: None, dealt={"a": 6, "b": 5, "c": 9})
+    assert inbox.senders == ("a", "c")
+    assert inbox.refused == {"b": "it sends 6 cameras, where 5 photographs were dealt to it."}
+
+
+def test_cameras_with_another_senders_names_cost_that_one_nothing(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        arrive(tmp_path, name, cameras=CAMERAS)
+    cameras = read_inbox(tmp_path, ["a", "b"], "edges/north", lambda event: None).cameras
+    assert len(concatenate_cameras(cameras)) == 2 * len(CAMERAS)
 
 
 def test_an_empty_inbox_is_no_error(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from radiant_app.stages import require_plan
 from radiant_app.system_file import load_system
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
+from radiant_core.io.waypoints import read_waypoints
 from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.footprints import Optics
 from radiant_core.plan.waypoints import Waypoints
@@ -132,6 +134,37 @@ def test_a_run_on_the_globe_gives_a_plan_that_another_run_can_take(tmp_path: Pat
     np.testing.assert_allclose(waypoints.positions_m[:, :2], subject.positions[:, :2] - shift, atol=1e-3)
     back = load_other_plan(tmp_path / "out.json", subject)
     np.testing.assert_allclose(back.cloud.sites, town.cloud_plan.sites, atol=1e-6)
+
+
+def test_lists_of_a_run_hold_heights_above_its_ground_and_absolute_altitudes_beside_them(tmp_path: Path) -> None:
+    town = made_up_town()
+    # As structure from motion leaves it: 60 m over ground at 0 to 1 m, 474 m above the sea.
+    seen = np.column_stack([np.arange(9000), np.zeros(9000, np.int64)])
+    frame = replace(town.scene.frame, origin_lat_lon_alt=np.array([47.37, 8.54, 414.0]))
+    town = replace(town, scene=replace(town.scene, observations=seen, frame=frame))
+    save_plan(tmp_path / "plan.json", town.cloud_plan, town.edge_plans)
+    subject = subject_of(load_plan_view(tmp_path / "plan.json", town.scene))
+    setting = plan_setting(tmp_path / "plan.json", _write_system(tmp_path / "town.toml"))
+    editor = PlanEditor(subject, setting.system, (town.cloud_plan, town.edge_plans))  # type: ignore[arg-type]
+    save_edited_plan(tmp_path / "out.json", subject, editor.state, setting)
+    lists = [path for path in sorted((tmp_path / "out_waypoints").iterdir()) if path.read_text().count("\n") > 1]
+    for path in lists:
+        rows = list(csv.DictReader(path.read_text().splitlines()))
+        assert list(rows[0]) == ["latitude", "longitude", "altitude(m)", "name", "altitude_absolute(m)"]
+        for row in rows:
+            # The lowest tenth of the points lies at 0.1 m; the ground curves away by a millimetre.
+            assert float(row["altitude(m)"]) == pytest.approx(59.9, abs=0.05)
+            assert float(row["altitude_absolute(m)"]) == pytest.approx(474, abs=0.05)
+        back = read_waypoints(path).waypoints
+        assert back.names == tuple(row["name"] for row in rows) and not back.absolute
+    assert sum(len(read_waypoints(path).waypoints) for path in lists) == len(subject.names)
+    kept = load_plan_waypoints(tmp_path / "out.json")
+    assert kept is not None and kept.absolute and kept.ground_m == pytest.approx(414.1, abs=0.05), "for replan, and for the window"
+    # A run in the field shows Gaussians, which float anywhere: nothing tells its ground.
+    unseen = replace(town.scene, observations=np.zeros((0, 2), np.int64))
+    save_edited_plan(tmp_path / "field.json", subject_of(load_plan_view(tmp_path / "plan.json", unseen)), editor.state, setting)
+    header = (tmp_path / "field_waypoints" / lists[0].name).read_text().split("\n")[0].strip()
+    assert header == "latitude,longitude,altitude_absolute(m),name"
 
 
 def test_what_cannot_be_opened_is_one_sentence(tmp_path: Path, planned: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,8 @@ from typer.testing import CliRunner
 from radiant_app.cli import app
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
+from radiant_core.io.records import save_cameras
+from radiant_core.render.trajectories import Lens, looking_at
 from tests.viewer.made_up_run import made_up_town, save_run
 
 
@@ -79,6 +83,37 @@ def test_a_film_follows_keyframes_and_a_border(run: Path, tmp_path: Path) -> Non
     assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [f"frame_{index:05d}.png" for index in range(3)]
     radiant("render", run, "--out", tmp_path / "orbit.gif", "--trajectory", "orbit", "--frames", 3, *size)
     assert (tmp_path / "orbit.gif").read_bytes()[:4] == b"GIF8"
+
+
+def test_names_in_a_file_of_cameras_write_nothing_outside_of_the_folder(run: Path, tmp_path: Path) -> None:
+    evil = tmp_path / "a" / "b" / "cameras.safetensors"
+    evil.parent.mkdir(parents=True)
+    lens = Lens(size_wh=(32, 32))
+    two = looking_at(np.array([[0.0, -80, 60], [0.0, 80, 60]]), np.zeros((2, 3)), lens)
+    for name in ("../../out/relative", str(tmp_path / "out" / "absolute")):
+        save_cameras(evil, replace(two, names=("good", name)))
+        with pytest.raises(BadInput, match="expected relative paths inside a folder"):
+            radiant("render", run / "scene.ply", "--cameras", evil, "--out", tmp_path / "a" / "b" / "frames")
+        assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "b", "cameras.safetensors"]
+    save_cameras(evil, replace(two, names=("good", "inner/folder")))
+    radiant("render", run / "scene.ply", "--cameras", evil, "--out", tmp_path / "frames")
+    assert sorted(str(path.relative_to(tmp_path / "frames")) for path in (tmp_path / "frames").rglob("*.png")) == [
+        "good.png",
+        "inner/folder.png",
+    ]
+
+
+def test_a_picture_that_does_not_fit_into_memory_is_one_sentence(run: Path, tmp_path: Path) -> None:
+    large = tmp_path / "cameras.safetensors"
+    one = looking_at(np.array([[0.0, -80, 60]]), np.zeros((1, 3)), Lens(size_wh=(32, 32)))
+    save_cameras(large, replace(one, sizes_wh=np.array([[1 << 14, 1 << 14]])))
+    # A process of its own, which may hold 4 GB: one picture of 268 million pixels takes 3.2 GB and more at once.
+    arguments = ["-m", "radiant_app", "render", run / "scene.ply", "--cameras", large, "--out", tmp_path / "frames"]
+    command = ["prlimit", f"--as={4 << 30}", sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "a picture of 16384 × 16384 px does not fit into the free memory: add --long-side-px" in done.stderr
+    assert not (tmp_path / "frames").exists()
 
 
 def test_pictures_take_a_size_and_a_camera(run: Path, tmp_path: Path) -> None:

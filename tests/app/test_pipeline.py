@@ -25,19 +25,20 @@ from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
 from radiant_app.extend_command import ExtendRequest, extend
 from radiant_app.inbox import read_inbox
 from radiant_app.memory import resident_bytes
-from radiant_app.nodes import run_device, run_edge
+from radiant_app.nodes import run_cloud, run_device, run_edge
 from radiant_app.pipeline import RunResult, run
 from radiant_app.progress import ProgressDisplay
 from radiant_app.report import TIERS
 from radiant_app.sources import all_files
 from radiant_core import __version__
 from radiant_core.aggregate.extend import NewRegion
+from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.geojson_region import load_region
 from radiant_core.io.ply import load_ply
-from radiant_core.io.records import load_plan, load_scene, load_splats
+from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.io.upload import load_upload, save_upload
 from radiant_core.train.needs import Overrides
@@ -236,6 +237,43 @@ def test_too_little_memory_makes_a_smaller_budget_that_the_next_process_keeps(
     # A damaged one is taken anew, whatever the figure is now.
     (tmp_path / "device" / "memory.json").write_text("{")
     assert "Gaussians" in choice() and read_json(tmp_path / "device" / "memory.json")
+
+
+def test_a_device_that_sends_more_cameras_than_it_was_dealt_is_refused_by_its_edge_and_an_edge_by_the_cloud(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    shutil.copytree(config.out, tmp_path / "run")
+    edge = next(folder for folder in sorted((tmp_path / "run/edges").iterdir()) if len(list((folder / "inbox").iterdir())) > 1)
+    task = {**read_json(edge / "task.json"), "signed": False, "teachers": []}
+    photographs = [len(list((tmp_path / "run/devices" / device / "photos").iterdir())) for device in task["devices"]]
+    assert task["num_dealt"] == photographs
+    write_json(edge / "task.json", task)
+    greedy, *others = task["devices"]
+    _send_more_cameras(edge / "inbox" / greedy / "cameras.safetensors", 20_000)
+    events: list[Event] = []
+    run_edge(edge, "edges/one", events.append)
+    told = f"it sends 20,000 cameras, where {photographs[0]} photographs were dealt to it."
+    assert read_json(edge / "refused.json") == {greedy: told}
+    assert f"the model of {greedy} is left out: {told}" in [event.message for event in events if isinstance(event, Warned)]
+    assert len(load_cameras(edge / "virtual_cameras.safetensors")) == sum(photographs[1:])
+    assert read_json(edge / "summary.json")["num_models"] == len(others)
+
+    cloud = tmp_path / "run/cloud"
+    task = {**read_json(cloud / "task.json"), "signed": False}
+    _, edge_plans = load_plan(config.out / "plan.json")
+    assert task["num_dealt"] == [len(plan.camera_indices) for plan in edge_plans if plan.edge_id in task["edges"]]
+    for name in task["edges"]:
+        _send_more_cameras(cloud / "inbox" / name / "virtual_cameras.safetensors", 500)
+    write_json(cloud / "task.json", task)
+    run_cloud(cloud, "cloud", events.append)
+    assert {reason[:22] for reason in read_json(cloud / "refused.json").values()} == {"it sends 500 cameras, "}
+
+
+def _send_more_cameras(path: Path, count: int) -> None:
+    cameras = load_cameras(path)
+    copies = [replace(cameras, names=tuple(f"{index}-{name}" for name in cameras.names)) for index in range(-(-count // len(cameras)))]
+    save_cameras(path, concatenate_cameras(copies).select(np.arange(count)))
 
 
 def test_a_model_out_of_its_cameras_sight_is_refused_and_the_rest_is_joined(

@@ -15,15 +15,20 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from radiant_app.commands import training_part
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.plan_command import PlanRequest, plan
+from radiant_app.plan_content import ContentRequest
 from radiant_app.plan_tables import method_table
 from radiant_app.progress import ProgressDisplay
+from radiant_app.system_file import load_system
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
-from radiant_core.io.records import load_plan, load_plan_waypoints
+from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene
 from radiant_core.io.waypoints import exif_waypoints, read_waypoints
+from radiant_core.plan.comparators import compare
+from radiant_core.plan.edge_sites import place_edges
 
 HAMLET = sample_scenes_folder() / "hamlet" / "images"
 SYSTEM = """
@@ -43,9 +48,12 @@ id = "s1"
 """
 
 
-def make_plan(source: Path, out: Path, system: Path | None = None, method: Any = "exact") -> dict[str, Any]:
+def make_plan(
+    source: Path, out: Path, system: Path | None = None, method: Any = "exact", content: ContentRequest | None = None
+) -> dict[str, Any]:
     display = ProgressDisplay(Console(file=io.StringIO()))
-    return plan(PlanRequest(source=source, out=out, system=system, method=method, seed=0), display)
+    content = content or ContentRequest()
+    return plan(PlanRequest(source=source, out=out, system=system, method=method, seed=0, content=content), display)
 
 
 def grid_csv(folder: Path, columns: int, rows: int) -> Path:
@@ -107,6 +115,20 @@ def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) 
     found = exif_waypoints(tmp_path).waypoints
     index = found.names.index(waypoints.names[0])
     np.testing.assert_array_equal(waypoints.lat_lon_alt[0], found.lat_lon_alt[index])
+    # GPS counts from the sea: nothing in the lists is flown as height above take-off until somebody says where the ground is.
+    assert "give the ground's with --ground" in result["warnings"] and "are heights above the sea" in result["forecast"]
+    assert headers_of(tmp_path / "out" / "plan_waypoints") == {"latitude,longitude,altitude_absolute(m),name"}
+    assert waypoints.absolute and waypoints.ground_m is None
+    ground_m = float(waypoints.lat_lon_alt[:, 2].min()) - 50
+    known = make_plan(tmp_path, tmp_path / "out" / "known.json", content=ContentRequest(ground_m=ground_m))
+    assert "--ground" not in known["warnings"] + known["forecast"]
+    assert headers_of(tmp_path / "out" / "known_waypoints") == {"latitude,longitude,altitude(m),name,altitude_absolute(m)"}
+    lists = [read_waypoints(path).waypoints for path in (tmp_path / "out" / "known_waypoints").iterdir()]
+    assert min(own.lat_lon_alt[:, 2].min() for own in lists) == pytest.approx(50, abs=1e-3)
+
+
+def headers_of(folder: Path) -> set[str]:
+    return {path.read_text().splitlines()[0] for path in folder.iterdir()}
 
 
 def test_what_cannot_be_planned_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
@@ -168,7 +190,23 @@ def test_compare_measures_every_method_on_the_same_positions(tmp_path: Path) -> 
     result = plan(request, ProgressDisplay(Console(file=io.StringIO())))
     over = {row["method"]: row["makespan_over_bound"] for row in result["methods"]}
     assert over["exact"] == 1.0
-    assert len(over) == 8
+    assert len(over) == 7 and result["methods_left_out"].startswith("content: ")
     table = method_table(result["methods"]).splitlines()
-    assert len(table) == 9
+    assert len(table) == 8
     assert table[1].split()[0] == "exact"
+
+
+def test_compare_knows_the_content_of_a_scene(tmp_path: Path) -> None:
+    run = sample_scenes_folder() / "runs" / "tiny"
+    request = PlanRequest(source=run, out=tmp_path / "plan.json", system=None, method="exact", seed=0, compare=True)
+    result = plan(request, ProgressDisplay(Console(file=io.StringIO())))
+    rows = {row["method"]: row for row in result["methods"]}
+    assert len(rows) == 8 and "methods_left_out" not in result
+    scene = training_part(load_scene(run / "sfm" / "scene.safetensors"))
+    seen = np.bincount(scene.observations[:, 1], minlength=len(scene.cameras))
+    assert seen.max() > 1.5 * np.median(seen[seen > 0]) or seen.min() < 0.5 * np.median(seen), "some photographs show less than others"
+    system = place_edges(load_system(tmp_path / "plan_system.toml"), scene.cameras.centers[:, :2], None, 0)
+    wanted = {row.method: row for row in compare(scene.cameras.centers[:, :2], system, content=seen)}["content"]
+    assert rows["content"]["makespan_s"] == wanted.makespan_s
+    assert rows["content"]["squared_distance_m2"] == pytest.approx(wanted.squared_distance_m2)
+    assert rows["content"]["squared_distance_m2"] != rows["kd"]["squared_distance_m2"], "halves of equal content are not halves of cameras"

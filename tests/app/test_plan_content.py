@@ -41,6 +41,8 @@ def test_forecast_buffers_and_comparison_stand_in_plan_lists_regions_and_picture
     result = made(flight(tmp_path), content_request(None, 73.7, "20%", None), compare=True)
     methods, borders = plan_tables(result)
     assert "paper-literal" in methods and "edge-1 | edge-2" in borders
+    assert "content" not in [row["method"] for row in result["methods"]], "it would be kd under another name"
+    assert "nobody knows before capture" in result["methods_left_out"]
     record = json.loads((tmp_path / "plan.json").read_text())
     assert record["forecast"]["borders"][0]["risk"] in ("low", "medium", "high")
     buffered = sum(len(buffer["camera_indices"]) for buffer in record["buffers"])

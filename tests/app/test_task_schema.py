@@ -43,10 +43,11 @@ TASKS: dict[str, dict[str, Any]] = {
         "sfm": {"matching": "auto", "seed": 0, "two_view_points": True, "memory_bytes": None},
         "model": None,
     },
-    "teacher": {"long_side_px": 64, "backend": "native", "signed": True, "checkpoint_every_s": 10.0},
+    "teacher": {"long_side_px": 64, "backend": "native", "num_dealt": 2, "signed": True, "checkpoint_every_s": 10.0},
     "edge": {
         **SENDING,
         "devices": ["a-1"],
+        "num_dealt": [2],
         "strips": [[[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]],
         "aggregate": asdict(AggregateConfig()),
         "cloud": {"limits": {"memory_bytes": 1e9, "time_s": None, "max_cameras": None}, "share": 0.5},
@@ -57,6 +58,7 @@ TASKS: dict[str, dict[str, Any]] = {
     "cloud": {
         **TRAINED,
         "edges": ["a"],
+        "num_dealt": [2],
         "sites": [[0.0, 1.0]],
         "weights": [0.0],
         "aggregate": asdict(AggregateConfig()),

@@ -26,6 +26,18 @@ from tests.viewer.made_up_run import made_up_town, save_run
 SQUARE = np.array([[0.0, 0], [30, 0], [30, 40], [0, 40]])
 
 
+def test_the_table_of_cameras_is_saved_without_formulas(tmp_path: Path) -> None:
+    table = pytest.importorskip("radiant_viewer.camera_table", reason="needs PySide6")
+    town = made_up_town()
+    held_out, _, *others = town.scene.cameras.names
+    names = (held_out, "=cmd|' /C calc'!A0.jpg", *others)
+    scene = replace(town.scene, cameras=replace(town.scene.cameras, names=names))
+    save_run(tmp_path / "run", replace(town, scene=scene))
+    table.CameraTable(load_run_view(tmp_path / "run")).save_csv(tmp_path / "cameras.csv", [0, 1])
+    lines = (tmp_path / "cameras.csv").read_text().splitlines()
+    assert lines[2].startswith("'=cmd|' /C calc'!A0.jpg,") and lines[1].startswith(f"{held_out},")
+
+
 @pytest.mark.parametrize("shift", [0.0, 5e6, -1e7])
 def test_lengths_and_areas_are_those_of_the_ground_wherever_it_lies(shift: float) -> None:
     assert path_length(SQUARE + shift) == pytest.approx(100, rel=1e-9)

@@ -109,6 +109,8 @@ def test_cameras_are_sorted_and_filtered_by_any_figure() -> None:
     assert lines[0].startswith("Photograph,Region,Device,Use,PSNR (dB)")
     assert lines[1].startswith("DJI_0008.JPG,") and ",19.5," in lines[1]
     assert ",training,," in lines[2] or ",held out,," in lines[2]
+    evil = replace(figures, columns={**figures.columns, "name": np.array(["=cmd|' /C calc'!A0", *figures.column("name")[1:]])})
+    assert figures_csv(evil, [0]).split("\r\n")[1].startswith("'=cmd|' /C calc'!A0,"), "no formula in a spreadsheet"
 
 
 def test_changes_and_constraints_are_marked() -> None:

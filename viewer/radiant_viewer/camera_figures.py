@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
+from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
@@ -162,4 +163,4 @@ def _holds(figures: CameraFigures, name: str, sign: str, wanted: str) -> NDArray
 
 
 def _cell(value: Any) -> str:
-    return str(value) if isinstance(value, str) else "" if np.isnan(value) else f"{value:.6g}"
+    return cell_of_text(str(value)) if isinstance(value, str) else "" if np.isnan(value) else f"{value:.6g}"

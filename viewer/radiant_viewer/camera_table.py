@@ -10,6 +10,7 @@ from typing import Any
 
 from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelIndex, Qt
 
+from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.run_store import write_atomic
 from radiant_viewer.run_figures import FIGURES, ImageFigures
 from radiant_viewer.run_view import RunView
@@ -80,8 +81,12 @@ class CameraTable(QAbstractTableModel):
         text = io.StringIO(newline="")
         writer = csv.writer(text)
         writer.writerow(self.headings)
-        writer.writerows(["" if cell is None else cell for cell in self.rows[index]] for index in order)
+        writer.writerows([_written(cell) for cell in self.rows[index]] for index in order)
         write_atomic(path, text.getvalue().encode())
+
+
+def _written(cell: str | float | None) -> str | float:
+    return "" if cell is None else cell_of_text(cell) if isinstance(cell, str) else cell
 
 
 def _rows(run: RunView, more: Sequence[str], figures: ImageFigures) -> list[tuple[str | float | None, ...]]:

@@ -20,7 +20,8 @@ from radiant_core.plan.system import System
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSubject:
-    """What is planned: names (C) unique; positions (C,3) in `unit`; origin (3,) lat lon alt where they are on the globe.
+    """What is planned: names (C) unique; positions (C,3) in `unit`; origin (3,) lat lon alt where they are on the globe; ground, its
+    height in the positions' z, where the scene tells it.
 
     Raises BadInput without cameras, for positions that are not finite and for names that come twice.
     """
@@ -29,6 +30,7 @@ class PlanSubject:
     positions: FloatArray
     unit: str = "m"
     origin: FloatArray | None = None
+    ground: float | None = None
 
     def __post_init__(self) -> None:
         if not self.names:

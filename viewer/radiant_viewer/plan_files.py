@@ -2,7 +2,8 @@
 
 <stem>.json  the plan, with waypoints where its cameras are on the globe: `radiant run --plan` takes it
 <stem>_system.toml  the machines it is for
-<stem>_waypoints/<device>.csv, <stem>_regions.geojson  what each device captures and where, for flight planners and maps, on the globe
+<stem>_waypoints/<device>.csv, <stem>_regions.geojson  what each device captures and where, for flight planners and maps, on the globe;
+             heights of a run's cameras count from its low ground, so that whoever takes off there or higher flies no lower than they did
 <stem>_constraints.toml, <stem>_start.json  what is fixed, locked and pinned, and the plan that this refers to
 """
 
@@ -16,7 +17,6 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
-from radiant_core.io.plan_content import GROUND_KEY
 from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
@@ -28,6 +28,7 @@ from radiant_core.plan.waypoints import Waypoints
 from radiant_viewer.edited_plan import EditedPlan, PlanSubject
 from radiant_viewer.plan_edits import AdoptPlan
 from radiant_viewer.run_view import RunView
+from radiant_viewer.views import ground_height
 
 SAME_PLACE_M = 1e-6
 
@@ -59,6 +60,8 @@ def subject_of(run: RunView) -> PlanSubject:
         positions=run.scene.cameras.centers[planned],
         unit=run.unit,
         origin=frame.origin_lat_lon_alt if frame.kind == "metric" else None,
+        # Sparse points lie on what was seen; a run in the field shows Gaussians instead, which float anywhere.
+        ground=ground_height(run.scene) if len(run.scene.observations) else None,
     )
 
 
@@ -84,7 +87,7 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
         save_regions_geojson(regions, cloud, edges, waypoints)
         written += [lists, regions]
     # The plan itself last: where it stands, everything else does.
-    save_plan(path, cloud, edges, waypoints, content=None if setting.ground_m is None else {GROUND_KEY: setting.ground_m})
+    save_plan(path, cloud, edges, waypoints)
     return (path, *written)
 
 
@@ -146,8 +149,18 @@ def _on_the_globe(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoi
         return known, np.zeros(2)
     if subject.origin is None:
         return None, np.zeros(2)
-    waypoints = Waypoints(names=subject.names, lat_lon_alt=geodetic_from_enu(subject.positions, subject.origin))
+    waypoints = Waypoints(
+        names=subject.names,
+        lat_lon_alt=geodetic_from_enu(subject.positions, subject.origin),
+        absolute=True,
+        ground_m=None if subject.ground is None else _altitude_m(subject.on_map.mean(axis=0), subject.ground, subject.origin),
+    )
     return waypoints, enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]
+
+
+def _altitude_m(place: FloatArray, height: float, origin: FloatArray) -> float:
+    """Altitude of a height in the frame about `origin`, at `place` (2,)."""
+    return float(geodetic_from_enu(np.array([[*place, height]]), origin)[0, 2])
 
 
 def _moved_system(system: System, shift: FloatArray) -> System:

@@ -18,14 +18,12 @@ from radiant_core.io.records import load_plan_file
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.footprints import Optics, views_before_capture
 from radiant_core.plan.plans import require_plan_of
-from radiant_core.plan.waypoints import Waypoints
+from radiant_core.plan.waypoints import HIGHEST_FLIGHT_M, Waypoints
 from radiant_core.scene import SfmScene
 from radiant_viewer.camera_roles import camera_roles
 from radiant_viewer.run_view import RunView
 
 IMAGE_WIDTH_PX = 4000
-HIGHEST_FLIGHT_M = 500.0
-"""Larger altitudes are heights above the sea, as for `radiant plan`."""
 USUAL_OVERLAP, LARGEST_OVERLAP = 0.8, 0.95
 """Of an image with the next one: what flights for photogrammetry have, and more than any has."""
 
@@ -78,7 +76,12 @@ def likely_ground_m(waypoints: Waypoints, optics: Optics) -> float:
     positions = waypoints.positions_m[:, :2]
     apart = float(np.median(KDTree(positions).query(positions, k=2)[0][:, 1])) if len(positions) > 1 else 0.0
     seen_per_height = 2 * np.tan(np.radians(optics.field_of_view_deg / 2))
-    if low > 0 and high <= HIGHEST_FLIGHT_M and (apart == 0 or apart >= (1 - LARGEST_OVERLAP) * seen_per_height * low):
+    if (
+        not waypoints.absolute
+        and low > 0
+        and high <= HIGHEST_FLIGHT_M
+        and (apart == 0 or apart >= (1 - LARGEST_OVERLAP) * seen_per_height * low)
+    ):
         return 0.0
     return low - apart / ((1 - USUAL_OVERLAP) * seen_per_height)
 

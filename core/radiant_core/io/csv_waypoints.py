@@ -1,8 +1,9 @@
 """Waypoints from CSV: a header that names the columns, then one waypoint a line. About 2 µs a cell.
 
-Columns: lat or latitude, lon, lng or longitude, and if there are any alt or altitude (metres), name or id; a unit may stand behind in
-brackets. Where the camera looks: heading or yaw (degrees from north), gimbalpitchangle, gimbal_pitch or pitch (−90 is down); an empty cell,
-and a pitch beside the gimbalmode 0, in which Litchi leaves the gimbal alone, says nothing. Other columns are ignored.
+Columns: lat or latitude, lon, lng or longitude, and if there are any alt or altitude (metres), else altitude_absolute or AltitudeAMSL
+(metres from the sea), and name or id; a unit may stand behind in brackets. Where the camera looks: heading or yaw (degrees from north),
+gimbalpitchangle, gimbal_pitch or pitch (−90 is down); an empty cell, and a pitch beside the gimbalmode 0, in which Litchi leaves the gimbal
+alone, says nothing. Other columns are ignored.
 Separated by commas, semicolons or tabs, whichever the header has most; decimals with a point.
 """
 
@@ -15,12 +16,14 @@ from collections.abc import Iterator
 from typing import IO
 
 from radiant_core.errors import BadInput
+from radiant_core.io.csv_cells import text_of_cell
 from radiant_core.io.waypoint_rows import WaypointRows, number
 
 _COLUMNS = {
     "latitude": ("lat", "latitude"),
     "longitude": ("lon", "lng", "long", "longitude"),
     "altitude": ("alt", "altitude"),
+    "absolute altitude": ("altitude_absolute", "altitude_amsl", "altitudeamsl", "amsl"),
     "name": ("name",),
     "id": ("id",),
     "heading": ("heading", "yaw"),
@@ -47,7 +50,9 @@ def csv_rows(file: IO[str]) -> WaypointRows:
         raise BadInput(f"its header is no line of CSV ({error}).") from None
     column = _columns(header)
     named = column.get("name", column.get("id"))
+    altitudes = column.get("altitude", column.get("absolute altitude"))
     rows = WaypointRows()
+    rows.absolute = "altitude" not in column and altitudes is not None
     for line, cells in _lines(file, delimiter):
         if not any(cell.strip() for cell in cells):
             continue
@@ -55,9 +60,9 @@ def csv_rows(file: IO[str]) -> WaypointRows:
             raise BadInput(f"line {line} has {len(cells)} cells, the header {len(header)}: give every line one cell per column.")
         lat = number(cells[column["latitude"]].strip(), f"the latitude in line {line}")
         lon = number(cells[column["longitude"]].strip(), f"the longitude in line {line}")
-        alt_text = cells[column["altitude"]].strip() if "altitude" in column else ""
+        alt_text = "" if altitudes is None else cells[altitudes].strip()
         alt = number(alt_text, f"the altitude in line {line}") if alt_text else None
-        rows.add("" if named is None else cells[named], lat, lon, alt, _looks_at_deg(cells, column, line))
+        rows.add("" if named is None else text_of_cell(cells[named]), lat, lon, alt, _looks_at_deg(cells, column, line))
     return rows
 
 

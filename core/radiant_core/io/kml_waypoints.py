@@ -53,6 +53,8 @@ def _add_placemark(rows: WaypointRows, placemark: Element) -> None:
         if kind not in ("Point", "LineString"):
             continue
         tuples = " ".join(child.text or "" for child in geometry if _local(child.tag) == "coordinates").split()
+        if any(_local(child.tag) == "altitudeMode" and (child.text or "").strip() == "absolute" for child in geometry):
+            rows.absolute = True
         if not tuples or (kind == "Point" and len(tuples) > 1):
             raise BadInput(f"{place} has a {kind} with {len(tuples)} coordinates, expected longitude,latitude,altitude without blanks.")
         for index, written in enumerate(tuples, start=1):

@@ -13,6 +13,7 @@ from __future__ import annotations
 from pathlib import Path
 from pickle import UnpicklingError  # noqa: TID251 only the error that torch.load raises is wanted
 from typing import Any
+from zipfile import BadZipFile, ZipFile, is_zipfile
 
 import numpy as np
 
@@ -83,21 +84,46 @@ def _load(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MAX_METADATA_BYTES:
         raise BadInput(f"{path} has {path.stat().st_size} bytes, expected metadata of at most {MAX_METADATA_BYTES}.")
     try:
+        unpacked_bytes = _unpacked_bytes(path)
+        if unpacked_bytes > MAX_METADATA_BYTES:
+            raise BadInput(f"{path} unpacks to {unpacked_bytes} bytes, expected metadata of at most {MAX_METADATA_BYTES}.")
         loaded = torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251 a stranger's file, tensors only
-    except (RuntimeError, UnpicklingError, EOFError, ValueError, KeyError, OSError) as error:
+    except BadInput:
+        raise
+    except (RuntimeError, UnpicklingError, EOFError, ValueError, KeyError, OSError, BadZipFile) as error:
         raise BadInput(f"{path} is no readable .pt file of tensors ({type(error).__name__}): fetch it again.") from None
     if not isinstance(loaded, dict):
         raise BadInput(f"{path} holds a {type(loaded).__name__}, expected a dictionary of tensors.")
     return loaded
 
 
+def _unpacked_bytes(path: Path) -> int:
+    """What all parts of a .pt file take, which may be deflated; 0 for the older form, whose storages are as long as the file is."""
+    if not is_zipfile(path):
+        return 0
+    with ZipFile(path) as parts:
+        return sum(part.file_size for part in parts.infolist())
+
+
 def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> FloatArray:
     """The finite numbers of `shape` under `key`."""
+    found = tuple(getattr(loaded.get(key), "shape", shape))
+    # Asked before anything is converted: by its strides a tensor of a few bytes holds billions of numbers.
+    if found != shape and (shape or any(side != 1 for side in found)):
+        raise BadInput(f"{path}: {key!r} has shape {found}, expected {shape}.")
     try:
-        values = np.asarray(loaded[key], dtype=np.float64)
-    except (KeyError, TypeError, ValueError, RuntimeError):
+        values = np.asarray(_of_shape(loaded[key], shape), dtype=np.float64).reshape(shape)
+    except (KeyError, TypeError, ValueError, RuntimeError, OverflowError):
         raise BadInput(f"{path} has no numbers under {key!r}: expected the Mega-NeRF layout.") from None
-    values = values.reshape(shape) if values.size == 1 and shape == () else values
-    if values.shape != shape or not np.isfinite(values).all():
-        raise BadInput(f"{path}: {key!r} has shape {values.shape} or is not finite, expected {shape} finite numbers.")
+    if not np.isfinite(values).all():
+        raise BadInput(f"{path}: {key!r} is not finite, expected {shape} finite numbers.")
     return values
+
+
+def _of_shape(value: Any, shape: tuple[int, ...]) -> Any:
+    """A tensor, or nested lists after counting them: the same small list, named again and again, unfolds to any size."""
+    if not isinstance(value, list | tuple):
+        return value
+    if not shape or len(value) != shape[0]:
+        raise ValueError
+    return [_of_shape(item, shape[1:]) for item in value]

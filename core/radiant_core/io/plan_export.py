@@ -1,7 +1,9 @@
 """A plan as files that flight planners and maps open: waypoints per device as CSV, regions and strips as GeoJSON. Once per plan.
 
 CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that UgCS, QGIS and `read_waypoints` find by
-their names; QGroundControl takes no CSV. Heights are as they came in: choose in the flight planner what they are measured from.
+their names; QGroundControl takes no CSV. Flight planners fly `altitude(m)` as height above take-off, so that it is one: as it came in, or
+above the ground where that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`, and alone where nobody
+knows the ground: flown as heights above take-off they would be hundreds of metres off. Names are never formulas (`csv_cells`).
 GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th meridian; straight in longitude and
 latitude, so sides are divided every 500 m, where a straight line of the plan differs by 1 cm at most up to latitude 60°.
 """
@@ -17,20 +19,24 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from shapely import Polygon, box, get_coordinates, segmentize
+from shapely import Point, Polygon, box, get_coordinates, get_parts, make_valid, segmentize, union_all
 from shapely.affinity import translate
 from shapely.geometry import mapping
 
-from radiant_core.frames import geodetic_from_enu
+from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
+from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.io.run_store import atomic_writer, write_atomic
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.waypoints import Waypoints
 
-CSV_HEADER = ("latitude", "longitude", "altitude(m)", "name")
+HEIGHT, ABSOLUTE = "altitude(m)", "altitude_absolute(m)"
+CSV_HEADER = ("latitude", "longitude", HEIGHT, "name")
 ANGLE_HEADER = ("heading(deg)", "gimbalpitchangle")
 MAX_SIDE_M = 500.0
+NEAR_POLE_M, POLE_PIECES = 50_000.0, 500
+"""Nearer to a pole than this a polygon as wide as so many pieces is divided into these."""
 
 
 def save_device_waypoints(
@@ -45,9 +51,9 @@ def save_device_waypoints(
     """One `<device>.csv` per device in the existing `folder`, its waypoints in the order they came in; without any, the header alone.
 
     Of an edge that deals its waypoints itself, later, `edges/<edge>.csv` for a plan of its own.
-    Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where they are known. With `buffers` a last column `role` says
-    own or buffer, in the same order. With `only` (P,) waypoints where that is false are in no list. Raises BadInput when the plan is not of
-    these waypoints, or as `write_atomic`.
+    Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where they are known, then absolute altitudes where they stand
+    beside heights. With `buffers` a last column `role` says own or buffer, in the same order. With `only` (P,) waypoints where that is
+    false are in no list. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     wanted = np.ones(len(waypoints), bool) if only is None else only
@@ -96,14 +102,19 @@ def write_features(path: Path, features: Iterable[dict[str, Any]]) -> None:
 def _device_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.int64] | None) -> str:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")  # RFC 4180
-    angles = waypoints.heading_pitch_deg
-    writer.writerow((*CSV_HEADER, *(() if angles is None else ANGLE_HEADER), *(() if extra is None else ("role",))))
+    angles, heights, altitudes = waypoints.heading_pitch_deg, waypoints.heights_m, waypoints.lat_lon_alt[:, 2]
+    both = heights is not None and (waypoints.absolute or waypoints.ground_m not in (None, 0))
+    header = (*CSV_HEADER[:2], ABSOLUTE if heights is None else HEIGHT, CSV_HEADER[3], *(() if angles is None else ANGLE_HEADER))
+    writer.writerow((*header, *((ABSOLUTE,) if both else ()), *(() if extra is None else ("role",))))
     buffered = set() if extra is None else set(extra.tolist())
     indices = np.sort(own if extra is None else np.concatenate([own, extra]))
+    flown = altitudes if heights is None else heights
     for index, (lat, lon, alt) in zip(indices.tolist(), waypoints.lat_lon_alt[indices].tolist(), strict=True):
         looks = () if angles is None else tuple("" if np.isnan(angle) else f"{angle:.3f}" for angle in angles[index])
         role = () if extra is None else ("buffer" if index in buffered else "own",)
-        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", f"{alt:.3f}", waypoints.names[index], *looks, *role))
+        absolute = (f"{alt:.3f}",) if both else ()
+        name = cell_of_text(waypoints.names[index])
+        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", f"{flown[index]:.3f}", name, *looks, *absolute, *role))
     return text.getvalue()
 
 
@@ -150,15 +161,38 @@ def _polygon_feature(polygon: FloatArray, origin: FloatArray, about: dict[str, A
 
 def _geometry(polygon: FloatArray, origin: FloatArray) -> dict[str, Any]:
     """A polygon (V,2) m, counter-clockwise, about the origin (3,), as GeoJSON: Polygon, or MultiPolygon across the 180th meridian."""
-    ring = _lon_lat(get_coordinates(segmentize(Polygon(polygon), MAX_SIDE_M)), origin)
-    ring[:, 0] = origin[1] + (ring[:, 0] - origin[1] + 180) % 360 - 180
+    ring = _continuous(_lon_lat(get_coordinates(segmentize(Polygon(polygon), _side_m(polygon, origin))), origin), origin)
     shape = Polygon(np.round(ring, 9))
-    if ring[:, 0].min() >= -180 and ring[:, 0].max() <= 180:
+    if not shape.is_valid:
+        # A side that runs through a pole has every longitude there.
+        shape = make_valid(shape)
+    elif ring[:, 0].min() >= -180 and ring[:, 0].max() <= 180:
         return mapping(shape)
     # One turn east and west, so that what stands out on one side comes in on the other.
-    parts = [translate(shape, xoff=turn).intersection(box(-180, -90, 180, 90)) for turn in (-360, 0, 360)]
-    rings = [mapping(part.normalize().reverse())["coordinates"] for part in parts if isinstance(part, Polygon) and not part.is_empty]
+    cut = [translate(shape, xoff=turn).intersection(box(-180, -90, 180, 90)) for turn in (-360, 0, 360)]
+    # Around a pole the first and the last meridian are one.
+    parts = [part for part in get_parts(union_all(cut)) if isinstance(part, Polygon) and not part.is_empty]
+    rings = [mapping(part.normalize().reverse())["coordinates"] for part in parts]
     return {"type": "MultiPolygon", "coordinates": rings}
+
+
+def _side_m(polygon: FloatArray, origin: FloatArray) -> float:
+    """How long a piece of a side may be: beside a pole a straight one passes all longitudes within metres."""
+    pole_m = enu_from_geodetic(np.array([[np.copysign(90.0, origin[0]), origin[1], origin[2]]]), origin)[0, :2]
+    near = Polygon(polygon).distance(Point(pole_m)) < NEAR_POLE_M
+    return float(np.hypot(*np.ptp(polygon, axis=0)) / POLE_PIECES) if near else MAX_SIDE_M
+
+
+def _continuous(ring: FloatArray, origin: FloatArray) -> FloatArray:
+    """A closed ring (V,2) of longitude and latitude without jumps at the 180th meridian, near the origin's longitude; one around a pole
+    goes on along that, which is a line in longitude and latitude."""
+    lons = np.unwrap(ring[:, 0], period=360)
+    lons += 360 * np.round((origin[1] - lons.mean()) / 360)
+    ring = np.column_stack([lons, ring[:, 1]])
+    if abs(lons[-1] - lons[0]) < 180:
+        return ring
+    pole = np.copysign(90.0, origin[0])
+    return np.vstack([ring, [lons[-1], pole], [lons[0], pole], ring[0]])
 
 
 def _lon_lat(positions: FloatArray, origin: FloatArray) -> FloatArray:

@@ -18,17 +18,21 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.array_file import VERSION, load_arrays, naming, require_schema, save_arrays
+from radiant_core.io.colmap_records import is_image_name
 from radiant_core.io.plan_content import GROUND_KEY
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.numerics import checked_array
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.slack_curve import SlackPoint
+from radiant_core.plan.system import require_id
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import TENSORS, Splats
 
 MAX_PLAN_BYTES = 512 * 2**20
 """A plan of a million waypoints takes some 150 MB."""
+MAX_PIXELS = 1 << 28
+"""Of one camera, as of a photograph: what renders a picture makes room for all of them."""
 SPLATS_DTYPES: dict[str, str] = dict.fromkeys(TENSORS, "F32")
 CAMERAS_DTYPES = {"Ks": "F64", "cam_from_world": "F64", "sizes_wh": "I64"}
 SCENE_DTYPES = {**CAMERAS_DTYPES, "points": "F64", "colors": "U8", "observations": "I64", "origin_lat_lon_alt": "F64"}
@@ -52,10 +56,11 @@ def save_cameras(path: Path, cameras: Cameras) -> None:
 
 
 def load_cameras(path: Path) -> Cameras:
-    """The cameras that `save_cameras` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    """The cameras that `save_cameras` wrote; StoreDamaged when the file is broken, BadInput when it holds something else, a name that
+    would lead a reader or writer out of its folder, or a camera that is larger than any photograph."""
     arrays, about = load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
     with naming(path):
-        return Cameras(names=_texts(about["names"]), **arrays)
+        return _cameras(about["names"], arrays)
 
 
 def save_scene(path: Path, scene: SfmScene) -> None:
@@ -72,12 +77,12 @@ def save_scene(path: Path, scene: SfmScene) -> None:
 
 
 def load_scene(path: Path) -> SfmScene:
-    """The scene that `save_scene` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
+    """The scene that `save_scene` wrote; raises as `load_cameras`."""
     arrays, about = load_arrays(path, "radiant.scene", SCENE_DTYPES)
     with naming(path):
         residual_m = about["frame_residual_m"]
         return SfmScene(
-            cameras=Cameras(names=_texts(about["names"]), **{name: arrays[name] for name in CAMERAS_DTYPES}),
+            cameras=_cameras(about["names"], arrays),
             points=arrays["points"],
             colors=arrays["colors"],
             observations=arrays["observations"],
@@ -111,6 +116,10 @@ def save_plan(  # noqa: PLR0913
         if waypoints.heading_pitch_deg is not None:
             angles = waypoints.heading_pitch_deg.tolist()
             record["waypoints"]["heading_pitch_deg"] = [[None if np.isnan(angle) else angle for angle in pair] for pair in angles]
+        if waypoints.absolute:
+            record["waypoints"]["absolute"] = True
+        if waypoints.ground_m is not None:
+            record[GROUND_KEY] = waypoints.ground_m
     if warnings:
         record["warnings"] = list(warnings)
     record |= content or {}
@@ -165,7 +174,13 @@ def load_plan_file(path: Path) -> PlanFile:
             return PlanFile(cloud=cloud, edges=edges, ground_m=ground_m)
         looks = stored.get("heading_pitch_deg") if isinstance(stored, dict) else None
         angles = None if looks is None else np.array(looks, dtype=np.float64)
-        waypoints = Waypoints(names=_texts(stored["names"]), lat_lon_alt=stored["lat_lon_alt"], heading_pitch_deg=angles)
+        waypoints = Waypoints(
+            names=_texts(stored["names"]),
+            lat_lon_alt=stored["lat_lon_alt"],
+            heading_pitch_deg=angles,
+            absolute=stored.get("absolute") is True,
+            ground_m=ground_m,
+        )
         require_plan_of(len(waypoints), cloud, edges)
     return PlanFile(cloud=cloud, edges=edges, waypoints=waypoints, ground_m=ground_m)
 
@@ -178,6 +193,28 @@ def _texts(values: Any) -> tuple[str, ...]:
     if not (isinstance(values, list) and all(isinstance(value, str) for value in values)):
         raise BadInput("a list of names holds something else: write the file anew.")
     return tuple(values)
+
+
+def _cameras(names: Any, arrays: Mapping[str, NDArray]) -> Cameras:
+    """The cameras of a file: names are paths inside whatever folder they are read from or written to, and sizes those of photographs."""
+    cameras = Cameras(names=_texts(names), **{name: arrays[name] for name in CAMERAS_DTYPES})
+    outside = next((name for name in cameras.names if not is_image_name(name)), None)
+    if outside is not None:
+        raise BadInput(f"it names an image {outside!r}, expected relative paths inside a folder: do not use what this file came with.")
+    # As real numbers: a product of two large integers wraps around.
+    large = np.flatnonzero(cameras.sizes_wh.astype(np.float64).prod(axis=1) > MAX_PIXELS)
+    if len(large):
+        width, height = cameras.sizes_wh[large[0]].tolist()
+        raise BadInput(f"camera {cameras.names[large[0]]!r} has {width} × {height} px, expected at most {MAX_PIXELS:,} in all.")
+    return cameras
+
+
+def _ids(values: Any) -> tuple[str, ...]:
+    """Ids of edges or devices, which name folders and files."""
+    ids = _texts(values)
+    for name in ids:
+        require_id("its edge or device", name)
+    return ids
 
 
 def _jsonable(plan: CloudPlan | EdgePlan) -> dict[str, Any]:
@@ -200,11 +237,15 @@ def _plan_fields(plan_type: type[CloudPlan | EdgePlan], record: Any) -> dict[str
 
 def _parsed(name: str, value: Any) -> Any:
     """A field of a plan from JSON; arrays stay lists for the plan's own checks, empty polygons regain their two columns."""
-    if name in ("edge_ids", "device_ids", "constrained"):
+    if name in ("edge_ids", "device_ids"):
+        return _ids(value)
+    if name == "constrained":
         return _texts(value)
+    if name == "edge_id":
+        return _ids([value])[0]
     if name in ("borders", "strips"):
         return tuple(np.zeros((0, 2)) if polygon == [] else polygon for polygon in value)
-    if name in ("method", "status", "edge_id", "certified", "dealt"):
+    if name in ("method", "status", "certified", "dealt"):
         wanted = bool if name in ("certified", "dealt") else str
         if not isinstance(value, wanted):
             raise BadInput(f"its {name} is {value!r}, expected {wanted.__name__}: plan again.")

@@ -18,6 +18,8 @@ class WaypointRows:
         self.names: list[str] = []
         self.ignored: Counter[str] = Counter()
         """What the file holds besides waypoints, by kind."""
+        self.absolute = False
+        """Whether the file says that its altitudes count from the sea."""
         self._numbers = array("d")
         self._no_altitude = bytearray()
         self._angles = array("d")

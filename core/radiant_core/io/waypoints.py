@@ -13,7 +13,7 @@ import os
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +62,7 @@ def read_waypoints(path: Path) -> FoundWaypoints:
             held = f" but {_listed_kinds(rows)}" if rows.ignored else ""
             raise BadInput(f"it holds no waypoint{held}: give at least one point.")
         waypoints, warnings = cleaned_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude, rows.heading_pitch_deg)
+        waypoints = replace(waypoints, absolute=rows.absolute)
     except BadInput as error:
         raise BadInput(f"cannot use {path}: {error}") from error
     if rows.ignored:
@@ -82,7 +83,7 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
     if not positions:
         raise BadInput(f"none of the {len(names)} photographs in {folder} has a GPS position in its EXIF: give a file of waypoints.")
     try:
-        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=np.array(list(positions.values())))
+        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=np.array(list(positions.values())), absolute=True)
     except BadInput as error:
         raise BadInput(f"cannot use the positions of the photographs in {folder}: {error}") from error
     return FoundWaypoints(waypoints=waypoints, warnings=_gps_warnings(without, len(names)), without_gps=without)

@@ -20,6 +20,7 @@ from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.deadline import edge_table
 from radiant_core.plan.edge_capacity import without_devices
+from radiant_core.plan.even_shares import even_times_s
 from radiant_core.plan.paper_arp import PaperConfig
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.power_diagram import cell_polygons, rectangle
@@ -29,6 +30,8 @@ from radiant_core.plan.wide_deadline import fastest_edge_counts, times_of_counts
 
 DEFAULT_CELL_M = 5.0
 """With four edges the median makespan was within 4 % of that from positions (docs/experiments/privacy.md)."""
+MAX_CELL_M = 1e6
+"""A site is at most 600 km wide: in a larger cell nothing is told from anything."""
 MAX_CELL_INDEX = 2**40
 
 
@@ -41,8 +44,7 @@ class CountRaster:
     counts: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.cell_m) and self.cell_m > 0):
-            raise BadInput(f"the raster's cell is {self.cell_m} m, expected a positive side: 10 m is usual.")
+        _require_cell(self.cell_m)
         object.__setattr__(self, "cells", checked_array("cells", self.cells, (None, 2), np.int64))
         object.__setattr__(self, "counts", checked_array("counts", self.counts, (len(self.cells),), np.int64))
         if self.counts.min(initial=1) < 1 or len(np.unique(self.cells, axis=0)) != len(self.cells):
@@ -58,13 +60,17 @@ class CountRaster:
 def count_raster(positions: ArrayLike, cell_m: float) -> CountRaster:
     """How many of the positions (C,2) m lie in each cell of side `cell_m`; BadInput for a cell that is not positive or far too small."""
     positions = checked_array("positions", positions, (None, 2))
-    if not (np.isfinite(cell_m) and cell_m > 0):
-        raise BadInput(f"the raster's cell is {cell_m} m, expected a positive side: 10 m is usual.")
+    _require_cell(cell_m)
     indices = np.floor(positions / cell_m)
     if np.abs(indices).max(initial=0) > MAX_CELL_INDEX:
         raise BadInput(f"a raster of cells of {cell_m:g} m has more than 10^12 of them on a side here: use larger ones.")
     cells, counts = np.unique(indices.astype(np.int64), axis=0, return_counts=True)
     return CountRaster(cell_m=float(cell_m), cells=cells, counts=counts.astype(np.int64))
+
+
+def _require_cell(cell_m: float) -> None:
+    if not 0 < cell_m <= MAX_CELL_M:
+        raise BadInput(f"the raster's cell is {cell_m:g} m, expected more than 0 and at most {MAX_CELL_M:g} m: 10 m is usual.")
 
 
 def middles_of_cells(positions: ArrayLike, cell_m: float) -> FloatArray:
@@ -112,7 +118,8 @@ def followed_by_edges(regions: CloudPlan, positions: ArrayLike, system: System) 
     chosen = power_m2.argmin(axis=1)
     handed_over = _hand_over(chosen, power_m2, room)
     edge_of_camera = used[chosen]
-    edge_time_s = times_of_counts(system, np.bincount(edge_of_camera, minlength=len(system.edges)))
+    times_s = even_times_s if regions.method == "even" else times_of_counts
+    edge_time_s = times_s(system, np.bincount(edge_of_camera, minlength=len(system.edges)))
     lower_bound_s, makespan_s = float(fastest_edge_counts(system, len(positions)).edge_time_s.max()), float(edge_time_s.max())
     status: PlanStatus = "stopped"
     if not handed_over and makespan_s <= lower_bound_s:

@@ -14,6 +14,7 @@ from shapely import MultiPoint, get_coordinates
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.deadline import device_time_s, edge_table
+from radiant_core.plan.even_shares import even_quotas
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.power_diagram import clip_polygon
 from radiant_core.plan.strip_order import chords_across, shortest_order
@@ -26,15 +27,16 @@ def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[
     if plan.edge_ids != tuple(edge.id for edge in system.edges):
         raise BadInput(f"the plan is for edges {', '.join(plan.edge_ids)}, the system has others: plan this system anew.")
     return tuple(
-        split_edge(edge, positions, np.flatnonzero(plan.edge_of_camera == index), border)
+        split_edge(edge, positions, np.flatnonzero(plan.edge_of_camera == index), border, even=plan.method == "even")
         for index, (edge, border) in enumerate(zip(system.edges, plan.borders, strict=True))
     )
 
 
-def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], border: FloatArray) -> EdgePlan:
+def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], border: FloatArray, *, even: bool = False) -> EdgePlan:
     """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m, to its devices; strips partition `border` (V,2) m.
 
-    An edge that is known by its curve alone has nobody to deal to yet. BadInput when the devices cannot hold the cameras.
+    `even`: as many to each device, instead of so many that the slowest is done first. An edge that is known by its curve alone has nobody
+    to deal to yet. BadInput when the devices cannot hold the cameras.
     """
     if not edge.devices:
         return EdgePlan(
@@ -46,7 +48,8 @@ def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int
             device_time_s=np.zeros(0),
             dealt=False,
         )
-    quotas = edge_table(edge, len(camera_indices)).quotas(len(camera_indices))
+    count = len(camera_indices)
+    quotas = even_quotas(edge, count) if even else edge_table(edge, count).quotas(count)
     own = positions[camera_indices]
     centre = own.mean(axis=0) if len(own) else np.zeros(2)
     axis = long_axis(own)

@@ -18,6 +18,8 @@ from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.power_diagram import assign
 from radiant_core.plan.system import Edge, System
 
+MAX_COORDINATE_M = 1e8
+"""Coordinates may be UTM-sized, not of another planet."""
 _LLOYD_ROUNDS = 10
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
@@ -26,17 +28,25 @@ def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayL
     """The same system with a position in metres on every edge, for cameras (C,2) m about an origin (3,) [deg, deg, m].
 
     Seeded edges lie inside the cameras' bounding box. BadInput for an edge with latitude and longitude when the scene has
-    no origin on the globe (None), and without cameras.
+    no origin on the globe (None), without cameras, and for positions beyond 1e8 m.
     """
     positions = checked_array("positions", positions, (None, 2))
     if not len(positions):
         raise BadInput("no camera positions were given to place the edges among: give at least one.")
     located = [_located(edge, origin_lat_lon_alt) for edge in system.edges]
     given = [edge.position for edge in located if edge.position is not None]
+    require_within_reach(positions, np.array(given).reshape(-1, 2))
     num_free = len(located) - len(given)
     free = iter(_seeded_positions(positions, np.array(given).reshape(-1, 2), num_free, seed))
     edges = [edge if edge.position is not None else _moved_to(edge, next(free)) for edge in located]
     return replace(system, edges=tuple(edges))
+
+
+def require_within_reach(*positions: FloatArray) -> None:
+    """Raise BadInput for a position (…,2) of a camera or edge beyond `MAX_COORDINATE_M`."""
+    farthest_m = max((float(np.abs(some).max()) for some in positions if len(some)), default=0.0)
+    if farthest_m > MAX_COORDINATE_M:
+        raise BadInput(f"a camera or edge is {farthest_m:.3g} m from the origin, expected at most {MAX_COORDINATE_M:g} m.")
 
 
 def separated_sites(sites: FloatArray, extent_m: float) -> FloatArray:

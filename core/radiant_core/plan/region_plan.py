@@ -6,7 +6,7 @@ least Σ ‖camera − edge‖² (`transport`). The least-squares assignment for
 (Aurenhammer, Hoffmann, Aronov, Algorithmica 1998): convex, disjoint, covering regions at the geography-free lower bound.
 
     exact     counts with the smallest makespan: optimal in this model, with a certificate
-    even      counts as equal as the memory limits allow
+    even      as many cameras for every device as the memory limits allow (`even_shares`)
     voronoi   every camera to its nearest edge
     paper     Alg. 1, moving borders by a fixed step (`paper_arp`)
 
@@ -26,7 +26,8 @@ from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.capped_transport import deal_within
 from radiant_core.plan.constraints import PlanConstraints, Reference, deal_around
 from radiant_core.plan.deadline import edge_tables
-from radiant_core.plan.edge_sites import separated_sites
+from radiant_core.plan.edge_sites import require_within_reach, separated_sites
+from radiant_core.plan.even_shares import even_edge_counts, even_times_s
 from radiant_core.plan.paper_arp import PaperConfig, paper_regions
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.power_diagram import assign, bounds, cell_polygons, rectangle
@@ -38,8 +39,6 @@ from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, 
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
 _BLOCK_PAIRS = 500_000
-MAX_COORDINATE_M = 1e8
-"""Coordinates may be UTM-sized, not of another planet."""
 MARGIN = 0.1
 """Width of land beyond the outermost cameras that still belongs to a region, as a share of their bounding box's longer side."""
 CERTIFICATE_TOLERANCE = 1e-12
@@ -197,9 +196,7 @@ def _plane(positions: ArrayLike, system: System) -> _Plane:
     if unplaced:
         raise BadInput(f"edge {unplaced[0]!r} has no position in metres: call place_edges first.")
     sites = np.array([edge.position for edge in system.edges], dtype=np.float64)
-    farthest_m = max(float(np.abs(positions).max()), float(np.abs(sites).max()))
-    if farthest_m > MAX_COORDINATE_M:
-        raise BadInput(f"a camera or edge is {farthest_m:.3g} m from the origin, expected at most {MAX_COORDINATE_M:g} m.")
+    require_within_reach(positions, sites)
     low, high = bounds(positions)
     centre, side_m = (low + high) / 2, float((high - low).max()) or 1.0
     margin_m = MARGIN * side_m
@@ -294,27 +291,17 @@ def _partition(method: PlanMethod, plane: _Plane, system: System, paper: PaperCo
     if method == "voronoi":
         weights = np.zeros(num_edges)
         return _Partition(edge_of_camera=assign(plane.cameras, plane.sites, weights), weights=weights)
-    return _exact_partition(plane, _even_counts(system, num_cameras), None)
-
-
-def _even_counts(system: System, num_cameras: int) -> NDArray[np.int64]:
-    """Counts (E,) as equal as capacities allow: all edges are filled to one level, the first of them one camera higher."""
-    capacities = np.array([system_capacity(System(edges=(edge,)), num_cameras) for edge in system.edges])
-    levels = np.arange(num_cameras + 1)
-    ordered = np.sort(capacities)
-    filled = np.cumsum(np.concatenate([[0], ordered]))
-    below = np.searchsorted(ordered, levels, side="left")
-    level = int(np.searchsorted(filled[below] + (len(ordered) - below) * levels, num_cameras, side="right")) - 1
-    counts = np.minimum(capacities, level)
-    counts[np.flatnonzero(capacities > level)[: num_cameras - int(counts.sum())]] += 1
-    return counts
+    counts = even_edge_counts(system, num_cameras)
+    return replace(_exact_partition(plane, counts, None), edge_time_s=even_times_s(system, counts))
 
 
 def _cloud_plan(
     method: PlanMethod, system: System, plane: _Plane, partition: _Partition, fastest: FastestCounts, threshold: float
 ) -> CloudPlan:
     counts = np.bincount(partition.edge_of_camera, minlength=len(system.edges))
-    edge_time_s = fastest.edge_time_s if np.array_equal(counts, fastest.counts) else partition.edge_time_s
+    edge_time_s = partition.edge_time_s
+    if method != "even" and np.array_equal(counts, fastest.counts):
+        edge_time_s = fastest.edge_time_s
     if edge_time_s is None:
         edge_time_s = times_of_counts(system, counts)
     lower_bound_s = float(fastest.edge_time_s.max())

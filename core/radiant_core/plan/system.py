@@ -46,7 +46,7 @@ class Device:
         return _origin(self.profile, self.costs_from)
 
     def __post_init__(self) -> None:
-        _require_id("device", self.id)
+        require_id("device", self.id)
         _require_bandwidth(f"device {self.id!r}", self.uplink_bytes_per_s)
         if self.max_cameras is not None and self.max_cameras < 0:
             raise BadInput(f"device {self.id!r}: max_cameras is {self.max_cameras}, expected at least 0.")
@@ -91,7 +91,7 @@ class Edge:
     """What joining may hold; beyond it models are cut at their borders. None without a limit."""
 
     def __post_init__(self) -> None:
-        _require_id("edge", self.id)
+        require_id("edge", self.id)
         _require_memory(f"edge {self.id!r}", self.memory_bytes)
         _require_bandwidth(f"edge {self.id!r}", self.uplink_bytes_per_s)
         _require_speed(f"edge {self.id!r}", self.speed)
@@ -197,7 +197,8 @@ def _origin(profile: Profile | None, costs_from: str | None) -> str | None:
     return costs_from if profile is None else f"{profile.kind} {profile.name}"
 
 
-def _require_id(kind: str, name: str) -> None:
+def require_id(kind: str, name: str) -> None:
+    """Raise BadInput where the id of a machine of this kind is no name for a folder."""
     if not _ID.fullmatch(name):
         raise BadInput(f"{kind} id {name!r} cannot name a folder: use up to 64 letters, digits, '-' and '_'.")
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,9 @@ from radiant_core.numerics import FloatArray, checked_array
 
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 """From the deepest sea to the edge of space."""
+HIGHEST_FLIGHT_M = 500.0
+"""Drones are not allowed so high above the ground anywhere we know of, and flight planners take no more above take-off: larger altitudes
+are absolute."""
 MAX_NAME_CHARACTERS = 255
 SAME_SPOT_SCALE = np.array([1e8, 1e8, 1e3])
 """Degrees, degrees and metres are rounded to these parts, about a millimetre each, before two waypoints are called one."""
@@ -33,6 +36,7 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 class Waypoints:
     """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres in whatever height the pilot's tool uses.
 
+    What that is: above take-off, as flight planners count, unless they are `absolute` or the ground lies at `ground_m` of them.
     Raises BadInput, naming the first offender and how many there are, for positions that are not finite, off the globe, probably
     swapped or more than 300 km from the others, for no waypoint at all, and for names that are empty, come twice, or cannot be written.
     """
@@ -42,6 +46,10 @@ class Waypoints:
     heading_pitch_deg: FloatArray | None = None
     """Where the camera looks (P,2): degrees clockwise from north, and −90 down to 90 up; NaN where a flight plan does not say, None where
     it says nothing at all."""
+    absolute: bool = False
+    """Whether altitudes count from the sea or the ellipsoid, as those that GPS gives."""
+    ground_m: float | None = None
+    """Altitude of the ground, or of take-off, among them, where it is known."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.names))
@@ -54,6 +62,8 @@ class Waypoints:
         _require_one_site(self.names, self.lat_lon_alt)
         if self.heading_pitch_deg is not None:
             object.__setattr__(self, "heading_pitch_deg", _checked_angles(self.names, self.heading_pitch_deg))
+        if self.ground_m is not None and not np.isfinite(self.ground_m):
+            raise BadInput(f"the altitude of the ground is {self.ground_m}, expected metres.")
 
     def __len__(self) -> int:
         return len(self.names)
@@ -71,12 +81,21 @@ class Waypoints:
         """Metres east, north, up (P,3) of `origin`."""
         return enu_from_geodetic(self.lat_lon_alt, self.origin)
 
+    @property
+    def heights_m(self) -> FloatArray | None:
+        """Heights (P,) above ground or take-off; None where nothing says how far the altitudes are above either."""
+        altitudes = self.lat_lon_alt[:, 2]
+        if self.ground_m is not None:
+            return altitudes - self.ground_m
+        return None if self.absolute or altitudes.max() > HIGHEST_FLIGHT_M else altitudes
+
     def select(self, indices: ArrayLike) -> Waypoints:
         """The waypoints at `indices` (K,) int or where a mask (P,) bool is true, in that order; BadInput when that is none."""
         chosen: NDArray[Any] = np.asarray(indices)
         picked: list[int] = np.arange(len(self))[chosen].tolist()
         angles = None if self.heading_pitch_deg is None else self.heading_pitch_deg[picked]
-        return Waypoints(names=tuple(self.names[index] for index in picked), lat_lon_alt=self.lat_lon_alt[picked], heading_pitch_deg=angles)
+        names = tuple(self.names[index] for index in picked)
+        return replace(self, names=names, lat_lon_alt=self.lat_lon_alt[picked], heading_pitch_deg=angles)
 
 
 def cleaned_waypoints(
@@ -84,8 +103,9 @@ def cleaned_waypoints(
 ) -> tuple[Waypoints, tuple[str, ...]]:
     """`Waypoints` as a surveyor would mend a list, with one warning per kind of repair; BadInput as `Waypoints`.
 
-    A position that comes twice is planned once, under its first name; a name that comes twice or is empty gets a number; where
-    `no_altitude` (P,) bool is true the altitude becomes 0, which moves a plan by less than 0.1 % of its size up to 6,000 m.
+    A position that comes twice is planned once, under its first name; a name that comes twice or is empty gets a number, without a warning
+    where nothing has a name, as in a flight planner's file; where `no_altitude` (P,) bool is true the altitude becomes 0, which moves a
+    plan by less than 0.1 % of its size up to 6,000 m.
     """
     positions = np.array(lat_lon_alt, dtype=np.float64)
     warnings: list[str] = []
@@ -93,8 +113,9 @@ def cleaned_waypoints(
         missing = np.flatnonzero(no_altitude)
         positions[missing, 2] = 0.0
         warnings.append(f"{_count(len(missing), len(names))} without altitude, {_named(names, missing[0])} first: taken as 0 m.")
+    given = any(names)
     names, numbered = _unique_names(names)
-    if numbered:
+    if numbered and given:
         warnings.append(f"{numbered[0]} of {len(names)} names are empty or come twice, {numbered[1]!r} first: they were numbered.")
     waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg)
     kept, again = _first_of_each_spot(positions)

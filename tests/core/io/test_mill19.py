@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import cv2
 import numpy as np
@@ -103,6 +104,42 @@ def test_values_that_make_no_camera_are_named(folder: Path, change: dict, told: 
     save({**NADIR, **change}, folder / "train" / "metadata" / "000000.pt")
     with pytest.raises(BadInput, match=told):
         read_mill19(folder)
+
+
+def test_a_small_file_takes_no_more_room_than_a_camera_needs(folder: Path) -> None:
+    endless = torch.ones(1).expand(4 * 10**9)  # 32 GB as real numbers, 1.9 kB as a file
+    save({"origin_drb": torch.zeros(3), "pose_scale_factor": endless}, folder / "coordinates.pt")
+    assert (folder / "coordinates.pt").stat().st_size < 4000
+    with pytest.raises(BadInput, match=r"coordinates\.pt: 'pose_scale_factor' has shape \(4000000000,\), expected \(\)"):
+        read_mill19(folder)
+    nested: object = 1.0
+    for _ in range(12):
+        nested = [nested] * 30  # 30¹² numbers, 360 references
+    save({"origin_drb": torch.zeros(3), "pose_scale_factor": nested}, folder / "coordinates.pt")
+    with pytest.raises(BadInput, match=r"coordinates\.pt has no numbers under 'pose_scale_factor'"):
+        read_mill19(folder)
+
+
+def test_a_deflated_file_is_counted_unpacked(folder: Path) -> None:
+    path = folder / "coordinates.pt"
+    save({"pose_scale_factor": 1.0, "more": torch.zeros(10**6)}, path)
+    with ZipFile(path) as stored:
+        parts = {part.filename: stored.read(part) for part in stored.infolist()}
+    with ZipFile(path, "w", ZIP_DEFLATED) as packed:
+        for name, data in parts.items():
+            packed.writestr(name, data)
+    assert path.stat().st_size < 20_000
+    with pytest.raises(BadInput, match=r"coordinates\.pt unpacks to 40\d{5} bytes, expected metadata of at most"):
+        read_mill19(folder)
+
+
+def test_numbers_may_be_lists_and_tensors_of_one(folder: Path) -> None:
+    as_tensors = read_mill19(folder)
+    lists = {key: value.tolist() for key, value in NADIR.items() if isinstance(value, torch.Tensor)}
+    save({**lists, "W": torch.tensor([64]), "H": torch.tensor([[48]])}, folder / "train" / "metadata" / "000000.pt")
+    as_lists = read_mill19(folder)
+    assert as_lists.sizes_wh.tolist() == as_tensors.sizes_wh.tolist()
+    np.testing.assert_array_equal(as_lists.cam_from_world, as_tensors.cam_from_world)
 
 
 def test_missing_and_damaged_files_are_named(folder: Path, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
+from radiant_core.io.csv_cells import cell_of_text, text_of_cell
 from radiant_core.io.plan_export import CSV_HEADER, land_features, save_device_waypoints, save_regions_geojson
 from radiant_core.io.waypoints import read_waypoints
 from radiant_core.plan.buffers import EdgeBuffer
@@ -244,6 +245,66 @@ def test_lists_say_where_the_camera_looks_and_whose_a_waypoint_is(tmp_path: Path
     assert len(rows[0]) == 6, "an edge without buffers needs no roles"
 
 
+def lists_of(folder: Path, waypoints: Waypoints) -> tuple[list[str], Waypoints, np.ndarray]:
+    """Header of the first device's list, the list as our reader finds it, and which waypoints they are."""
+    _, cloud, edges = planned(count=len(waypoints))
+    folder.mkdir()
+    save_device_waypoints(folder, cloud, edges, waypoints)
+    path = folder / f"{edges[0].device_ids[0]}.csv"
+    return path.read_text().split("\n")[0].split(","), read_waypoints(path).waypoints, np.sort(edges[0].cameras_of(edges[0].device_ids[0]))
+
+
+def test_what_planners_fly_as_height_above_take_off_is_one(tmp_path: Path) -> None:
+    waypoints = planned(count=30)[0]
+    altitudes = waypoints.lat_lon_alt[:, 2]
+    assert 410 < altitudes.min() < altitudes.max() < 450, "as GPS says them of a flight some 20 m over Zurich"
+    header, back, own = lists_of(tmp_path / "taken", replace(waypoints, absolute=True))
+    assert header == ["latitude", "longitude", "altitude_absolute(m)", "name"], "no column that is flown as height above take-off"
+    np.testing.assert_allclose(back.lat_lon_alt[:, 2], altitudes[own], atol=5.1e-4)
+    assert back.absolute and back.heights_m is None
+    header, back, own = lists_of(tmp_path / "ground", replace(waypoints, absolute=True, ground_m=405.0))
+    assert header == ["latitude", "longitude", "altitude(m)", "name", "altitude_absolute(m)"]
+    np.testing.assert_allclose(back.lat_lon_alt[:, 2], altitudes[own] - 405, atol=5.1e-4)
+    assert not back.absolute and back.heights_m is not None
+    text = (tmp_path / "ground" / f"{planned(count=30)[2][0].device_ids[0]}.csv").read_text().splitlines()[1:]
+    np.testing.assert_allclose([float(line.split(",")[-1]) for line in text], altitudes[own], atol=5.1e-4)
+    flown = replace(waypoints, lat_lon_alt=waypoints.lat_lon_alt - [0, 0, 350.0])
+    header, back, own = lists_of(tmp_path / "planned", flown)
+    assert header == list(CSV_HEADER) and not back.absolute
+    np.testing.assert_allclose(back.lat_lon_alt[:, 2], altitudes[own] - 350, atol=5.1e-4)
+    header, back, _ = lists_of(tmp_path / "high", replace(waypoints, lat_lon_alt=waypoints.lat_lon_alt - [0, 0, -100.0]))
+    assert header[2] == "altitude_absolute(m)" and back.absolute, "nobody flies 530 m above take-off"
+
+
+FORMULAS = (
+    *("=cmd|' /C calc'!A0", "+1+1", "-2", "@SUM(A1)", "a;=1+1", "a;'=1", "'=1", "''=1", "a,=1"),
+    *("\uff1d1", "=", ";-", "a;;+b", "plain", "'plain"),
+)
+
+
+def test_names_are_no_formulas_in_a_spreadsheet_and_come_back(tmp_path: Path) -> None:
+    assert len({cell_of_text(name) for name in FORMULAS}) == len(FORMULAS)
+    assert [text_of_cell(cell_of_text(name)) for name in FORMULAS] == list(FORMULAS)
+    waypoints, cloud, edges = planned(count=30)
+    waypoints = replace(waypoints, names=(*FORMULAS, *waypoints.names[len(FORMULAS) :]))
+    save_device_waypoints(tmp_path, cloud, edges, waypoints)
+    found: list[str] = []
+    for path in (tmp_path / f"{device}.csv" for plan in edges for device in plan.device_ids if len(plan.cameras_of(device))):
+        for delimiter in ",;":  # which of them separates cells is up to the country
+            for row in csv.reader(path.read_text().splitlines()[1:], delimiter=delimiter):
+                assert not [cell for cell in row if cell[:1] in "=+-@\uff1d" and cell and not is_number(cell)], row
+        found += read_waypoints(path).waypoints.names
+    assert sorted(found) == sorted(waypoints.names)
+
+
+def is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
 def test_two_edges_that_deal_themselves_share_a_folder_and_their_points_name_no_device(tmp_path: Path) -> None:
     waypoints, cloud, edges = planned(count=30)
     late = [
@@ -272,3 +333,21 @@ def test_a_polygon_across_the_180th_meridian_is_cut_there_and_one_that_touches_i
         assert geometry["type"] == ("Polygon" if parts == 1 else "MultiPolygon") and len(rings(found)) == parts
         # A degree of longitude at the equator is 111,319.49 m, one of latitude 110,574.3 m (WGS84).
         assert found.area == pytest.approx((east - west) / 111319.49 * 500 / 110574.3, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("pole", "away_deg", "reach_m"), [(-90.0, 0.0, 100.0), (-90.0, 0.0009, 100.0), (90.0, 0.003, 100.0), (-90.0, 0.003, 20_000.0)]
+)
+def test_regions_at_a_pole_are_polygons_that_hold_their_waypoints(tmp_path: Path, pole: float, away_deg: float, reach_m: float) -> None:
+    waypoints, cloud, edges = planned((pole - np.copysign(away_deg, pole), 30.0, 0.0), reach_m, count=60)
+    save_regions_geojson(tmp_path / "r.geojson", cloud, edges, waypoints)
+    regions = {feature["properties"]["edge"]: shape(feature["geometry"]) for feature in features(tmp_path / "r.geojson", "region")}
+    for region in regions.values():
+        west, south, east, north = region.bounds
+        assert region.is_valid and region.area > 0 and -180 <= west < east <= 180 and -90 <= south < north <= 90
+    held = [
+        regions[point["properties"]["edge"]].distance(Point(point["geometry"]["coordinates"][:2]))
+        for point in features(tmp_path / "r.geojson", "waypoint")
+    ]
+    # In degrees; sides are straight in metres and cut only every 500 m, which turns far beside a pole.
+    assert np.mean(np.array(held) < 1e-6) > 0.9

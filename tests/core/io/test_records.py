@@ -137,6 +137,43 @@ def test_cameras_come_back(tmp_path: Path, count: int) -> None:
     assert_same(load_cameras(tmp_path / "a.safetensors"), some_cameras(count))
 
 
+@pytest.mark.parametrize("name", ["../../out.jpg", "/tmp/out.jpg", "a/../../out.jpg", "a\\b.jpg", "", "line\nbreak.jpg"])
+def test_names_that_lead_out_of_a_folder_are_refused(tmp_path: Path, name: str) -> None:
+    cameras = replace(some_cameras(), names=("0.jpg", "1.jpg", name, "3.jpg", "4.jpg"))
+    save_cameras(tmp_path / "cameras", cameras)
+    save_scene(tmp_path / "scene", replace(some_scene(), cameras=cameras))
+    for load, file in ((load_cameras, "cameras"), (load_scene, "scene")):
+        with pytest.raises(BadInput, match=r"names an image .* expected relative paths inside a folder") as caught:
+            load(tmp_path / file)
+        assert str(tmp_path / file) in str(caught.value) and repr(name) in str(caught.value)
+
+
+@pytest.mark.parametrize("size_wh", [(1_000_000, 1_000_000), (1 << 15, (1 << 13) + 1), (1 << 32, 1 << 32)])
+def test_cameras_that_are_larger_than_any_photograph_are_refused(tmp_path: Path, size_wh: tuple[int, int]) -> None:
+    cameras = some_cameras()
+    sizes_wh = cameras.sizes_wh.copy()
+    sizes_wh[3] = size_wh
+    save_cameras(tmp_path / "cameras", replace(cameras, sizes_wh=sizes_wh))
+    save_scene(tmp_path / "scene", replace(some_scene(), cameras=replace(cameras, sizes_wh=sizes_wh)))
+    for load, file in ((load_cameras, "cameras"), (load_scene, "scene")):
+        with pytest.raises(BadInput, match=f"has {size_wh[0]} × {size_wh[1]} px, expected at most 268,435,456"):
+            load(tmp_path / file)
+    sizes_wh[3] = (1 << 15, 1 << 13)
+    save_cameras(tmp_path / "cameras", replace(cameras, sizes_wh=sizes_wh))
+    assert load_cameras(tmp_path / "cameras").sizes_wh[3].tolist() == [32768, 8192], "as large as a photograph may be"
+
+
+@pytest.mark.parametrize(("part", "field"), [("cloud", "edge_ids"), ("edges", "edge_id"), ("edges", "device_ids")])
+def test_ids_of_a_plan_that_can_name_no_folder_are_refused(tmp_path: Path, part: str, field: str) -> None:
+    save_plan(tmp_path / "plan.json", *some_plan())
+    record = json.loads((tmp_path / "plan.json").read_text())
+    place = record[part] if part == "cloud" else record[part][0]
+    place[field] = "../../out" if field == "edge_id" else ["../../out", *place[field][1:]]
+    (tmp_path / "plan.json").write_text(json.dumps(record))
+    with pytest.raises(BadInput, match=r"id '\.\./\.\./out' cannot name a folder"):
+        load_plan(tmp_path / "plan.json")
+
+
 @pytest.mark.parametrize("scene", [some_scene(), some_scene("unscaled", None)])
 def test_scenes_come_back(tmp_path: Path, scene: SfmScene) -> None:
     save_scene(tmp_path / "a.safetensors", scene)

@@ -91,6 +91,28 @@ def test_columns_are_found_by_their_names(tmp_path: Path, header: str) -> None:
     assert "without altitude, 'y'" in found.warnings[0]
 
 
+@pytest.mark.parametrize("header", ["AltitudeAMSL", "altitude_absolute(m)", "Altitude_AMSL [m]"])
+def test_altitudes_above_the_sea_are_known_by_their_column(tmp_path: Path, header: str) -> None:
+    waypoints = read_waypoints(written(tmp_path, "a.csv", f"lat,lon,{header},name\n47,8,430,a\n")).waypoints
+    assert waypoints.absolute and waypoints.lat_lon_alt[0, 2] == 430
+    both = read_waypoints(written(tmp_path, "b.csv", f"lat,lon,{header},name,altitude\n47,8,430,a,80\n")).waypoints
+    assert not both.absolute and both.lat_lon_alt[0, 2] == 80
+
+
+@pytest.mark.parametrize(("mode", "absolute"), [("absolute", True), ("relativeToGround", False), (None, False)])
+def test_altitudes_above_the_sea_are_known_by_kmls_altitude_mode(tmp_path: Path, mode: str | None, absolute: bool) -> None:
+    said = "" if mode is None else f"<altitudeMode>{mode}</altitudeMode>"
+    text = placemark(f"<Point>{said}<coordinates>8,47,430</coordinates></Point>", "a")
+    assert read_waypoints(written(tmp_path, "a.kml", text)).waypoints.absolute is absolute
+
+
+def test_a_file_without_names_is_no_cause_for_a_warning(tmp_path: Path) -> None:
+    found = read_waypoints(written(tmp_path, "a.csv", "latitude,longitude,altitude(m)\n47,8,80\n47.001,8,80\n"))
+    assert found.warnings == () and found.waypoints.names == ("wp-1", "wp-2")
+    (warning,) = read_waypoints(written(tmp_path, "b.csv", "lat,lon,name\n47,8,a\n47.001,8,\n")).warnings[1:]
+    assert warning == "1 of 2 names are empty or come twice, '' first: they were numbered."
+
+
 CSV_POISON = [
     ("name,lat,lon\na,nan,8\n", "not finite, 'a'"),
     ("name,lat,lon\na,47,1e400\n", "not finite, 'a'"),

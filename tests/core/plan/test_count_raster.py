@@ -155,10 +155,12 @@ def test_a_raster_has_some_10_to_the_12_cells_on_a_side(cell_m: float, fits: boo
             count_raster(positions, cell_m)
 
 
-@pytest.mark.parametrize("cell_m", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("cell_m", [0.0, -1.0, np.nan, np.inf, 1.1e6, 1e300])
 def test_a_cell_has_a_side(cell_m: float) -> None:
-    with pytest.raises(BadInput, match=f"the raster's cell is {cell_m} m, expected a positive side: 10 m is usual"):
+    with pytest.raises(BadInput, match=r"expected more than 0 and at most 1e\+06 m: 10 m is usual"):
         CountRaster(cell_m=cell_m, cells=np.zeros((0, 2), np.int64), counts=np.zeros(0, np.int64))
+    with pytest.raises(BadInput, match=r"expected more than 0 and at most 1e\+06 m: 10 m is usual"):
+        middles_of_cells(np.eye(2), cell_m)
 
 
 def test_the_status_of_what_edges_make_of_it_is_by_the_bound_and_by_who_was_handed_over() -> None:

@@ -132,3 +132,11 @@ def test_more_edges_than_spots_and_an_altitude_of_the_origin() -> None:
         place_edges(System(edges=(replace(edge, id="e0"),)), np.zeros((1, 2)), None, seed=0)
     with pytest.raises(BadInput, match="origin_lat_lon_alt has shape"):
         place_edges(System(edges=(edge,)), np.zeros((1, 2)), (47.37, 8.54), seed=0)
+
+
+@pytest.mark.parametrize("far", [1.01e8, 1e154, 1e300])
+def test_an_edge_on_another_planet_is_refused_wherever_the_others_stand(far: float) -> None:
+    free, given = unplaced(2).edges
+    system = System(edges=(replace(given, position=(far, far)), free))
+    with pytest.raises(BadInput, match=r"a camera or edge is .* m from the origin, expected at most 1e\+08 m"):
+        place_edges(system, np.eye(2), None, seed=0)

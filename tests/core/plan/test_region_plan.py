@@ -13,14 +13,16 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan import region_plan
 from radiant_core.plan.constraints import PlanConstraints
-from radiant_core.plan.deadline import edge_tables
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.deadline import device_time_s, edge_tables
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.even_shares import even_edge_counts, even_quotas
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.power_diagram import assign, polygon_area_m2
 from radiant_core.plan.region_plan import (
     MARGIN,
     PlanInfeasible,
     PlanMethod,
-    _even_counts,
     _largest_m2,
     _plane,
     is_certified,
@@ -29,7 +31,7 @@ from radiant_core.plan.region_plan import (
     regions_around,
     regions_with_counts,
 )
-from radiant_core.plan.system import System
+from radiant_core.plan.system import Edge, System
 
 from .instances import LAYOUTS, linear_system, random_system
 
@@ -93,15 +95,30 @@ def test_regions_partition_the_scene_and_belong_to_edges_with_cameras(layout: st
     assert plan.certified
 
 
+def sending_alike(system: System) -> System:
+    """The same with models whose bytes go by their cameras: shares that send fewer bytes by chance are not looked for by the bound."""
+
+    def alike(edge: Edge) -> Edge:
+        return replace(edge, devices=tuple(replace(device, model_bytes=CostCurve(linear=1e6)) for device in edge.devices))
+
+    return System(edges=tuple(alike(edge) for edge in system.edges))
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", range(15))
 def test_no_method_beats_the_bound_and_times_follow_from_the_counts(seed: int, method: PlanMethod) -> None:
     rng = np.random.default_rng(seed)
     system = random_system(rng, 5)
+    if method == "even":
+        system = sending_alike(system)
     plan = planned(LAYOUTS["clustered"](rng, 120), system, method)
     assert plan.makespan_s >= plan.lower_bound_s
     expected_s = [table.edge_time_s[count] for table, count in zip(edge_tables(system, 120), plan.counts, strict=True)]
-    np.testing.assert_array_equal(plan.edge_time_s, expected_s)
+    if method == "even":
+        # Its devices do not share an edge's cameras so that the slowest is done first.
+        assert (plan.edge_time_s >= np.array(expected_s) * (1 - 1e-12)).all()
+    else:
+        np.testing.assert_array_equal(plan.edge_time_s, expected_s)
     assert (plan.status == "optimal") == (plan.makespan_s == plan.lower_bound_s)
 
 
@@ -114,10 +131,36 @@ def test_moving_borders_never_ends_slower_than_it_started(seed: int) -> None:
     assert paper.history[0] == voronoi.makespan_s
 
 
-def test_even_differs_by_one_camera_at_most() -> None:
-    rng = np.random.default_rng(1)
-    counts = planned(LAYOUTS["clustered"](rng, 103), random_system(rng, 5), "even").counts
-    assert sorted(counts) == [20, 20, 21, 21, 21]
+@pytest.mark.parametrize("seed", range(8))
+def test_even_gives_every_device_as_many_cameras_give_or_take_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    positions, system = LAYOUTS["clustered"](rng, 103), random_system(rng, 5)
+    plan = planned(positions, system, "even")
+    num_devices = [len(edge.devices) for edge in system.edges]
+    assert min(num_devices) < max(num_devices), "an edge's share goes by its devices"
+    edges = split_edges(positions, plan, system)
+    shares = [len(own.cameras_of(device)) for own in edges for device in own.device_ids]
+    assert sorted({103 // len(shares), -(-103 // len(shares))}) == sorted(set(shares))
+    for own, edge, edge_time_s in zip(edges, system.edges, plan.edge_time_s, strict=True):
+        times_s = [float(device_time_s(device, len(own.cameras_of(device.id)))) for device in edge.devices]
+        np.testing.assert_array_equal(own.device_time_s, times_s)
+        sent_s = sum(float(device.model_bytes(len(own.cameras_of(device.id)))) for device in edge.devices) / edge.uplink_bytes_per_s
+        assert edge_time_s == pytest.approx(max(times_s) + float(edge.aggregate_s(len(own.camera_indices))) + sent_s, rel=1e-12)
+
+
+def test_even_is_what_the_paper_divides_equally_for_each_device() -> None:
+    # Three devices here and one there: 30 and 10 of 40 cameras, where 20 and 20 would be even by edge.
+    edges = linear_system(np.array([[0.0, 0.0], [100.0, 0.0]]), np.array([1.0, 1.0])).edges
+    slow = replace(edges[0].devices[0], id="slow", train_s=CostCurve(linear=4.0))
+    system = System(edges=(replace(edges[0], devices=(edges[0].devices[0], slow, replace(slow, id="slow-2"))), edges[1]))
+    positions = np.column_stack([np.linspace(0, 100, 40), np.zeros(40)])
+    plan = planned(positions, system, "even")
+    assert plan.counts.tolist() == [30, 10]
+    # The slow ones decide: ten cameras of 4 s each. By quotas that fit, 30 cameras would take 20 s there.
+    assert plan.edge_time_s.tolist() == [40.0, 10.0] and plan.makespan_s > 1.9 * plan.lower_bound_s
+    assert [own.device_time_s.tolist() for own in split_edges(positions, plan, system)] == [[10.0, 40.0, 40.0], [10.0]]
+    with pytest.raises(BadInput, match="the devices can hold 2 of 3 cameras"):
+        even_quotas(replace(edges[0], devices=(replace(slow, max_cameras=2),)), 3)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -273,21 +316,24 @@ def test_a_tolerance_leaves_nearest_edges_alone_where_they_are_good_enough() -> 
 
 @pytest.mark.parametrize("seed", range(60))
 def test_even_counts_are_the_most_equal_that_capacities_allow(seed: int) -> None:
-    """Water-filling by one camera at a time: always to the edge that has least and still has room, the first of equals."""
+    """Water-filling by one camera at a time: always to the device that has least and still has room, of equals the first of its edge."""
     rng = np.random.default_rng(seed)
-    capacities = rng.integers(0, 9, int(rng.integers(1, 6)))
+    num_devices = rng.integers(1, 4, int(rng.integers(1, 6)))
+    capacities = rng.integers(0, 9, num_devices.sum())
     total = int(rng.integers(0, capacities.sum() + 1))
-    system = System(
-        edges=tuple(
-            replace(edge, devices=(replace(edge.devices[0], max_cameras=int(held)),))
-            for edge, held in zip(linear_system(rng.random((len(capacities), 2)), np.ones(len(capacities))).edges, capacities, strict=True)
-        )
-    )
+    bare = linear_system(rng.random((len(capacities), 2)), np.ones(len(capacities))).edges
+    devices = [replace(edge.devices[0], max_cameras=int(held)) for edge, held in zip(bare, capacities, strict=True)]
+    owner = np.repeat(np.arange(len(num_devices)), num_devices)
+    place = np.concatenate([np.arange(number) for number in num_devices])
+    edges = [replace(bare[e], devices=tuple(d for d, own in zip(devices, owner, strict=True) if own == e)) for e in range(len(num_devices))]
     counts = [0] * len(capacities)
     for _ in range(total):
-        open_edges = [index for index in range(len(counts)) if counts[index] < capacities[index]]
-        counts[min(open_edges, key=lambda index: (counts[index], index))] += 1
-    assert _even_counts(system, total).tolist() == counts
+        open_devices = [index for index in range(len(counts)) if counts[index] < capacities[index]]
+        counts[min(open_devices, key=lambda index: (counts[index], place[index], index))] += 1
+    by_edge = np.bincount(owner, weights=counts).astype(int)
+    assert even_edge_counts(System(edges=tuple(edges)), total).tolist() == by_edge.tolist()
+    for index, edge in enumerate(edges):
+        assert even_quotas(edge, by_edge[index]).tolist() == [count for count, own in zip(counts, owner, strict=True) if own == index]
 
 
 def test_the_outline_is_the_cameras_box_with_a_tenth_of_its_longer_side() -> None:
