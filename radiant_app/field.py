@@ -47,6 +47,7 @@ from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
+from radiant_core.io.copies import file_copies
 from radiant_core.io.photos import SUFFIXES
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
@@ -311,6 +312,8 @@ def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) 
     """Positions from the given poses; with device folders each pose belongs to the device that has a file of its name."""
     names = poses.cameras.names
     if folders is None:
+        copies = file_copies({name: poses.photos / name for name in names})
+        names = tuple(name for name in names if name not in copies)
         absent = [name for name in names if not (poses.photos / name).is_file()]
         owners: list[str | None] = [None] * len(names)
     else:
@@ -328,7 +331,7 @@ def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) 
         owners = [owner_of.get(name) for name in names]
     if absent:
         raise BadInput(f"photograph {absent[0]!r} of the poses is not in {source} ({len(absent)} in all): fetch it or drop its pose.")
-    return Captured(names=names, owners=tuple(owners), positions=poses.cameras.centers, origin=None)
+    return Captured(names=names, owners=tuple(owners), positions=poses.cameras.named(names).centers, origin=None)
 
 
 def _tell_unplaced(captured: Captured, progress: Progress) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap_records import is_image_name
+from radiant_core.io.copies import file_copies
 from radiant_core.io.jpeg import ExifFacts, read_jpeg_facts
 from radiant_core.io.run_store import open_without_waiting, read_bounded
 
@@ -67,6 +68,23 @@ class PhotoListing:
 
     photographs: tuple[Photograph, ...]
     skipped: tuple[Skipped, ...]
+    copies: dict[str, str] = field(default_factory=dict)
+    """Usable photographs that are left out because they hold the same bytes as another one, and which."""
+
+    @property
+    def left_out(self) -> set[str]:
+        """Names of all that is not used."""
+        return {skipped.name for skipped in self.skipped} | self.copies.keys()
+
+    def without_copies(self) -> PhotoListing:
+        """The listing without photographs that hold the same bytes as another one. BadInput where fewer than two are left."""
+        paths = {photo.name: photo.path for photo in self.photographs}
+        copies = file_copies(paths)
+        left = tuple(photo for photo in self.photographs if photo.name not in copies)
+        if len(left) < 2:
+            first = next(iter(copies.values()))
+            raise BadInput(f"all {len(paths)} photographs are copies of {first}: at least 2 that overlap are needed.")
+        return replace(self, photographs=left, copies=copies)
 
 
 def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None) -> PhotoListing:
@@ -129,6 +147,22 @@ def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]
     if (image.shape[1], image.shape[0]) != tuple(size_wh):
         image = cv2.resize(image, tuple(size_wh), interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(image[:, :, ::-1], dtype=np.float32) / np.float32(255)
+
+
+def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
+    """The photograph (H,W,3) uint8 RGB with a long side of at most `long_side_px`; raises as `load_photograph`.
+
+    A JPEG is decoded at an eighth of its size where that is large enough: not what `load_photograph` gives, but near it.
+    """
+    data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
+    size_wh = promised_size_wh(data) or (1, 1)
+    reduced = cv2.IMREAD_REDUCED_COLOR_8 if max(size_wh) >= 16 * long_side_px else cv2.IMREAD_COLOR
+    image = decoded_image(data, reduced | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        raise BadInput(f"the photograph {path} is not whole or cannot be decoded: remove it or fetch it again.")
+    scale = min(1.0, long_side_px / max(image.shape[:2]))
+    reduced_wh = max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0]))
+    return np.asarray(cv2.resize(image, reduced_wh, interpolation=cv2.INTER_AREA)[:, :, ::-1], np.uint8)
 
 
 def decoded_image(data: bytes, flags: int) -> NDArray[Any] | None:

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from radiant_core.errors import BadInput
+from radiant_core.io.copies import copies_warning, file_copies
 from radiant_core.io.csv_waypoints import csv_rows
 from radiant_core.io.geojson_waypoints import geojson_rows
 from radiant_core.io.kml_waypoints import kml_rows
@@ -72,12 +73,14 @@ def read_waypoints(path: Path) -> FoundWaypoints:
 def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> FoundWaypoints:
     """The GPS positions of the photographs (JPEG, PNG) directly in `folder`, by name; `on_photo(done, total)` after each.
 
-    Photographs at one position all stay: they are already taken. Raises BadInput when it is no folder, when it holds no photograph, or
+    Photographs at one position all stay, copies of a file do not. Raises BadInput when it is no folder, when it holds no photograph, or
     when none has a position.
     """
     found = photograph_positions(folder, on_photo)
-    names = list(found)
-    positions = {name: place for name, place in found.items() if place is not None}
+    copies = file_copies({name: folder / name for name in found})
+    copied = copies_warning(copies, len(found))
+    names = [name for name in found if name not in copies]
+    positions = {name: place for name, place in found.items() if place is not None and name not in copies}
     without = tuple(name for name in names if name not in positions)
     if not positions:
         raise BadInput(f"none of the {len(names)} photographs in {folder} has a GPS position in its EXIF: give a file of waypoints.")
@@ -85,7 +88,7 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
         waypoints = Waypoints(names=tuple(positions), lat_lon_alt=np.array(list(positions.values())))
     except BadInput as error:
         raise BadInput(f"cannot use the positions of the photographs in {folder}: {error}") from error
-    return FoundWaypoints(waypoints=waypoints, warnings=_gps_warnings(without, len(names)), without_gps=without)
+    return FoundWaypoints(waypoints=waypoints, warnings=(*copied, *_gps_warnings(without, len(names))), without_gps=without)
 
 
 def _text(path: Path) -> str:

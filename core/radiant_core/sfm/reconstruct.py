@@ -12,6 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.colmap import ColmapModel, read_model, write_model
 from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
@@ -21,7 +22,7 @@ from radiant_core.sfm.memory import within_memory
 from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.refine import refine
 from radiant_core.sfm.undistort import undistort
-from radiant_core.sfm.workspace import listed, start_clean
+from radiant_core.sfm.workspace import listed, listing_warnings, start_clean
 from radiant_core.sfm.world import scene_in_world
 
 __all__ = [
@@ -70,12 +71,13 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
     scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
+    scene, repeats = without_repeats(scene, undistorted.image_folder)
     return SfmResult(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
         decisions=(*limited, matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
-        warnings=(*_skip_warnings(listing), *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
+        warnings=(*listing_warnings(listing), *repeats, *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
         masks_folder=masks,
     )
 
@@ -89,7 +91,7 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
     """
     model = read_model(model_folder)
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
-    model = model.without({skipped.name for skipped in listing.skipped})
+    model = model.without(listing.left_out)
     _require_images(model, listing, image_folder)
     images_to_use = image_folder
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
@@ -99,19 +101,20 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
     if pinhole:
         masks = keep_masks(given, work_folder)
     else:
-        if listing.skipped:
+        if listing.left_out:
             model_folder = work_folder / "sparse"
             write_model(model_folder, model)
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     scene, decisions, warnings = scene_in_world(model, listing.photographs, seed=0)
+    scene, repeats = without_repeats(scene, images_to_use)
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
         unregistered=(),
         decisions=(*decisions, *masks_decision(scene, masks)),
-        warnings=(*_skip_warnings(listing), *warnings),
+        warnings=(*listing_warnings(listing), *repeats, *warnings),
         masks_folder=masks,
     )
 
@@ -132,10 +135,6 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
                 f"image {image.name!r} has {sizes[image.name]} px and its camera {camera.size_wh}: "
                 "give the images that the model was made from."
             )
-
-
-def _skip_warnings(listing: PhotoListing) -> tuple[str, ...]:
-    return tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
 
 
 def _unregistered_warnings(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:

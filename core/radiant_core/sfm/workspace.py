@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from radiant_core.io.copies import copies_warning
 from radiant_core.io.photos import PhotoListing, list_photographs
 from radiant_core.sfm.config import Report, SfmProgress
 
@@ -15,8 +16,15 @@ WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", 
 
 
 def listed(folder: Path, report: Report, names: tuple[str, ...] | None = None) -> PhotoListing:
-    """`list_photographs` with its progress, of those `names` where given; BadInput as there."""
-    return list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
+    """`list_photographs` with its progress, of those `names` where given, without copies; BadInput as there."""
+    listing = list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
+    return listing.without_copies()
+
+
+def listing_warnings(listing: PhotoListing) -> tuple[str, ...]:
+    """What the user is told of the files that are not used."""
+    skipped = tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
+    return (*skipped, *copies_warning(listing.copies, len(listing.photographs) + len(listing.copies)))
 
 
 def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:
