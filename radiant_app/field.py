@@ -243,7 +243,10 @@ def _told_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress
 def _origin_of(known: FloatArray) -> FloatArray:
     """Middle of positions (P,3), rounded to some ten metres: it is told to everybody, and a median is somebody's position."""
     if not len(known):
-        raise BadInput("no photograph has a GPS position, which --frames gps needs: give poses with --frames known, or pool them (shared).")
+        raise BadInput(
+            "no photograph has a GPS position with an altitude, which --frames gps needs: give poses with --frames known, or pool them "
+            "(shared), where horizontal positions are enough."
+        )
     middle = _middle(known)
     return np.array([*np.round(middle[:2], 4), np.round(middle[2], -1)])
 

@@ -50,7 +50,11 @@ def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     found = photograph_positions(photographs)
     copies = file_copies({name: photographs / name for name in found})
     _tell_copies(len(copies), len(found), (stage, emit))
-    found = {name: place for name, place in found.items() if name not in copies}
+    low = [name for name, place in found.items() if place is not None and np.isnan(place[2])]
+    if low:
+        told = f"{len(low)} of {len(found)} photographs have GPS without altitude, and a device's frame needs one"
+        emit(Warned(stage=stage, message=f"{told}: they count as without a position."))
+    found = {name: None if name in low else place for name, place in found.items() if name not in copies}
     if task["cell_m"] is None:
         write_json(folder / "positions.json", {"photographs": found})
         return ["positions.json"]
@@ -160,7 +164,7 @@ def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str,
         emit(Warned(stage=stage, message=message))
     for decision in (decision for decision in result.decisions if decision.topic == "memory"):
         emit(Decided(decision=replace(decision, stage=stage)))
-    positions = {name: place for name, place in photograph_positions(photos).items() if place is not None}
+    positions = {name: place for name, place in photograph_positions(photos).items() if place is not None and np.isfinite(place[2])}
     frame = device_frame(result.scene, positions, np.array(task["origin"]), task["sfm"]["seed"])
     if isinstance(frame, RefusedFrame):
         raise BadInput(f"its frame is refused: {frame.reason}")

@@ -34,7 +34,7 @@ class ExifFacts:
     model: str = ""
     focal_mm: float | None = None
     lat_lon_alt: tuple[float, float, float] | None = None
-    """Degrees north, degrees east, metres; None unless all three are there and on the globe."""
+    """Degrees north, degrees east, metres; NaN metres where there is no altitude, None without a place on the globe."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,13 +140,14 @@ def _text(value: Value | None) -> str:
 def _position(gps: dict[int, Value]) -> tuple[float, float, float] | None:
     lat = _degrees(gps.get(LATITUDE), gps.get(LATITUDE_REF), b"NS")
     lon = _degrees(gps.get(LONGITUDE), gps.get(LONGITUDE_REF), b"EW")
-    alt = _number(gps.get(ALTITUDE))
-    if lat is None or lon is None or alt is None or abs(lat) > 90 or abs(lon) > 180:
+    if lat is None or lon is None or abs(lat) > 90 or abs(lon) > 180:
         return None
     # Receivers without a fix write exact zeros.
     if lat == 0 and lon == 0:
         return None
-    below_sea = gps.get(ALTITUDE_REF)
+    alt, below_sea = _number(gps.get(ALTITUDE)), gps.get(ALTITUDE_REF)
+    if alt is None:
+        return lat, lon, math.nan
     return lat, lon, -alt if isinstance(below_sea, bytes) and below_sea[:1] == b"\x01" else alt
 
 

@@ -45,12 +45,13 @@ class CameraKey:
 
 @dataclass(frozen=True, kw_only=True)
 class Photograph:
-    """One usable photograph: its file name, path, size in pixels, GPS position (degrees, degrees, metres) and camera."""
+    """One usable photograph: its file name, path, size in pixels, GPS position and camera."""
 
     name: str
     path: Path
     size_wh: tuple[int, int]
     lat_lon_alt: tuple[float, float, float] | None
+    """Degrees, degrees, metres; NaN metres where GPS has no altitude, None where there is no GPS."""
     camera: CameraKey
 
 
@@ -119,7 +120,7 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
 
 
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
-    """GPS position (degrees, degrees, metres) or None by file name, of the JPEG and PNG files directly in `folder`, sorted by name.
+    """GPS position (degrees, degrees, metres or NaN) or None by file name, of the JPEG and PNG files directly in `folder`, sorted by name.
 
     Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where there is no such folder or no photograph.
     """

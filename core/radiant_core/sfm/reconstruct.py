@@ -14,6 +14,7 @@ from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.database import extract_features, match_pairs
+from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
 from radiant_core.sfm.mapping import MappingJob, map_photographs
@@ -72,12 +73,13 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
     scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
     scene, repeats = without_repeats(scene, undistorted.image_folder)
+    outliers = gps_outliers(scene, photographs).warning()
     return SfmResult(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
         decisions=(*limited, matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
-        warnings=(*listing_warnings(listing), *repeats, *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
+        warnings=(*listing_warnings(listing), *repeats, *_unregistered_warnings(mapped.unregistered, photographs), *outliers, *warnings),
         masks_folder=masks,
     )
 
@@ -114,7 +116,7 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
         undistorted_folder=images_to_use,
         unregistered=(),
         decisions=(*decisions, *masks_decision(scene, masks)),
-        warnings=(*listing_warnings(listing), *repeats, *warnings),
+        warnings=(*listing_warnings(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *warnings),
         masks_folder=masks,
     )
 

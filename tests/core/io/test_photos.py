@@ -85,7 +85,7 @@ def test_damaged_exif_never_raises_and_never_leaves_the_globe() -> None:
             lat, lon, alt = facts.lat_lon_alt
             assert abs(lat) <= 90
             assert abs(lon) <= 180
-            assert np.isfinite(alt)
+            assert np.isfinite(alt) or np.isnan(alt)
         assert facts.focal_mm is None or (np.isfinite(facts.focal_mm) and facts.focal_mm > 0)
 
 
@@ -385,11 +385,11 @@ def as_type(tag: int, kind: int, count: int) -> bytes:
         (b"N\0", b"\0\0", None),
         (b"N\0", b"NS", 41),
         (as_type(2, 5, 3), as_type(2, 5, 2), None),
-        (as_type(6, 5, 1), as_type(7, 5, 1), None),
+        (as_type(6, 5, 1), as_type(7, 5, 1), 41),
         (as_type(5, 1, 1), as_type(5, 3, 1), 41),
     ],
 )
-def test_a_position_needs_its_letters_three_numbers_and_an_altitude(old: bytes, new: bytes, degrees: int | None) -> None:
+def test_a_position_needs_its_letters_and_three_numbers_each_and_no_altitude(old: bytes, new: bytes, degrees: int | None) -> None:
     block = exif_block("<", False, False)
     assert block.count(old) == 1
     position = read_exif(block.replace(old, new)).lat_lon_alt
