@@ -371,6 +371,9 @@ def main() -> NoReturn:
     except OSError as error:
         _say(f"{error.strerror or error} ({error.filename}): check the path, the rights and the free space.")
         sys.exit(BadInput.exit_code)
+    except MemoryError:
+        _say("not enough memory: close other programs, raise the limit (ulimit -v), or give --memory, --long-side-px or --max-splats less.")
+        sys.exit(1)
     except typer.TyperException as error:
         _say(f"{error.format_message().rstrip('.')}: `radiant --help` and `radiant COMMAND --help` say what there is.")
         sys.exit(BadInput.exit_code)

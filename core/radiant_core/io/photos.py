@@ -7,7 +7,8 @@ one at the size asked for. EXIF orientation is ignored: pixels stay as they are 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,10 +21,20 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap_records import is_image_name
 from radiant_core.io.copies import file_copies
-from radiant_core.io.jpeg import ExifFacts, read_jpeg_facts
+from radiant_core.io.jpeg import TIFF_SIGNATURES, ExifFacts, read_exif, read_jpeg_facts, read_tiff_size
 from radiant_core.io.run_store import open_without_waiting, read_bounded
 
-SUFFIXES = (".jpg", ".jpeg", ".png")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+READ_KINDS = "JPEG, PNG or TIFF"
+PHOTOGRAPHS_UNREAD = (
+    *(".heic", ".heif", ".avif", ".webp", ".jp2", ".jxl", ".bmp", ".gif", ".insp", ".dng", ".cr2", ".cr3", ".nef", ".nrw", ".arw"),
+    *(".orf", ".rw2", ".raf", ".pef", ".srw", ".raw", ".3fr", ".iiq", ".gpr"),
+)
+FILMS_UNREAD = (".mp4", ".mov", ".avi", ".mts", ".m2ts", ".m4v", ".mkv", ".webm", ".insv", ".360")
+UNREAD_SUFFIXES = frozenset((*PHOTOGRAPHS_UNREAD, *FILMS_UNREAD))
+"""Photographs and films that nothing here can read, or that COLMAP cannot."""
+MAX_SIDE_RATIO = 100
+"""Reduced to what structure from motion looks at, a narrower strip would have no pixels across."""
 MAX_FILE_BYTES = 1 << 29
 MAX_PIXELS = 1 << 28
 JPEG_PIXELS_PER_BYTE, DEFLATE_RATIO = 512, 1032
@@ -72,10 +83,21 @@ class PhotoListing:
     copies: dict[str, str] = field(default_factory=dict)
     """Usable photographs that are left out because they hold the same bytes as another one, and which."""
 
+    unread: dict[str, int] = field(default_factory=dict)
+    """Suffix → number of files beside them that hold photographs or films and cannot be read."""
+
     @property
     def left_out(self) -> set[str]:
         """Names of all that is not used."""
         return {skipped.name for skipped in self.skipped} | self.copies.keys()
+
+    def without_odd_suffixes(self) -> PhotoListing:
+        """The listing without photographs whose name does not say what they are: nothing can be written under such a name."""
+        odd = [photo.name for photo in self.photographs if photo.path.suffix.lower() not in SUFFIXES]
+        reason = f"has a name without {', '.join(SUFFIXES)}, under which it cannot be undistorted (rename it, in the model too)"
+        skipped = tuple(Skipped(name=name, reason=reason) for name in odd)
+        kept = tuple(photo for photo in self.photographs if photo.name not in odd)
+        return replace(self, photographs=kept, skipped=(*self.skipped, *skipped))
 
     def without_copies(self) -> PhotoListing:
         """The listing without photographs that hold the same bytes as another one. BadInput where fewer than two are left."""
@@ -89,22 +111,24 @@ class PhotoListing:
 
 
 def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None) -> PhotoListing:
-    """The usable photographs (JPEG, PNG) directly in `folder`, truncated or undecodable ones skipped and named.
+    """The usable photographs (JPEG, PNG, TIFF) directly in `folder`, truncated or undecodable ones skipped and named.
 
     `on_photo(done, total)` is called after each file; `names` asks for these files only, subfolders with '/' allowed.
     Raises BadInput when the folder is missing, is no folder, or holds fewer than two usable photographs.
     """
     if not folder.is_dir():
-        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with JPEG or PNG files.")
+        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
     skipped: list[Skipped] = []
+    unread: dict[str, int] = {}
     if names is None:
         names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
-        skipped = _subfolders(folder)
+        skipped, unread = _subfolders(folder), _unread(folder)
     names = [name for name in names if (folder / name).is_file()]
     if not names:
         inner = next((path.parent for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()), None)
         where = "give the folder that holds the image files" if inner is None else f"there are some in {inner}: give that folder"
-        raise BadInput(f"{folder} itself contains no photographs (.jpg, .jpeg, .png): {where}.")
+        other = f" but {_listed(unread)} files, which cannot be read" if unread else ""
+        raise BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}){other}: {where}.")
     photographs: list[Photograph] = []
     for done, found in enumerate(_inspected(folder, names), start=1):
         if isinstance(found, Photograph):
@@ -116,24 +140,42 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
     if len(photographs) < 2:
         lost = f" ({len(skipped)} skipped: {skipped[0].name} {skipped[0].reason})" if skipped else ""
         raise BadInput(f"{folder} has {len(photographs)} usable photograph(s){lost}: at least 2 that overlap are needed.")
-    return PhotoListing(photographs=tuple(photographs), skipped=tuple(skipped))
+    return PhotoListing(photographs=tuple(photographs), skipped=tuple(skipped), unread=unread)
+
+
+def unread_warning(unread: Mapping[str, int]) -> tuple[str, ...]:
+    """What is told of files that cannot be read, by their kinds alone; none where there are none."""
+    if not unread:
+        return ()
+    return (f"{_listed(unread)} files are not read: save photographs as {READ_KINDS}, and frames of films, to use them.",)
+
+
+def _listed(unread: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {suffix}" for suffix, count in sorted(unread.items()))
+
+
+def _unread(folder: Path) -> dict[str, int]:
+    """How many files of each kind in `folder` hold photographs or films that are not read."""
+    return dict(Counter(path.suffix.lower() for path in folder.iterdir() if path.suffix.lower() in UNREAD_SUFFIXES and path.is_file()))
 
 
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
-    """GPS position (degrees, degrees, metres or NaN) or None by file name, of the JPEG and PNG files directly in `folder`, sorted by name.
+    """GPS position (degrees, degrees, metres or NaN) or None by file name, of the photographs directly in `folder`, sorted by name.
 
     Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where there is no such folder or no photograph.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with JPEG files.")
+        raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
     names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if not names:
         raise BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}): give the folder that holds the image files.")
     positions = {}
     for done, name in enumerate(names, start=1):
         with open(folder / name, "rb", opener=open_without_waiting) as file:
-            positions[name] = _facts(file.read(EXIF_HEAD_BYTES))[2].lat_lon_alt
+            # A TIFF has its directory wherever whoever wrote it put it, often at the end.
+            num_bytes = MAX_FILE_BYTES if Path(name).suffix.lower() in SUFFIXES[3:] else EXIF_HEAD_BYTES
+            positions[name] = _facts(file.read(num_bytes))[2].lat_lon_alt
         if on_photo is not None:
             on_photo(done, len(names))
     return positions
@@ -167,7 +209,7 @@ def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
 
 
 def decoded_image(data: bytes, flags: int) -> NDArray[Any] | None:
-    """A JPEG or PNG as `cv2.imdecode` gives it, or None; nothing is allocated for a file that cannot hold what it promises."""
+    """A JPEG, PNG or TIFF as `cv2.imdecode` gives it, or None; nothing is allocated for a file that cannot hold what it promises."""
     size_wh, whole, _ = _facts(data)
     if size_wh is None or not whole or _promises_too_much(size_wh, data):
         return None
@@ -178,7 +220,7 @@ def decoded_image(data: bytes, flags: int) -> NDArray[Any] | None:
 
 
 def promised_size_wh(data: bytes) -> tuple[int, int] | None:
-    """Size in px that the head of a JPEG or PNG says; None for anything else."""
+    """Size in px that the head of a JPEG, PNG or TIFF says; None for anything else."""
     return _facts(data)[0]
 
 
@@ -187,6 +229,8 @@ def _promises_too_much(size_wh: tuple[int, int], data: bytes) -> bool:
     if data.startswith(_PNG_SIGNATURE):
         bits, channels = data[24], {2: 3, 4: 2, 6: 4}.get(data[25], 1)
         per_byte = DEFLATE_RATIO * 8 // max(1, bits * channels)
+    elif data.startswith(TIFF_SIGNATURES):
+        per_byte = DEFLATE_RATIO
     return size_wh[0] * size_wh[1] > min(MAX_PIXELS, per_byte * len(data))
 
 
@@ -219,19 +263,24 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
         return Skipped(name=name, reason="cannot be read")
     size_wh, whole, exif = _facts(data)
     if size_wh is None:
-        return Skipped(name=name, reason="is not a JPEG or PNG image")
+        return Skipped(name=name, reason="is not a JPEG, PNG or TIFF image")
     if size_wh[0] * size_wh[1] > MAX_PIXELS:
         return Skipped(name=name, reason=f"has {size_wh[0]} × {size_wh[1]} pixels, more than {MAX_PIXELS}")
     if not whole or _promises_too_much(size_wh, data):
         return Skipped(name=name, reason="is truncated (its end is missing)")
     if not _decodes(data, size_wh):
         return Skipped(name=name, reason="cannot be decoded")
+    if max(size_wh) > MAX_SIDE_RATIO * min(size_wh):
+        return Skipped(name=name, reason=f"is a strip of {size_wh[0]} × {size_wh[1]} pixels")
     camera = CameraKey(make=exif.make, model=exif.model, focal_mm=exif.focal_mm, size_wh=size_wh)
     return Photograph(name=name, path=path, size_wh=size_wh, lat_lon_alt=exif.lat_lon_alt, camera=camera)
 
 
 def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
-    """Size in px (None for neither JPEG nor PNG), whether the file has its end, and its EXIF."""
+    """Size in px (None for neither JPEG, PNG nor TIFF), whether the file has its end, and its EXIF."""
+    if data.startswith(TIFF_SIGNATURES):
+        # Where the pixels of a TIFF end only its decoder knows, which refuses one that is cut off.
+        return read_tiff_size(data), True, read_exif(data)
     return _png_facts(data) if data.startswith(_PNG_SIGNATURE) else _jpeg_facts(data)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import ColmapModel, read_model, write_model
+from radiant_core.io.colmap import ColmapModel, read_model
 from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult
 from radiant_core.sfm.copies import without_repeats
@@ -22,6 +22,7 @@ from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undis
 from radiant_core.sfm.memory import within_memory
 from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.refine import refine
+from radiant_core.sfm.spaced_names import write_for_colmap
 from radiant_core.sfm.undistort import undistort
 from radiant_core.sfm.workspace import listed, listing_warnings, start_clean
 from radiant_core.sfm.world import scene_in_world
@@ -93,19 +94,20 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
     """
     model = read_model(model_folder)
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
+    pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
+    listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
     _require_images(model, listing, image_folder)
     images_to_use = image_folder
-    pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
     if masks is not None or not pinhole:
         start_clean(work_folder)
     given = take_masks(masks, listing.photographs, work_folder)
     if pinhole:
         masks = keep_masks(given, work_folder)
     else:
-        if listing.left_out:
+        if listing.left_out or any(" " in image.name for image in model.images):
             model_folder = work_folder / "sparse"
-            write_model(model_folder, model)
+            write_for_colmap(model, model_folder)
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder

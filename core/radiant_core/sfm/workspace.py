@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 from radiant_core.io.copies import copies_warning
-from radiant_core.io.photos import PhotoListing, list_photographs
+from radiant_core.io.photos import PhotoListing, list_photographs, unread_warning
 from radiant_core.sfm.config import Report, SfmProgress
 
 DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json", "names.json")
@@ -24,7 +24,7 @@ def listed(folder: Path, report: Report, names: tuple[str, ...] | None = None) -
 def listing_warnings(listing: PhotoListing) -> tuple[str, ...]:
     """What the user is told of the files that are not used."""
     skipped = tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
-    return (*skipped, *copies_warning(listing.copies, len(listing.photographs) + len(listing.copies)))
+    return (*skipped, *unread_warning(listing.unread), *copies_warning(listing.copies, len(listing.photographs) + len(listing.copies)))
 
 
 def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:

@@ -284,15 +284,15 @@ def test_a_jpeg_promises_no_more_than_a_bit_for_64_pixels(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("data", "told"),
     [
-        (short_png(0, 5), "is not a JPEG or PNG image"),
-        (short_png(5, 0), "is not a JPEG or PNG image"),
-        (short_png(5, 5).replace(b"IHDR", b"JHDR"), "is not a JPEG or PNG image"),
+        (short_png(0, 5), "is not a JPEG, PNG or TIFF image"),
+        (short_png(5, 0), "is not a JPEG, PNG or TIFF image"),
+        (short_png(5, 5).replace(b"IHDR", b"JHDR"), "is not a JPEG, PNG or TIFF image"),
         (short_png(1 << 14, (1 << 14) + 1), f"has 16384 × 16385 pixels, more than {1 << 28}"),
         (short_png(1 << 14, 1 << 14), "is truncated (its end is missing)"),
         (short_png(5, 5)[:-1], "is truncated (its end is missing)"),
         (short_png(5, 5)[:-5], "is truncated (its end is missing)"),
         (short_png(5, 5), "cannot be decoded"),
-        (b"text", "is not a JPEG or PNG image"),
+        (b"text", "is not a JPEG, PNG or TIFF image"),
     ],
 )
 def test_why_a_file_is_skipped(tmp_path: Path, data: bytes, told: str) -> None:
@@ -301,7 +301,7 @@ def test_why_a_file_is_skipped(tmp_path: Path, data: bytes, told: str) -> None:
 
 def test_a_file_larger_than_the_limit_is_skipped_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(photos, "MAX_FILE_BYTES", 1 << 20)
-    assert reason_of(tmp_path, bytes(1 << 20)) == "is not a JPEG or PNG image"
+    assert reason_of(tmp_path, bytes(1 << 20)) == "is not a JPEG, PNG or TIFF image"
     assert reason_of(tmp_path, bytes((1 << 20) + 1)) == "is larger than 1 MiB"
 
 
@@ -313,7 +313,7 @@ def test_where_photographs_are_is_told_and_which_files_were_no_use(tmp_path: Pat
     with pytest.raises(BadInput, match=rf"itself contains no photographs .*: there are some in {inner}: give that folder"):
         list_photographs(tmp_path)
     (tmp_path / "x.jpg").write_bytes(b"no image")
-    told = r"has 0 usable photograph\(s\) \(1 skipped: x.jpg is not a JPEG or PNG image\): at least 2"
+    told = r"has 0 usable photograph\(s\) \(1 skipped: x.jpg is not a JPEG, PNG or TIFF image\): at least 2"
     with pytest.raises(BadInput, match=told):
         list_photographs(tmp_path)
     with pytest.raises(BadInput, match="give the folder that holds the image files"):
