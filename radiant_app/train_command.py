@@ -32,7 +32,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
-from radiant_core.io.photos import load_photograph
+from radiant_core.io.photos import DECODED_BYTES_PER_PX, load_photograph
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
 from radiant_core.render.contract import resolve_backend
@@ -199,6 +199,8 @@ def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _S
     if request.memory_bytes is not None:
         kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
         base_bytes = base_bytes_in(request.out, base_bytes) if request.out.is_dir() else base_bytes
+        # Held-out photographs are decoded one by one beside the finished model.
+        base_bytes += DECODED_BYTES_PER_PX * int(scene.cameras.sizes_wh.prod(axis=1).max())
         plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate, masked=photos[1] is not None)
         config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
         options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)

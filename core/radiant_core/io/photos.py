@@ -33,6 +33,8 @@ PHOTOGRAPHS_UNREAD = (
 FILMS_UNREAD = (".mp4", ".mov", ".avi", ".mts", ".m2ts", ".m4v", ".mkv", ".webm", ".insv", ".360")
 UNREAD_SUFFIXES = frozenset((*PHOTOGRAPHS_UNREAD, *FILMS_UNREAD))
 """Photographs and films that nothing here can read, or that COLMAP cannot."""
+DECODED_BYTES_PER_PX = 6
+"""What `load_photograph` holds for a moment of each pixel as it is stored: measured with JPEG of 50 megapixels."""
 MAX_SIDE_RATIO = 100
 """Reduced to what structure from motion looks at, a narrower strip would have no pixels across."""
 MAX_FILE_BYTES = 1 << 29

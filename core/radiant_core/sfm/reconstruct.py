@@ -19,7 +19,7 @@ from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
 from radiant_core.sfm.mapping import MappingJob, map_photographs
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
-from radiant_core.sfm.memory import within_memory
+from radiant_core.sfm.memory import undistorting_threads, within_memory
 from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.refine import refine
 from radiant_core.sfm.spaced_names import write_for_colmap
@@ -70,7 +70,8 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
         if config.two_view_points:
             triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
     refine(mapped.model, config, report).write_binary(work_folder / "sparse")
-    undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
+    threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
+    undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
     scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
     scene, repeats = without_repeats(scene, undistorted.image_folder)
