@@ -210,6 +210,13 @@ def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(image, reduced_wh, interpolation=cv2.INTER_AREA)[:, :, ::-1], np.uint8)
 
 
+def has_alpha(path: Path) -> bool:
+    """Whether a PNG has a channel that says how transparent each pixel is."""
+    with open(path, "rb", opener=open_without_waiting) as file:
+        head = file.read(26)
+    return head.startswith(_PNG_SIGNATURE) and len(head) == 26 and head[25] in (4, 6)
+
+
 def decoded_image(data: bytes, flags: int) -> NDArray[Any] | None:
     """A JPEG, PNG or TIFF as `cv2.imdecode` gives it, or None; nothing is allocated for a file that cannot hold what it promises."""
     size_wh, whole, _ = _facts(data)
@@ -272,6 +279,8 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
         return Skipped(name=name, reason="is truncated (its end is missing)")
     if not _decodes(data, size_wh):
         return Skipped(name=name, reason="cannot be decoded")
+    if _is_all_but_black(data):
+        return Skipped(name=name, reason="has 16 bits a channel and uses 12 or fewer, which is black in 8 (stretch it to the full range)")
     if max(size_wh) > MAX_SIDE_RATIO * min(size_wh):
         return Skipped(name=name, reason=f"is a strip of {size_wh[0]} × {size_wh[1]} pixels")
     camera = CameraKey(make=exif.make, model=exif.model, focal_mm=exif.focal_mm, size_wh=size_wh)
@@ -306,6 +315,14 @@ def _png_is_whole(data: bytes) -> bool:
             return end <= len(data)
         offset = end
     return False
+
+
+def _is_all_but_black(data: bytes) -> bool:
+    """Whether a PNG of 16 bits a channel holds values of a sensor of 12 bits or fewer: as 8 bits nothing is seen of it."""
+    if not data.startswith(_PNG_SIGNATURE) or data[24] != 16:
+        return False
+    image = decoded_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
+    return image is not None and int(image.max()) <= (1 << 12 - 8)
 
 
 def _decodes(data: bytes, size_wh: tuple[int, int]) -> bool:

@@ -54,7 +54,7 @@ def scene_from_mill19(
     cameras, copied = without_copies(read_mill19(folder), folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
     scene, repeats = without_repeats(scene, folder)
-    masks = None if masks is None else work_folder / FINAL
+    masks = work_folder / FINAL if (work_folder / FINAL).is_dir() else None
     decision = Decision(
         stage="sfm",
         topic="frame",

@@ -14,6 +14,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import read_model, write_model
+from radiant_core.io.masks import pixel_weights
 from radiant_core.io.photos import list_photographs, load_photograph, photograph_positions
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.sfm.workspace import listing_warnings
@@ -118,3 +119,37 @@ except BadInput as error:
 def test_too_little_memory_to_load_colmap_is_told_as_such() -> None:
     done = subprocess.run([sys.executable, "-c", LOAD_IN_LITTLE], capture_output=True, text=True, check=False)
     assert "allow more memory" in done.stdout and "pip install" not in done.stdout, done.stderr[-500:]
+
+
+def with_alpha(hamlet: Path, folder: Path) -> Path:
+    """The hamlet's photographs as PNG, the upper third of each transparent but for one that is opaque."""
+    folder.mkdir()
+    for index, path in enumerate(sorted((hamlet / "images").iterdir())):
+        image = cv2.imread(str(path))
+        assert image is not None
+        alpha = np.full(image.shape[:2], 255, np.uint8)
+        alpha[: 80 if index else 0] = 0
+        cv2.imwrite(str(folder / f"{path.stem}.png"), np.dstack([image, alpha]))
+    return folder
+
+
+def test_what_an_alpha_channel_makes_transparent_is_ignored(hamlet: Path, tmp_path: Path) -> None:
+    images = with_alpha(hamlet, tmp_path / "images")
+    model = read_model(hamlet / "known")
+    renamed = tuple(replace(image, name=image.name.replace(".jpg", ".png")) for image in model.images)
+    write_model(tmp_path / "model", replace(model, images=renamed))
+    result = scene_from_colmap(tmp_path / "model", images, tmp_path / "work", lambda progress: None)
+    (decision,) = [decision for decision in result.decisions if decision.topic == "masks"]
+    assert decision.choice == "11 of 12 photographs are used in part" and result.masks_folder is not None
+    assert decision.figure == pytest.approx(100 * 11 / 12 / 3, abs=0.1)
+    weights = pixel_weights(result.masks_folder, result.scene.cameras)
+    assert weights is not None and not weights[3][:80].any() and weights[3][80:].all() and weights[0].all()
+
+
+def test_twelve_bits_in_sixteen_are_said_to_be_black(tmp_path: Path) -> None:
+    coarse = np.random.default_rng(0).integers(0, 4096, (8, 12, 3), np.uint16)
+    for name, factor in (("a.png", 16), ("b.png", 15), ("raw.png", 1)):
+        cv2.imwrite(str(tmp_path / name), np.repeat(np.repeat(coarse, 8, axis=0), 8, axis=1) * factor)
+    listing = list_photographs(tmp_path)
+    assert [skipped.name for skipped in listing.skipped] == ["raw.png"]
+    assert "uses 12 or fewer" in listing.skipped[0].reason
