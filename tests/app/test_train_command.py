@@ -16,6 +16,7 @@ from rich.console import Console
 from radiant_app.commands import sfm
 from radiant_app.dealing import deal_files
 from radiant_app.demo import sample_scenes_folder
+from radiant_app.evaluate_command import EvaluateRequest, evaluate
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.nodes import run_node
 from radiant_app.progress import ProgressDisplay
@@ -156,6 +157,16 @@ def test_copies_of_held_out_photographs_are_not_trained_on(finished: tuple[Train
     # The same photographs, points and steps; only the order of sums differs.
     assert doubled["psnr_db"] == pytest.approx(metrics["psnr_db"], abs=0.1)
     assert any(isinstance(event, Warned) and "12 of 24 photographs are copies" in event.message for event in events)
+
+
+def test_copies_are_not_scored_either(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:
+    request, metrics, _ = finished
+    project = doubled_project(tmp_path / "doubled")
+    figures = evaluate(
+        EvaluateRequest(model=request.out / "scene.ply", scene=project, long_side_px=64), ProgressDisplay(Console(quiet=True))
+    )
+    assert figures["num_images"] == len(metrics["images"]) == 2
+    assert figures["copies"].startswith("12 of 24 photographs are copies")
 
 
 def test_copies_that_a_scene_holds_are_not_trained_on(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:
