@@ -20,7 +20,7 @@ from radiant_app.commands import require_file_to_be, stage_bar
 from radiant_app.evaluation import image_row, scored_part, summary_of
 from radiant_app.nodes import MASKS
 from radiant_app.progress import ProgressDisplay
-from radiant_app.sources import detect_source, images_of_scene, load_scene_of, masks_of_scene
+from radiant_app.sources import detect_source, masks_of_scene, scored_scene_of
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
@@ -57,6 +57,8 @@ class _HeldOut:
     photographs: Path
     masks: Path | None = None
     untrained: Splats | None = None
+    copies: tuple[str, ...] = ()
+    """What is told of photographs that repeat others and are neither held out nor trained on."""
 
 
 def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -86,6 +88,8 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
         "long_side_px": int(cameras.sizes_wh.max()),
         "seconds": round(time.monotonic() - started_s, 2),
     }
+    if held_out.copies:
+        result["copies"] = " ".join((*held_out.copies, "A model that another program trained on them has seen what is scored."))
     if result["psnr_db"] < np.mean([row["mean_color_psnr_db"] for row in rows]):
         result["warning"] = "worse than one flat colour per photograph: is the model in the frame of this scene?"
     if request.out is not None:
@@ -120,18 +124,23 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
         raise BadInput(f"the photographs of {folder} stayed on its devices, which scored it: its metrics.json has the figures.")
     kind, images, model = detect_source(folder)
     if kind == "colmap" and model is not None:
-        everything = _colmap_cameras(model, folder)
+        everything, copies = _colmap_cameras(model, folder, images)
     else:
-        everything, images = load_scene_of(folder).cameras, images_of_scene(folder)
+        scene, copies, images = scored_scene_of(folder)
+        everything = scene.cameras
     masks = None if kind == "colmap" else masks_of_scene(folder)
     cameras = everything.select(held_out_mask(everything.names))
     if kind == "colmap":
         _require_shapes(cameras, everything, images)
-    return _HeldOut(cameras=cameras.scaled(request.long_side_px or DEFAULT_LONG_SIDE_PX), photographs=images, masks=masks)
+    cameras = cameras.scaled(request.long_side_px or DEFAULT_LONG_SIDE_PX)
+    return _HeldOut(cameras=cameras, photographs=images, masks=masks, copies=copies)
 
 
-def _colmap_cameras(model_folder: Path, project: Path) -> Cameras:
+def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras of a project without copies, and what is told of those: the split is that of `radiant train` on the same project."""
     from radiant_core.io.colmap import read_model
+    from radiant_core.sfm.copies import cameras_without_repeats
+    from radiant_core.sfm.known_poses import without_copies
     from radiant_core.sfm.world import cameras_of
 
     model = read_model(model_folder)
@@ -139,7 +148,9 @@ def _colmap_cameras(model_folder: Path, project: Path) -> Cameras:
         raise BadInput(
             f"the photographs of {project} are distorted: run 'radiant sfm' or COLMAP's undistorter, and train and score on that."
         )
-    return cameras_of(model)
+    cameras, copied = without_copies(cameras_of(model), images)
+    cameras, repeated = cameras_without_repeats(cameras, model.points.xyz, images)
+    return cameras, (*copied, *repeated)
 
 
 def _require_shapes(cameras: Cameras, everything: Cameras, images: Path) -> None:

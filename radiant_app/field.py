@@ -49,6 +49,7 @@ from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
+from radiant_core.io.copies import file_copies
 from radiant_core.io.photos import SUFFIXES
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
@@ -245,7 +246,10 @@ def _told_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress
 def _origin_of(known: FloatArray) -> FloatArray:
     """Middle of positions (P,3), rounded to some ten metres: it is told to everybody, and a median is somebody's position."""
     if not len(known):
-        raise BadInput("no photograph has a GPS position, which --frames gps needs: give poses with --frames known, or pool them (shared).")
+        raise BadInput(
+            "no photograph has a GPS position with an altitude, which --frames gps needs: give poses with --frames known, or pool them "
+            "(shared), where horizontal positions are enough."
+        )
     middle = _middle(known)
     return np.array([*np.round(middle[:2], 4), np.round(middle[2], -1)])
 
@@ -322,6 +326,8 @@ def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) 
     """Positions from the given poses; with device folders each pose belongs to the device that has a file of its name."""
     names = poses.cameras.names
     if folders is None:
+        copies = file_copies({name: poses.photos / name for name in names})
+        names = tuple(name for name in names if name not in copies)
         absent = [name for name in names if not (poses.photos / name).is_file()]
         owners: list[str | None] = [None] * len(names)
     else:
@@ -339,7 +345,7 @@ def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) 
         owners = [owner_of.get(name) for name in names]
     if absent:
         raise BadInput(f"photograph {absent[0]!r} of the poses is not in {source} ({len(absent)} in all): fetch it or drop its pose.")
-    return Captured(names=names, owners=tuple(owners), positions=poses.cameras.centers, origin=None)
+    return Captured(names=names, owners=tuple(owners), positions=poses.cameras.named(names).centers, origin=None)
 
 
 def _tell_unplaced(captured: Captured, progress: Progress) -> None:

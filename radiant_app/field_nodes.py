@@ -31,6 +31,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import WGS84_SEMI_MAJOR_M
+from radiant_core.io.copies import copies_count, file_copies
 from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.photos import photograph_positions
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras, save_scene, save_splats
@@ -50,12 +51,20 @@ MADE_FROM = "made_from.json"
 
 
 def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """GPS positions of the photographs in the folder that task.json names; nothing of their pixels is read.
+    """GPS positions of the photographs in the folder that task.json names, copies left out; no pixel is decoded.
 
     Of a device's own folder only counts come out: how many training photographs lie in each cell of a raster, and how high about.
     """
     task = read_json(folder / "task.json", ("photographs", "cell_m", "held_out"))
-    found = photograph_positions(Path(task["photographs"]))
+    photographs = Path(task["photographs"])
+    found = photograph_positions(photographs)
+    copies = file_copies({name: photographs / name for name in found})
+    _tell_copies(len(copies), len(found), (stage, emit))
+    low = [name for name, place in found.items() if place is not None and np.isnan(place[2])]
+    if low:
+        told = f"{len(low)} of {len(found)} photographs have GPS without altitude, and a device's frame needs one"
+        emit(Warned(stage=stage, message=f"{told}: they count as without a position."))
+    found = {name: None if name in low else place for name, place in found.items() if name not in copies}
     if task["cell_m"] is None:
         write_json(folder / "positions.json", {"photographs": found})
         return ["positions.json"]
@@ -202,7 +211,7 @@ def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str,
         emit(Warned(stage=stage, message=message))
     for decision in (decision for decision in result.decisions if decision.topic == "memory"):
         emit(Decided(decision=replace(decision, stage=stage)))
-    positions = {name: place for name, place in photograph_positions(photos).items() if place is not None}
+    positions = {name: place for name, place in photograph_positions(photos).items() if place is not None and np.isfinite(place[2])}
     frame = device_frame(result.scene, positions, np.array(task["origin"]), task["sfm"]["seed"])
     if isinstance(frame, RefusedFrame):
         raise BadInput(f"its frame is refused: {frame.reason}")
@@ -234,7 +243,8 @@ def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[flo
 
 def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
     from radiant_core.sfm.config import SfmConfig
-    from radiant_core.sfm.known_poses import pinhole_photographs, scene_from_poses
+    from radiant_core.sfm.copies import without_repeats
+    from radiant_core.sfm.known_poses import pinhole_photographs, scene_from_poses, without_copies
     from radiant_core.sfm.memory import within_memory
 
     def report(progress: Any) -> None:
@@ -246,11 +256,21 @@ def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: st
         cameras = load_cameras(folder / "poses.safetensors")
     else:
         cameras, photos = pinhole_photographs(folder / "poses", photos, folder / "pinhole", config.threads, report)
+    given = len(cameras)
+    cameras, _ = without_copies(cameras, photos)
     config, decisions = within_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])
     for decision in decisions:
         emit(Decided(decision=replace(decision, stage=stage)))
-    scene = scene_from_poses(cameras, photos, work, config, report)
+    scene, _ = without_repeats(scene_from_poses(cameras, photos, work, config, report), photos)
+    _tell_copies(given - len(scene.cameras), given, (stage, emit))
     return _Placed(scene=scene, images=photos, uncertainty=None)
+
+
+def _tell_copies(num_copies: int, num_photographs: int, reporting: tuple[str, Emit]) -> None:
+    """Say how many photographs are left out as copies of others; their names stay on the device."""
+    stage, emit = reporting
+    for told in copies_count(num_copies, num_photographs):
+        emit(Warned(stage=stage, message=told))
 
 
 def _frame_decision(stage: str, uncertainty: dict[str, float], num_positions: int) -> Decision:

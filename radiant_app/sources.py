@@ -71,6 +71,18 @@ def load_scene_of(folder: Path) -> SfmScene:
     return load_scene(path)
 
 
+def scored_scene_of(folder: Path) -> tuple[SfmScene, tuple[str, ...], Path]:
+    """As `load_scene_of`, without photographs that repeat others; what is told of those left out, and where its photographs are.
+
+    Structure from motion leaves copies out; scenes of an earlier version, or made elsewhere, may hold some, and what is held out for
+    scoring must not be trained on under another name.
+    """
+    from radiant_core.sfm.copies import without_repeats
+
+    scene, images = load_scene_of(folder), images_of_scene(folder)
+    return *without_repeats(scene, images), images
+
+
 def images_of_scene(folder: Path) -> Path:
     """The folder of a scene's undistorted photographs; raises as `load_scene_of`."""
     owner = _owner_of_scene(folder)

@@ -26,13 +26,13 @@ from radiant_app.memory import base_bytes_in, peak_bytes, resident_bytes
 from radiant_app.nodes import CHECKPOINTS, first_model, fit, fit_options, load_training_views, needed, training_summary, without_useless
 from radiant_app.pipeline import require_size, sfm_stage
 from radiant_app.run_folder import Manifest, opened_folder
-from radiant_app.sources import detect_source, has_scene, images_of_scene, load_scene_of, masks_of_scene
+from radiant_app.sources import detect_source, has_scene, masks_of_scene, scored_scene_of
 from radiant_app.stages import Progress
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
-from radiant_core.io.photos import load_photograph
+from radiant_core.io.photos import DECODED_BYTES_PER_PX, load_photograph
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
 from radiant_core.render.contract import resolve_backend
@@ -161,21 +161,23 @@ _Photos = tuple[Path, Path | None]
 def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmScene, _Photos]:
     """The scene of the source and its photographs; structure from motion in sfm/ where there is none yet."""
     if has_scene(request.source):
-        return _loaded_scene(request)
+        return _loaded_scene(request, progress.listen)
     detect_source(request.source)
     config = RunConfig(source=request.source, out=request.out, seed=request.seed, masks=request.masks)
     scene, images = sfm_stage(config, progress, request.memory_bytes)
     return scene, (images, masks_of_scene(request.out))
 
 
-def _loaded_scene(request: TrainRequest) -> tuple[SfmScene, _Photos]:
-    scene = load_scene_of(request.source)
+def _loaded_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Photos]:
     if request.masks is not None:
         raise BadInput(
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
             "`radiant run` when it is made, or train from the photographs."
         )
-    return scene, (images_of_scene(request.source), masks_of_scene(request.source))
+    scene, told, images = scored_scene_of(request.source)
+    for message in told:
+        listen(Warned(stage=STAGE, message=message))
+    return scene, (images, masks_of_scene(request.source))
 
 
 def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> _Training:
@@ -198,6 +200,8 @@ def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _S
     if request.memory_bytes is not None:
         kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
         base_bytes = base_bytes_in(request.out, base_bytes) if request.out.is_dir() else base_bytes
+        # Held-out photographs are decoded one by one beside the finished model.
+        base_bytes += DECODED_BYTES_PER_PX * int(scene.cameras.sizes_wh.prod(axis=1).max())
         plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate, masked=photos[1] is not None)
         config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
         options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)
@@ -314,7 +318,7 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
     if resume:
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)
-    scene, photos = _loaded_scene(request)
+    scene, photos = _loaded_scene(request, listen)
     decisions: list[Decision] = []
 
     def tell(event: Event) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from shapely import MultiPoint, Point
 
 from radiant_app.nodes import load_images
-from radiant_app.sources import images_of_scene, load_scene_of
+from radiant_app.sources import scored_scene_of
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -136,7 +136,7 @@ class BenchScene:
 
 def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
     """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput where nothing can be held out."""
-    scene = load_scene_of(source)
+    scene, _, images = scored_scene_of(source)
     held = held_out_mask(scene.cameras.names)
     if held.sum() < 2 or (~held).sum() < 8:
         raise BadInput(f"{source} has {len(scene.cameras)} placed photographs: at least 2 are held out and 8 trained on.")
@@ -145,7 +145,7 @@ def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
         name=resolved.parent.name if resolved.name in ("images", "sfm") else resolved.name,
         training=scene.restricted_to(np.flatnonzero(~held)),
         held_out=scene.restricted_to(np.flatnonzero(held)),
-        images=images_of_scene(source),
+        images=images,
         long_side_px=long_side_px,
     )
 

@@ -27,7 +27,7 @@ from radiant_app.commands import stage_bar
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.nodes import load_images, load_training_views, sfm_progress
 from radiant_app.progress import ProgressDisplay, tracked
-from radiant_app.sources import images_of_scene, load_scene_of, masks_of_scene
+from radiant_app.sources import masks_of_scene, scored_scene_of
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
@@ -234,7 +234,8 @@ def _load(source: Path, work: Path) -> _Source:
     from radiant_app.sources import reconstruct_source
 
     try:
-        scene, images, masks = load_scene_of(source), images_of_scene(source), masks_of_scene(source)
+        scene, _, images = scored_scene_of(source)
+        masks = masks_of_scene(source)
     except BadInput:
         task = {"source": str(source), "sfm": {}}
         display = ProgressDisplay(Console(stderr=True))

@@ -22,7 +22,7 @@ from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
 from radiant_app.extend_command import ExtendRequest, extend
 from radiant_app.field import Captured, _middle, _tell_unplaced
-from radiant_app.field_nodes import _placed_once, run_field
+from radiant_app.field_nodes import _placed_once, run_field, run_positions
 from radiant_app.inbox import _are_one_group
 from radiant_app.nodes import run_node
 from radiant_app.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
@@ -302,11 +302,11 @@ def assert_no_image_bytes(folder: Path, source: Path) -> None:
 
 def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path, system: Path, tmp_path: Path) -> None:
     source = split_by_device(hamlet / "images", tmp_path / "captured")
-    sky = np.full((240, 320, 3), (235, 180, 120), np.uint8)
     import cv2
 
-    for path in (source / "south-1").iterdir():
-        cv2.imwrite(str(path), sky)
+    for index, path in enumerate((source / "south-1").iterdir()):
+        # The sky at different times: equal files would be copies of one photograph.
+        cv2.imwrite(str(path), np.full((240, 320, 3), (235, 180, 120 + index), np.uint8))
     events: list[Event] = []
     # The poses lie beside the devices' folders.
     shutil.copytree(hamlet / "known", source / "sparse" / "0")
@@ -451,7 +451,8 @@ def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: 
         "strange": lambda folder: [(folder / name).mkdir() for name in ("north-1", "other")],
         "lost": lambda folder: [shutil.copyfile(p, folder / p.name) for p in sorted((hamlet / "images").iterdir())[1:]],
         "sky": lambda folder: [
-            cv2.imwrite(str(folder / p.name), np.full((240, 320, 3), 200, np.uint8)) for p in (hamlet / "images").iterdir()
+            cv2.imwrite(str(folder / p.name), np.full((240, 320, 3), 200 + index, np.uint8))
+            for index, p in enumerate((hamlet / "images").iterdir())
         ],
     }
     settings = {"source": hamlet / "images", "poses": hamlet / "known", "frames": "known", **change}
@@ -485,3 +486,17 @@ def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, Ru
     assert sum(row["other_bytes"] for row in tiers.values()) == sum(row["other_bytes"] for row in ledger)
     page = (config.out / "report.html").read_text()
     assert "with nodes run by local" in page and "planned from a count raster" in page and "no device&#39;s id" in page
+
+
+def test_copies_are_counted_and_neither_planned_nor_named(hamlet: Path, tmp_path: Path) -> None:
+    photographs = sorted((hamlet / "images").iterdir())[:3]
+    (tmp_path / "photos").mkdir()
+    for path in photographs:
+        for name in (path.name, f"z_{path.name}"):
+            shutil.copy(path, tmp_path / "photos" / name)
+    (tmp_path / "task.json").write_text(json.dumps({"photographs": str(tmp_path / "photos"), "cell_m": None, "held_out": []}))
+    told: list[Event] = []
+    run_positions(tmp_path, "positions", told.append)
+    assert list(json.loads((tmp_path / "positions.json").read_text())["photographs"]) == [path.name for path in photographs]
+    (warning,) = [event.message for event in told if isinstance(event, Warned)]
+    assert warning.startswith("3 of 6 photographs are copies") and "drone" not in warning

@@ -16,13 +16,16 @@ from rich.console import Console
 from radiant_app.commands import sfm
 from radiant_app.dealing import deal_files
 from radiant_app.demo import sample_scenes_folder
+from radiant_app.evaluate_command import EvaluateRequest, evaluate
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
 from radiant_app.nodes import run_node
 from radiant_app.progress import ProgressDisplay
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.train_command import TrainRequest, train
+from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.colmap import read_model, write_model
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
 from radiant_core.io.run_store import read_json, write_json
@@ -128,6 +131,55 @@ def test_after_ctrl_c_the_training_goes_on_to_the_same_bytes(finished: tuple[Tra
     assert read_json(stopped.out / "manifest.json")["status"] == "interrupted"
     train(stopped, resume=True)
     assert (stopped.out / "scene.ply").read_bytes() == (request.out / "scene.ply").read_bytes()
+
+
+def doubled_project(folder: Path) -> Path:
+    """The hamlet's known cameras with every photograph under a second name as well, as after reading a card in twice."""
+    hamlet = sample_scenes_folder() / "hamlet"
+    model = read_model(hamlet / "known")
+    (folder / "images").mkdir(parents=True)
+    doubles = []
+    for number, image in enumerate(model.images):
+        for name in (image.name, f"z_{image.name}"):
+            shutil.copy(hamlet / "images" / image.name, folder / "images" / name)
+        double = replace(image, image_id=1_000 + number, name=f"z_{image.name}")
+        doubles.append(replace(double, points2d=np.zeros((0, 2)), point3d_ids=np.zeros(0, np.int64)))
+    write_model(folder / "sparse" / "0", replace(model, images=(*model.images, *doubles)))
+    return folder
+
+
+def test_copies_of_held_out_photographs_are_not_trained_on(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:
+    request, metrics, _ = finished
+    events: list[Event] = []
+    doubled = train(replace(request, source=doubled_project(tmp_path / "doubled"), out=tmp_path / "out"), events.append)
+    assert [image["name"] for image in doubled["images"]] == [image["name"] for image in metrics["images"]]
+    assert doubled["training"]["num_photographs"] == metrics["training"]["num_photographs"]
+    # The same photographs, points and steps; only the order of sums differs.
+    assert doubled["psnr_db"] == pytest.approx(metrics["psnr_db"], abs=0.1)
+    assert any(isinstance(event, Warned) and "12 of 24 photographs are copies" in event.message for event in events)
+
+
+def test_copies_are_not_scored_either(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:
+    request, metrics, _ = finished
+    project = doubled_project(tmp_path / "doubled")
+    figures = evaluate(
+        EvaluateRequest(model=request.out / "scene.ply", scene=project, long_side_px=64), ProgressDisplay(Console(quiet=True))
+    )
+    assert figures["num_images"] == len(metrics["images"]) == 2
+    assert figures["copies"].startswith("12 of 24 photographs are copies")
+
+
+def test_copies_that_a_scene_holds_are_not_trained_on(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:
+    request, metrics, _ = finished
+    project, folder = doubled_project(tmp_path / "doubled"), tmp_path / "scene"
+    shutil.copytree(request.source, folder)
+    scene = load_scene(folder / "scene.safetensors")
+    cameras = concatenate_cameras([scene.cameras, replace(scene.cameras, names=tuple(f"z_{name}" for name in scene.cameras.names))])
+    save_scene(folder / "scene.safetensors", replace(scene, cameras=cameras))
+    write_json(folder / "result.json", {**read_json(folder / "result.json"), "images": str(project / "images")})
+    doubled = train(replace(request, source=folder, out=tmp_path / "out"))
+    assert [image["name"] for image in doubled["images"]] == [image["name"] for image in metrics["images"]]
+    assert doubled["psnr_db"] == metrics["psnr_db"]
 
 
 def test_time_ends_the_training_whatever_the_preset_says(scene: Path, tmp_path: Path) -> None:

@@ -49,7 +49,12 @@ class ColmapCamera:
 
     @property
     def K(self) -> FloatArray:
-        """Calibration matrix (3,3) px of a pinhole camera."""
+        """Calibration matrix (3,3) px of a pinhole camera; BadInput for another one, which COLMAP's undistorter passed through."""
+        if not self.is_pinhole:
+            raise BadInput(
+                f"camera {self.camera_id} of the model is {self.model} without distortion, which COLMAP does not undistort: give it as "
+                "PINHOLE if its photographs are straight, or calibrate it again."
+            )
         fx, fy, cx, cy = self.params if self.model == "PINHOLE" else (self.params[0], *self.params)
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 

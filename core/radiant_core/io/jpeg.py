@@ -19,6 +19,9 @@ _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _START_OF_SCAN, _END_OF_IMAGE, _APP1 = 0xDA, 0xD9, 0xE1
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}
 
+_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
+TIFF_SIGNATURES = tuple(_ORDERS)
+IMAGE_WIDTH, IMAGE_HEIGHT = 0x0100, 0x0101
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH = 0x920A
 MAX_VALUE_BYTES = 1024
@@ -34,7 +37,7 @@ class ExifFacts:
     model: str = ""
     focal_mm: float | None = None
     lat_lon_alt: tuple[float, float, float] | None = None
-    """Degrees north, degrees east, metres; None unless all three are there and on the globe."""
+    """Degrees north, degrees east, metres; NaN metres where there is no altitude, None without a place on the globe."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,9 +82,19 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
         offset = end
 
 
+def read_tiff_size(tiff: bytes) -> tuple[int, int] | None:
+    """Width and height in px of the first picture in a TIFF file, or None; never raises."""
+    order = _ORDERS.get(tiff[:4])
+    if order is None or len(tiff) < 8:
+        return None
+    main = _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
+    width, height = (_number(main.get(tag)) for tag in (IMAGE_WIDTH, IMAGE_HEIGHT))
+    return (int(width), int(height)) if width and height and width >= 1 and height >= 1 else None
+
+
 def read_exif(tiff: bytes) -> ExifFacts:
     """The facts in an EXIF block (a TIFF header and its directories); never raises."""
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(tiff[:4])
+    order = _ORDERS.get(tiff[:4])
     if order is None or len(tiff) < 8:
         return ExifFacts()
     main = _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
@@ -140,13 +153,14 @@ def _text(value: Value | None) -> str:
 def _position(gps: dict[int, Value]) -> tuple[float, float, float] | None:
     lat = _degrees(gps.get(LATITUDE), gps.get(LATITUDE_REF), b"NS")
     lon = _degrees(gps.get(LONGITUDE), gps.get(LONGITUDE_REF), b"EW")
-    alt = _number(gps.get(ALTITUDE))
-    if lat is None or lon is None or alt is None or abs(lat) > 90 or abs(lon) > 180:
+    if lat is None or lon is None or abs(lat) > 90 or abs(lon) > 180:
         return None
     # Receivers without a fix write exact zeros.
     if lat == 0 and lon == 0:
         return None
-    below_sea = gps.get(ALTITUDE_REF)
+    alt, below_sea = _number(gps.get(ALTITUDE)), gps.get(ALTITUDE_REF)
+    if alt is None:
+        return lat, lon, math.nan
     return lat, lon, -alt if isinstance(below_sea, bytes) and below_sea[:1] == b"\x01" else alt
 
 

@@ -1,6 +1,6 @@
 """Masks of photographs: which pixels count. For photograph a/b.jpg the file a/b.jpg.png (COLMAP) or a/b.png
 (nerfstudio): 8-bit grey, as large as the photograph as it is stored, 0: ignored, anything else: used. A photograph without a file
-is used whole.
+is used whole, or as far as its own alpha channel says.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.photos import MAX_FILE_BYTES, decoded_image, promised_size_wh
+from radiant_core.io.photos import MAX_FILE_BYTES, decoded_image, has_alpha, promised_size_wh
 from radiant_core.io.run_store import read_bounded, write_atomic
 
 USED = 255
@@ -61,6 +61,17 @@ def load_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
     if not image.any():
         raise BadInput(f"the mask {path} leaves nothing of its photograph: 0 is ignored, 255 is used; or leave the photograph out.")
     return image > 0
+
+
+def alpha_mask(path: Path) -> NDArray[np.bool_] | None:
+    """Which pixels (H,W) of a photograph its own alpha channel leaves: more than half opaque; None where that is all, none or unsaid."""
+    if not has_alpha(path):
+        return None
+    image = decoded_image(read_bounded(path, MAX_FILE_BYTES), cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 3 or image.shape[2] not in (2, 4):
+        return None
+    used = image[..., -1] > np.iinfo(image.dtype).max // 2
+    return used if used.any() and not used.all() else None
 
 
 def _other_size(path: Path, found_wh: tuple[int, int], size_wh: tuple[int, int]) -> str:

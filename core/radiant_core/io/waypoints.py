@@ -17,14 +17,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
+from radiant_core.io.copies import copies_warning, file_copies
 from radiant_core.io.csv_waypoints import csv_rows
 from radiant_core.io.geojson_waypoints import geojson_rows
 from radiant_core.io.kml_waypoints import kml_rows
 from radiant_core.io.photos import photograph_positions
 from radiant_core.io.run_store import open_without_waiting
 from radiant_core.io.waypoint_rows import WaypointRows
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.waypoints import Waypoints, cleaned_waypoints
 
 MAX_FILE_BYTES = 256 * 2**20
@@ -73,20 +76,29 @@ def read_waypoints(path: Path) -> FoundWaypoints:
 def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> FoundWaypoints:
     """The GPS positions of the photographs (JPEG, PNG) directly in `folder`, by name; `on_photo(done, total)` after each.
 
-    Photographs at one position all stay: they are already taken. Raises BadInput when it is no folder, when it holds no photograph, or
+    Photographs at one position all stay, copies of a file do not. Raises BadInput when it is no folder, when it holds no photograph, or
     when none has a position.
     """
     found = photograph_positions(folder, on_photo)
-    names = list(found)
-    positions = {name: place for name, place in found.items() if place is not None}
+    copies = file_copies({name: folder / name for name in found})
+    copied = copies_warning(copies, len(found))
+    names = [name for name in found if name not in copies]
+    positions = {name: place for name, place in found.items() if place is not None and name not in copies}
     without = tuple(name for name in names if name not in positions)
     if not positions:
         raise BadInput(f"none of the {len(names)} photographs in {folder} has a GPS position in its EXIF: give a file of waypoints.")
+    geodetic = np.array(list(positions.values()), np.float64)
+    low = np.isnan(geodetic[:, 2])
+    geodetic[low, 2] = 0.0 if low.all() else np.median(geodetic[~low, 2])
     try:
-        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=np.array(list(positions.values())), absolute=True)
+        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=geodetic, absolute=True)
     except BadInput as error:
         raise BadInput(f"cannot use the positions of the photographs in {folder}: {error}") from error
-    return FoundWaypoints(waypoints=waypoints, warnings=_gps_warnings(without, len(names)), without_gps=without)
+    return FoundWaypoints(
+        waypoints=waypoints,
+        warnings=(*copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low, geodetic)),
+        without_gps=without,
+    )
 
 
 def _text(path: Path) -> str:
@@ -140,3 +152,11 @@ def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, 
     return (
         f"{len(without)} of {num_photographs} photographs without GPS in EXIF are not planned: {', '.join(without[:_MAX_NAMED])}{more}.",
     )
+
+
+def _altitude_warnings(low: NDArray[np.bool_], geodetic: FloatArray) -> tuple[str, ...]:
+    """What is told of photographs whose GPS has no altitude (P,), which `geodetic` (P,3) has at one height by now."""
+    if not low.any():
+        return ()
+    taken_m = geodetic[low][0, 2]
+    return (f"{low.sum()} of {len(low)} photographs have GPS without altitude: planned by their horizontal positions, at {taken_m:.0f} m.",)

@@ -12,9 +12,14 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
-import pycolmap
+from radiant_core.errors import BadInput, StageFailed
 
-from radiant_core.errors import StageFailed
+try:
+    import pycolmap
+except (ImportError, RuntimeError, MemoryError) as error:
+    # It takes half a gigabyte of addresses to load, and blames its installation where that is refused.
+    why = str(error.__cause__ or error).strip().split("\n")[0]
+    raise BadInput(f"pycolmap cannot be loaded ({why}): allow more memory (ulimit -v), or run ./setup.sh again.") from error
 
 __all__ = ["call_colmap", "pycolmap"]
 TICK_S = 0.25

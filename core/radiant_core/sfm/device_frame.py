@@ -70,8 +70,8 @@ def device_frame(
     """
     names = [name for name in scene.cameras.names if name in lat_lon_alt]
     if len(names) < MIN_POSITIONS:
-        told = f"only {len(names)} of its {len(scene.cameras)} placed photographs have GPS, and a frame needs {MIN_POSITIONS}."
-        return RefusedFrame(reason=told)
+        told = f"only {len(names)} of its {len(scene.cameras)} placed photographs have GPS with an altitude"
+        return RefusedFrame(reason=f"{told}, and a frame needs {MIN_POSITIONS}.")
     origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     positions_m = enu_from_geodetic([lat_lon_alt[name] for name in names], origin)
     centers = scene.cameras.named(names).centers

@@ -17,12 +17,14 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.colmap import ColmapCamera, ColmapImage, ColmapPoints, checked_model, read_model, write_model
+from radiant_core.io.copies import copies_warning, file_copies
 from radiant_core.io.mill19 import read_mill19
 from radiant_core.io.photos import CameraKey, Photograph
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
+from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
@@ -49,9 +51,10 @@ def scene_from_mill19(
 
     Raises BadInput when the folder is not in that layout, or an image or a mask in `masks` cannot be used.
     """
-    cameras = read_mill19(folder)
+    cameras, copied = without_copies(read_mill19(folder), folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
-    masks = None if masks is None else work_folder / FINAL
+    scene, repeats = without_repeats(scene, folder)
+    masks = work_folder / FINAL if (work_folder / FINAL).is_dir() else None
     decision = Decision(
         stage="sfm",
         topic="frame",
@@ -66,7 +69,7 @@ def scene_from_mill19(
         undistorted_folder=folder,
         unregistered=(),
         decisions=(decision, *masks_decision(scene, masks)),
-        warnings=(told,),
+        warnings=(*copied, *repeats, told),
         masks_folder=masks,
     )
 
@@ -113,6 +116,17 @@ def scene_from_poses(
         observations=model.observations(),
         frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
     )
+
+
+def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras without those whose photograph in `photo_folder` holds the same bytes as another's, and what is told of them.
+
+    Raises BadInput where they are all copies of one.
+    """
+    copies = file_copies({name: photo_folder / name for name in cameras.names})
+    if 0 < len(copies) == len(cameras) - 1:
+        raise BadInput(f"all {len(cameras)} photographs are copies of one another: at least 2 that overlap are needed.")
+    return cameras.named([name for name in cameras.names if name not in copies]), copies_warning(copies, len(cameras))
 
 
 def triangulate(model: pycolmap.Reconstruction, database: Path, photo_folder: Path, model_folder: Path, config: SfmConfig) -> None:

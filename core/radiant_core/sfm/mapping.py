@@ -191,7 +191,7 @@ def _far_from_gps(job: MappingJob, model: pycolmap.Reconstruction, ids: list[int
     row_of = {photo.name: row for row, photo in enumerate(job.photographs)}
     target = positions_m[[row_of[model.image(image_id).name] for image_id in ids]]
     centers = np.array([model.image(image_id).projection_center() for image_id in ids]).reshape(-1, 3)
-    known = np.isfinite(target[:, 0])
+    known = np.isfinite(target).all(axis=1)
     far = np.zeros(len(ids), bool)
     fit = robust_sim3(centers[known], target[known], job.config.seed)
     if fit.target_from_source is not None:

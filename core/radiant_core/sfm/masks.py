@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.decisions import Decision
-from radiant_core.io.masks import find_masks, load_mask, mask_name, pixel_weights, save_mask, used_pixels
+from radiant_core.io.masks import alpha_mask, find_masks, load_mask, mask_name, pixel_weights, save_mask, used_pixels
 from radiant_core.io.photos import Photograph
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
@@ -24,15 +24,19 @@ GIVEN, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
 
 
 def take_masks(folder: Path | None, photographs: Sequence[Photograph], work_folder: Path) -> Path | None:
-    """Copy the masks of `photographs`, checked, to where COLMAP looks for them; None without a folder. BadInput as `load_mask`."""
-    if folder is None:
-        return None
+    """Copy the masks of `photographs`, checked, to where COLMAP looks for them; None without any. BadInput as `load_mask`.
+
+    A photograph without a file in `folder` takes its mask from its alpha channel, where it has one.
+    """
     given = work_folder / GIVEN
     shutil.rmtree(given, ignore_errors=True)
-    sizes = {photo.name: photo.size_wh for photo in photographs}
-    for name, path in find_masks(folder, list(sizes)).items():
-        save_mask(given / mask_name(name), load_mask(path, sizes[name]))
-    return given
+    found = {} if folder is None else find_masks(folder, [photo.name for photo in photographs])
+    for photo in photographs:
+        path = found.get(photo.name)
+        used = alpha_mask(photo.path) if path is None else load_mask(path, photo.size_wh)
+        if used is not None:
+            save_mask(given / mask_name(photo.name), used)
+    return given if given.is_dir() else None
 
 
 def keep_masks(given: Path | None, work_folder: Path) -> Path | None:
@@ -99,7 +103,7 @@ def masks_decision(scene: SfmScene, masks: Path | None) -> tuple[Decision, ...]:
             choice=f"{masked} of {len(scene.cameras)} photographs are used in part",
             figure=100 * (1 - _used_share(weights)),
             unit="% of all pixels ignored",
-            reason="masks were given",
+            reason="masks or alpha channels say so",
             forced=True,
         ),
     )

@@ -1,9 +1,12 @@
 """How structure from motion keeps to a limit of memory: fewer threads, then smaller photographs, and fewer features. Once per scene.
 
-    finding features   180 MB + t · 330 p      bytes, t threads and p pixels of the largest photograph, reduced to `max_image_size_px`
+    finding features   180 MB + t · 330 p + 7 q  bytes, t threads, p pixels of the largest photograph, reduced to `max_image_size_px`
+    undistorting       180 MB + u · 7 q          q pixels as it is stored, u threads: as many of t as fit
     mapping            180 MB + 1,000 n f      bytes, n photographs with `max_num_features` f each; by the global mapper 2,000 n f
 
-Each thread holds the scale space of one photograph at twice its side; matching takes less. Mapping holds keypoints, and of each point who
+Each thread holds the scale space of one photograph at twice its side; matching takes less. One photograph at a time is decoded whole for
+them, and each thread that undistorts holds one before and after: 12 photographs of 50 megapixels took 5.8 bytes a pixel to find features
+with one thread and with two, 6.0 to undistort with one and 5.9 with each of two. Mapping holds keypoints, and of each point who
 sees it and what bundle adjustment makes of that: 110 bytes a keypoint and 950 an observation. How many there will be nobody knows before;
 of each of 4,096 features asked for, brighton, lewis, caliterra and the town took 530 to 900 bytes, by the global mapper lewis and caliterra
 1,030 and 1,780 (18 to 75 photographs; beyond that it is extrapolated). A mapper that would not fit is not tried.
@@ -24,6 +27,7 @@ Sizes = Sequence[tuple[int, int]]
 PROCESS_BYTES = 180e6
 """The process with its libraries, 148 MB, and what stays of the first photographs."""
 THREAD_BYTES_PER_PX = 330
+WHOLE_BYTES_PER_PX = 7
 LEAST_SIDE_PX = 400
 """Smaller photographs have too few features to be matched."""
 MAPPING_BYTES_PER_FEATURE, GLOBAL_BYTES_PER_FEATURE = 1_000, 2_000
@@ -33,8 +37,27 @@ LEAST_FEATURES, FEATURES_STEP = 512, 64
 
 def features_bytes(num_threads: int, side_px: float, sizes_wh: Sizes) -> float:
     """Peak memory in bytes of finding features with so many threads in photographs of these sizes, reduced to a long side of `side_px`."""
+    reduced = any(max(size_wh) > side_px for size_wh in sizes_wh)
     pixels = [float(width * height) * min(1.0, side_px / max(width, height)) ** 2 for width, height in sizes_wh]
-    return PROCESS_BYTES + num_threads * THREAD_BYTES_PER_PX * max(pixels, default=0.0)
+    whole = WHOLE_BYTES_PER_PX * _most_pixels(sizes_wh) if reduced else 0.0
+    return PROCESS_BYTES + num_threads * THREAD_BYTES_PER_PX * max(pixels, default=0.0) + whole
+
+
+def undistorting_bytes(num_threads: int, sizes_wh: Sizes) -> float:
+    """Peak memory in bytes of undistorting photographs of these sizes with so many threads; with one, of decoding the largest."""
+    return PROCESS_BYTES + num_threads * WHOLE_BYTES_PER_PX * _most_pixels(sizes_wh)
+
+
+def undistorting_threads(config: SfmConfig, sizes_wh: Sizes) -> int:
+    """How many of its threads may undistort photographs of these sizes within the `memory_bytes` of a configuration, at least one."""
+    threads = config.threads
+    while config.memory_bytes is not None and threads > 1 and undistorting_bytes(threads, sizes_wh) > config.memory_bytes:
+        threads -= 1
+    return threads
+
+
+def _most_pixels(sizes_wh: Sizes) -> float:
+    return max((float(width * height) for width, height in sizes_wh), default=0.0)
 
 
 def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "incremental") -> float:
@@ -46,10 +69,11 @@ def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "inc
 def within_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
     """The configuration within its `memory_bytes` for photographs of these sizes, and the decision where there is a limit.
 
-    Raises BadInput where not even one thread on photographs of 400 px fits, or mapping with 512 features a photograph.
+    Raises BadInput where not even decoding one photograph fits, or one thread on photographs of 400 px, or mapping with 512 features each.
     """
     if config.memory_bytes is None:
         return config, ()
+    _require_decoding(config.memory_bytes, sizes_wh)
     limit, threads, side_px = config.memory_bytes, config.threads, config.max_image_size_px
     while threads > 1 and features_bytes(threads, side_px, sizes_wh) > limit:
         threads -= 1
@@ -78,6 +102,17 @@ def within_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[
     )
     config = replace(config, num_threads=threads, max_image_size_px=side_px, max_num_features=features, mapper=mapper)
     return config, (decision,)
+
+
+def _require_decoding(limit_bytes: float, sizes_wh: Sizes) -> None:
+    """Raise BadInput where the largest photograph cannot be decoded and undistorted."""
+    needed = undistorting_bytes(1, sizes_wh)
+    if needed > limit_bytes:
+        width, height = max(sizes_wh, key=lambda size_wh: size_wh[0] * size_wh[1])
+        raise BadInput(
+            f"{limit_bytes / 1e6:,.0f} MB of memory are too few to decode and undistort a photograph of {width:,} × {height:,} px: "
+            f"give {needed / 1e6:,.0f} MB, or smaller photographs."
+        )
 
 
 def _features_within(limit_bytes: float, num_photographs: int, most: int, mapper: Mapper) -> int:

@@ -19,13 +19,33 @@ Pairs = list[tuple[str, str]]
 
 
 def gps_positions(photographs: tuple[Photograph, ...]) -> tuple[FloatArray, FloatArray]:
-    """Metres east, north, up (N,3) about the median position, NaN without GPS; and that origin (3,) [deg, deg, m]."""
-    geodetic = np.array([photo.lat_lon_alt or (np.nan,) * 3 for photo in photographs], np.float64).reshape(-1, 3)
+    """Metres east, north, up (N,3) about the median position, and that origin (3,) [deg, deg, m].
+
+    NaN without GPS, and where GPS has no altitude the height alone; the origin's is 0 where no photograph has one.
+    """
+    geodetic = _geodetic(photographs)
     known = np.isfinite(geodetic[:, 0])
-    origin = np.median(geodetic[known], axis=0) if known.any() else np.zeros(3)
+    high = np.isfinite(geodetic[:, 2])
+    origin = np.zeros(3)
+    if known.any():
+        origin[:2] = np.median(geodetic[known, :2], axis=0)
+        origin[2] = np.median(geodetic[high, 2]) if high.any() else 0.0
+    return gps_about(photographs, origin), origin
+
+
+def gps_about(photographs: tuple[Photograph, ...], origin: FloatArray) -> FloatArray:
+    """Metres east, north, up (N,3) about an origin (3,) [deg, deg, m], NaN as in `gps_positions`."""
+    geodetic = _geodetic(photographs)
+    known, high = np.isfinite(geodetic[:, 0]), np.isfinite(geodetic[:, 2])
     positions_m = np.full((len(photographs), 3), np.nan)
-    positions_m[known] = enu_from_geodetic(geodetic[known], origin)
-    return positions_m, origin
+    level = np.where(high[known], geodetic[known, 2], origin[2])
+    positions_m[known] = enu_from_geodetic(np.column_stack([geodetic[known, :2], level]), origin)
+    positions_m[~high, 2] = np.nan
+    return positions_m
+
+
+def _geodetic(photographs: tuple[Photograph, ...]) -> FloatArray:
+    return np.array([photo.lat_lon_alt or (np.nan,) * 3 for photo in photographs], np.float64).reshape(-1, 3)
 
 
 def choose_pairs(photographs: tuple[Photograph, ...], config: SfmConfig) -> tuple[Pairs, Decision]:

@@ -6,23 +6,26 @@ Once per scene: list and check the photographs, features, matches, poses (`datab
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import ColmapModel, read_model, write_model
+from radiant_core.io.colmap import ColmapModel, read_model
+from radiant_core.io.copies import copies_count
 from radiant_core.io.photos import Photograph, PhotoListing
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
+from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.database import extract_features, match_pairs
+from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
 from radiant_core.sfm.mapping import MappingJob, map_photographs
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
-from radiant_core.sfm.memory import within_memory
+from radiant_core.sfm.memory import undistorting_threads, within_memory
 from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.refine import refine
+from radiant_core.sfm.spaced_names import write_for_colmap
 from radiant_core.sfm.undistort import undistort
-from radiant_core.sfm.workspace import listed, start_clean
+from radiant_core.sfm.workspace import listed, listing_warnings, start_clean
 from radiant_core.sfm.world import scene_in_world
 
 __all__ = [
@@ -71,16 +74,32 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
         if config.two_view_points:
             triangulate(mapped.model, database, photo_folder, work_folder / "sparse", config)
     refine(mapped.model, config, report).write_binary(work_folder / "sparse")
-    undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, config.threads, report)
+    threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
+    undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
     scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
+    num_placed = len(scene.cameras)
+    scene, repeats = without_repeats(scene, undistorted.image_folder)
+    outliers = gps_outliers(scene, photographs)
     return SfmResult(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
         decisions=(*limited, matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
-        warnings=(*_skip_warnings(listing), *_unregistered_warnings(mapped.unregistered, photographs), *warnings),
-        unnamed_warnings=(*_skip_counts(listing), *_unregistered_counts(mapped.unregistered, photographs), *warnings),
+        warnings=(
+            *listing_warnings(listing),
+            *repeats,
+            *_unregistered_warnings(mapped.unregistered, photographs),
+            *outliers.warning(),
+            *warnings,
+        ),
+        unnamed_warnings=(
+            *listing_warnings(listing, named=False),
+            *copies_count(num_placed - len(scene.cameras), num_placed),
+            *_unregistered_counts(mapped.unregistered, photographs),
+            *outliers.warning(named=False),
+            *warnings,
+        ),
         masks_folder=masks,
     )
 
@@ -96,7 +115,8 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
     report = numbered_steps(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
-    model = model.without({skipped.name for skipped in listing.skipped})
+    listing = listing if pinhole else listing.without_odd_suffixes()
+    model = model.without(listing.left_out)
     _require_images(model, listing, image_folder)
     images_to_use = image_folder
     if masks is not None or not pinhole:
@@ -105,19 +125,20 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
     if pinhole:
         masks = keep_masks(given, work_folder)
     else:
-        if listing.skipped:
+        if listing.left_out or any(" " in image.name for image in model.images):
             model_folder = work_folder / "sparse"
-            write_model(model_folder, model)
+            write_for_colmap(model, model_folder)
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     scene, decisions, warnings = scene_in_world(model, listing.photographs, seed=0)
+    scene, repeats = without_repeats(scene, images_to_use)
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
         unregistered=(),
         decisions=(*decisions, *masks_decision(scene, masks)),
-        warnings=(*_skip_warnings(listing), *warnings),
+        warnings=(*listing_warnings(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *warnings),
         masks_folder=masks,
     )
 
@@ -138,16 +159,6 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
                 f"image {image.name!r} has {sizes[image.name]} px and its camera {camera.size_wh}: "
                 "give the images that the model was made from."
             )
-
-
-def _skip_warnings(listing: PhotoListing) -> tuple[str, ...]:
-    return tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
-
-
-def _skip_counts(listing: PhotoListing) -> tuple[str, ...]:
-    total = len(listing.photographs) + len(listing.skipped)
-    counts = Counter(skipped.reason for skipped in listing.skipped)
-    return tuple(f"{count} of {total} files skipped, each of which {reason}." for reason, count in counts.items())
 
 
 def _unregistered_warnings(unregistered: tuple[str, ...], photographs: tuple[Photograph, ...]) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from radiant_core.io.photos import Photograph
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.align import Alignment, AlignStatus, robust_sim3
+from radiant_core.sfm.altitudes import with_heights
 from radiant_core.sfm.orient import UpEstimate, estimate_up, level_fit, roll_deg, unscaled_from_world
 from radiant_core.sfm.pairs import gps_positions
 
@@ -43,6 +44,10 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     cameras = cameras_of(model)
     by_name = {photo.name: photo for photo in photographs}
     positions_m, origin = gps_positions(tuple(by_name[name] for name in cameras.names))
+    gps_m = positions_m, origin
+    positions_m, origin, heights = with_heights(
+        cameras.centers, model.points.xyz, gps_m, lambda: estimate_up(cameras, model.points.xyz, seed).up
+    )
     known = np.isfinite(positions_m[:, 0])
     fit = robust_sim3(cameras.centers[known], positions_m[known], seed)
     up = estimate_up(cameras, model.points.xyz, seed)
@@ -57,7 +62,7 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
         residuals = np.linalg.norm(metric.apply(cameras.centers[known]) - positions_m[known], axis=1)
         frame = Frame(kind="metric", origin_lat_lon_alt=origin, residual_m=float(np.median(residuals)))
     scene = moved_scene(model, cameras, world_from_model, frame)
-    return scene, (_frame_decision(frame, gps, up, int(known.sum())),), warnings
+    return scene, (_frame_decision(frame, gps, up, int(known.sum())),), (*heights, *warnings)
 
 
 def moved_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, frame: Frame) -> SfmScene:

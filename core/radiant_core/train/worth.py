@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from radiant_core.decisions import Decision
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.copies import repeated_cameras
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.views import TrainingViews
 
@@ -31,12 +31,6 @@ MIN_SHARPNESS = 0.7
 """Below this a photograph is blurred."""
 MIN_SEEN_ELSEWHERE = 0.9
 """A blurred photograph stays unless this share of its points is seen by two photographs that are kept."""
-SAME_PLACE = 2e-3
-"""Distance of two centres, in distances to what they see, under which they are one place."""
-SAME_DIRECTION_RAD = 2e-3
-SAME_PICTURE = 4.0
-"""Mean difference, in steps of 8 bits, of two pictures at `THUMBNAIL_PX` under which they are one."""
-THUMBNAIL_PX = 128
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,27 +120,9 @@ def _dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.bool_]
 
 def repeats(scene: SfmScene, views: TrainingViews) -> NDArray[np.bool_]:
     """Which views (V,) show the picture of an earlier one from its place."""
-    cameras = views.cameras
-    centers, axes = cameras.centers, cameras.cam_from_world[:, :3, :3]
-    distance = float(np.median(KDTree(centers).query(scene.points)[0])) if len(scene.points) else 0.0
-    thumbnails: dict[int, NDArray[np.float32]] = {}
     repeated = np.zeros(len(views), bool)
-    for first, second in sorted(KDTree(centers).query_pairs(SAME_PLACE * distance)):
-        turn = np.linalg.norm(axes[first] - axes[second]) / np.sqrt(2)
-        same_lens = np.array_equal(cameras.sizes_wh[first], cameras.sizes_wh[second])
-        same_lens &= np.allclose(cameras.Ks[first], cameras.Ks[second], rtol=1e-2)
-        if repeated[first] or turn > SAME_DIRECTION_RAD or not same_lens:
-            continue
-        for index in {first, second} - thumbnails.keys():
-            thumbnails[index] = _thumbnail(views.images[index])
-        repeated[second] |= bool(np.abs(thumbnails[first] - thumbnails[second]).mean() < SAME_PICTURE)
+    repeated[list(repeated_cameras(views.cameras, scene.points, lambda index: views.images[index]))] = True
     return repeated
-
-
-def _thumbnail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    scale = min(1.0, THUMBNAIL_PX / max(image.shape[:2]))
-    size_wh = max(1, round(scale * image.shape[1])), max(1, round(scale * image.shape[0]))
-    return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _repeats_decision(repeated: NDArray[np.bool_]) -> Decision:
