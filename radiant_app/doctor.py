@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from radiant_app.memory import available_bytes
 from radiant_core.errors import BadInput
 
 
@@ -100,17 +101,8 @@ def _desktop() -> Finding:
 
 
 def _memory() -> Finding:
-    gib = _available_bytes() / 2**30
+    gib = available_bytes() / 2**30
     return Finding(name="free memory", ok=gib >= 2, needed=False, found=f"{gib:.1f} GiB", advice="2 GiB or more are advised.")
-
-
-def _available_bytes() -> int:
-    """What programs can still take, page cache included; without Linux's own figure what lies wholly unused."""
-    try:
-        rows = dict(row.split(":") for row in Path("/proc/meminfo").read_text(encoding="ascii").splitlines())
-        return int(rows["MemAvailable"].split()[0]) * 1024
-    except (OSError, KeyError, ValueError):
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def _disk() -> Finding:

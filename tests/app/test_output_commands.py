@@ -62,6 +62,21 @@ def test_a_surface_model_lies_on_the_ground_of_the_town(tmp_path: Path) -> None:
         radiant("export", run, tmp_path / "a.tif")
 
 
+@pytest.mark.parametrize(("ending", "sentence"), [("tif", "cells have a height"), ("ply", "of the ground at most")])
+def test_a_surface_of_which_little_is_known_is_a_warning_with_the_figure(run: Path, tmp_path: Path, ending: str, sentence: str) -> None:
+    # Gaussians 2 m apart in cells of 0.5 m: what two views agree on are specks.
+    options = ("--format", "mesh") if ending == "ply" else ()
+    result = CliRunner().invoke(
+        app, ["export", str(run), str(tmp_path / f"a.{ending}"), "--resolution", "0.5", "--long-side-px", "96", "--json", *options]
+    )
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.stderr.split())
+    assert "warning surface: " in said and sentence in said and "--resolution" in said
+    if ending == "tif":
+        known = json.loads(result.stdout)["known"]
+        assert 0 < known < 1 / 9 and f"only {100 * known:.2g} % of" in said
+
+
 def test_a_film_follows_keyframes_and_a_border(run: Path, tmp_path: Path) -> None:
     keys = [{"time_s": 0, "position": [-80, -80, 60], "target": [0, 0, 0]}, {"time_s": 0.5, "position": [80, -80, 60], "target": [0, 0, 0]}]
     (tmp_path / "keys.json").write_text(json.dumps({"keyframes": keys}))
