@@ -81,10 +81,10 @@ def _format_of(request: ExportRequest) -> ExportFormat:
 
 
 def _splats_of(model: Path) -> Splats:
-    from radiant_app.commands import require_run
+    from radiant_app.commands import require_model
 
     if model.is_dir():
-        require_run(model, "scene.ply")
+        require_model(model)
         return load_ply(model / "scene.ply")
     if model.suffix == ".safetensors":
         return load_splats(model)

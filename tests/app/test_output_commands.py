@@ -107,6 +107,15 @@ def test_pictures_take_a_size_and_a_camera(run: Path, tmp_path: Path) -> None:
     assert one.shape[0] < 450, "one row"
 
 
+def test_a_screenshot_replaces_no_file(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "plan.png").write_bytes(b"a picture that somebody made")
+    (tmp_path / "plan.json").write_bytes((run / "plan.json").read_bytes())
+    for source in (run, tmp_path / "plan.json"):
+        with pytest.raises(BadInput, match=r"plan\.png exists: choose another name"):
+            radiant("inspect", source, "--screenshot", tmp_path / "plan.png")
+    assert (tmp_path / "plan.png").read_bytes() == b"a picture that somebody made"
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
