@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from radiant_app.commands import require_file_to_be, require_model, require_run, stage_bar
 from radiant_app.evaluate_command import DEFAULT_LONG_SIDE_PX
 from radiant_app.evaluation import png_bytes
+from radiant_app.events import Warned
 from radiant_app.progress import ProgressDisplay
 from radiant_app.run_folder import new_folder
 from radiant_core.cameras import Cameras
@@ -24,7 +25,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders import Border, shared_borders
 from radiant_core.render.trajectories import Lens, along_border, looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
-from radiant_viewer.movie import ENDINGS, MovieWriter
+from radiant_viewer.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
 from radiant_viewer.run_view import RunView, load_run_view
 from radiant_viewer.unplanned import kind_of, seen_box
 
@@ -70,6 +71,8 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
     splats = _model(request.model)
     if is_film:
+        if request.out.suffix.lower() == ".mp4":
+            display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
         if len(np.unique(cameras.sizes_wh, axis=0)) > 1:
             raise BadInput("the cameras are of different sizes, which no film can show: render single pictures into a folder.")
         size_wh = tuple(int(side) for side in cameras.sizes_wh[0] // 2 * 2)

@@ -96,6 +96,22 @@ def test_a_film_follows_keyframes_and_a_border(run: Path, tmp_path: Path) -> Non
     assert (tmp_path / "orbit.gif").read_bytes()[:4] == b"GIF8"
 
 
+def test_a_film_that_browsers_refuse_says_so_before_it_is_rendered(run: Path, tmp_path: Path) -> None:
+    arguments = ["render", str(run), "--trajectory", "orbit", "--frames", "2", "--size", "64x48", "--out"]
+    said = {ending: CliRunner().invoke(app, [*arguments, str(tmp_path / f"film{ending}")]) for ending in (".mp4", ".webm", ".gif")}
+    assert {result.exit_code for result in said.values()} == {0}
+    warned = " ".join(said[".mp4"].stderr.split())
+    assert "warning render: film.mp4 will hold MPEG-4 Part 2" in warned and "end in .webm" in warned
+    assert "warning" not in said[".webm"].stderr + said[".gif"].stderr
+    film = cv2.VideoCapture(str(tmp_path / "film.webm"))
+    # VP8 is what every browser shows in a WebM.
+    assert int(film.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") == b"VP80"
+    assert (tmp_path / "film.webm").read_bytes()[:4] == b"\x1aE\xdf\xa3"
+    # A path that cannot be is refused before anything is said about the film.
+    refused = CliRunner().invoke(app, [*arguments[:2], "--out", str(tmp_path / "other.mp4")])
+    assert isinstance(refused.exception, BadInput) and "warning" not in refused.stderr
+
+
 def test_pictures_take_a_size_and_a_camera(run: Path, tmp_path: Path) -> None:
     radiant("inspect", run, "--screenshot", tmp_path / "a.png", "--view", "splats", "--size", "700x450", "--camera", "DJI_0008.JPG")
     image = cv2.imread(str(tmp_path / "a.png"))
