@@ -60,6 +60,7 @@ _TRAIN_HELP = (
 _AGGREGATE_HELP = "paper: retrain every parameter at the edges and the cloud."
 _PLAN_HELP = "exact: least makespan; paper: Alg. 1; voronoi; even."
 _MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
+_INSPECTED_HELP = "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window also a 3DGS .ply."
 _WEB_HELP = (
     "Serve a read-only page for a browser until Ctrl-C, on 127.0.0.1 by default. The address that is printed holds a random secret; "
     "without it the page stays empty."
@@ -320,9 +321,12 @@ def evaluate(
 
 @app.command()
 def inspect(
-    run_folder: Annotated[Path, typer.Argument(help="A run; for the window also a 3DGS .ply; a plan, or its folder.", show_default=False)],
+    run_folder: Annotated[Path, typer.Argument(help=_INSPECTED_HELP, show_default=False)],
     screenshot: Annotated[Path | None, typer.Option(help="Write this PNG instead of opening a window.")] = None,
-    view: Annotated[View, typer.Option(help="What the picture shows.")] = "regions",
+    view: Annotated[
+        View | None,
+        typer.Option(help="What the picture shows; else regions of a run, splats of a training, cameras of a scene.", show_default=False),
+    ] = None,
     size: SizeOption = "1280x900",
     camera: Annotated[
         str | None, typer.Option(help="A photograph's name: splats are seen from there, compare shows it alone.", show_default=False)

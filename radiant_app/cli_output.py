@@ -14,9 +14,11 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for 
 
 
 def render(
-    model: Annotated[Path, typer.Argument(help="A run, or a PLY together with --cameras or --keyframes.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", help="New folder of PNG frames, or FILM.mp4, .webm or .gif.", show_default=False)],
-    cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without any path the run's held-out cameras.")] = None,
+    model: Annotated[Path, typer.Argument(help="A run, the folder of `radiant train`, or a PLY.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", help="New folder of PNG frames, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)
+    ],
+    cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without any path the held-out cameras.")] = None,
     trajectory: Annotated[
         Literal["orbit", "border"] | None, typer.Option(help="orbit: once around the scene; border: along one, the worst seam by default.")
     ] = None,
@@ -52,7 +54,10 @@ def render(
 
 
 def export(
-    model: Annotated[Path, typer.Argument(help="A run, or a model.safetensors or .ply alone.", show_default=False)],
+    model: Annotated[
+        Path,
+        typer.Argument(help="Folder of `radiant run`, `train` or `sfm`, or a model alone.", show_default=False),
+    ],
     out: Annotated[Path, typer.Argument(help="File to write; a folder for COLMAP. Its ending says what.", show_default=False)],
     format: Annotated[  # noqa: A002
         Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"] | None,
@@ -60,7 +65,9 @@ def export(
     ] = None,
     resolution: Annotated[
         float | None,
-        typer.Option(min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs.", show_default=False),
+        typer.Option(
+            min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.", show_default=False
+        ),
     ] = None,
     long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the depth pictures of mesh and dsm.")] = 640,
     as_json: AsJson = False,

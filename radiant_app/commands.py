@@ -105,12 +105,10 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
 
 
 def screenshot(run: Path, view: Any, path: Path, size_wh: tuple[int, int] = (1280, 900), camera: str | None = None) -> str:
-    """Write one view of a run as PNG."""
+    """Write one view of a run, a training or a scene as PNG."""
     from radiant_viewer.images import save_png
     from radiant_viewer.views import screenshot as make_screenshot
 
-    if path.suffix.lower() != ".png" or not path.parent.is_dir():
-        raise BadInput(f"cannot write {path}: give a name that ends in .png in a folder that exists.")
     save_png(path, make_screenshot(run, view, size_wh, camera))
     return f"written: {path}"
 
@@ -124,6 +122,16 @@ def require_run(folder: Path, name: str = "plan.json") -> None:
     """Raise BadInput unless `folder` holds the file `name` of a run."""
     if not (folder / name).is_file():
         raise BadInput(f"{folder} holds no {name}: give the folder of a run that went that far, made by 'radiant run --out'.")
+
+
+def require_model(model: Path) -> None:
+    """Raise BadInput where a folder holds no model, with what makes one; a file is its reader's matter."""
+    from radiant_viewer.run_view import no_model_text
+
+    if not model.exists():
+        raise BadInput(f"there is no {model}: name the folder of a run or a training, or a .ply file.")
+    if model.is_dir() and not (model / "scene.ply").is_file():
+        raise BadInput(no_model_text(model))
 
 
 def require_file_to_be(out: Path) -> None:

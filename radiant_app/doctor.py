@@ -14,6 +14,7 @@ from pathlib import Path
 
 from radiant_app.memory import available_bytes
 from radiant_core.errors import BadInput
+from radiant_viewer.desktop import install_command
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +96,7 @@ def _desktop() -> Finding:
     extra = importlib.util.find_spec("pyvistaqt") is not None
     found = f"display {display or 'none'}, extra {'installed' if extra else 'not installed'}"
     missing = ["on a machine with a display"] if not display else []
-    missing += [] if extra else [".venv/bin/pip install -e '.[desktop]'"]
+    missing += [] if extra else [install_command("desktop")]
     advice = f"{' and '.join(missing)}; pictures work without."
     return Finding(name="desktop window", ok=bool(display) and extra, needed=False, found=found, advice=advice)
 

@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from radiant_app.events import Decided, Warned
+from radiant_app.memory import available_bytes
 from radiant_app.progress import ProgressDisplay
+from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_splats
@@ -34,6 +37,12 @@ _WANTED = {
     "mesh": (".ply",),
     "dsm": (".tif", ".tiff"),
 }
+
+MIN_KNOWN = 1 / 9
+"""Share of a surface model's cells from which on a cell has one neighbour with a height, or its own, on the average: with fewer no gap
+can be told from what was seen."""
+
+_ADVICE = "what was seen lies scattered: look at it before anything is measured, and try a coarser --resolution, which closes gaps."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +81,10 @@ def _format_of(request: ExportRequest) -> ExportFormat:
 
 
 def _splats_of(model: Path) -> Splats:
-    from radiant_app.commands import require_run
+    from radiant_app.commands import require_model
 
     if model.is_dir():
-        require_run(model, "scene.ply")
+        require_model(model)
         return load_ply(model / "scene.ply")
     if model.suffix == ".safetensors":
         return load_splats(model)
@@ -147,6 +156,9 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.io.mesh_ply import save_mesh
 
     surface, run = _surface(request, display)
+    if surface.most_covered < MIN_KNOWN:
+        text = f"its triangles could cover {_percent(surface.most_covered)} of the ground at most; {_ADVICE}"
+        display(Warned(stage="surface", message=text))
     save_mesh(request.out, surface.mesh.vertices, surface.mesh.triangles, surface.mesh.colors)
     return {
         "vertices": len(surface.mesh.vertices),
@@ -163,6 +175,9 @@ def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
     surface, run = _surface(request, display)
     grid = surface_grid(surface, run.scene.frame)
+    if grid.known < MIN_KNOWN:
+        text = f"only {_percent(grid.known)} of {grid.heights.size:,} cells have a height; {_ADVICE}"
+        display(Warned(stage="surface", message=text))
     save_geotiff(request.out, grid)
     height, width = grid.heights.shape
     return {
@@ -170,7 +185,7 @@ def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         "cells": f"{width} x {height}",
         "resolution": round(grid.cell, 4),
         "unit": run.unit,
-        "known": round(grid.known, 4),
+        "known": float(f"{grid.known:.4g}"),
         "no_data": NO_DATA,
         "lowest": round(float(np.nanmin(grid.heights)), 3),
         "highest": round(float(np.nanmax(grid.heights)), 3),
@@ -190,9 +205,27 @@ def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface,
             run.scene.cameras,
             resolution=request.resolution,
             long_side_px=request.long_side_px,
+            memory_bytes=available_bytes(),
             report=lambda done, total: report(done, total, "views"),
         )
+    if surface.voxel > surface.finest_voxel:
+        display(Decided(decision=_coarser(surface, run.unit)))
     return surface, run
+
+
+def _coarser(surface: Surface, unit: str) -> Decision:
+    return Decision(
+        stage="surface",
+        topic="resolution",
+        choice=f"cells of {surface.voxel:.3g} {unit}",
+        figure=surface.finest_voxel,
+        unit=unit,
+        reason=f"two pixels of the photographs are {surface.finest_voxel:.3g} {unit}, which takes more memory than is free",
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
 
 
 def _origin_of(run: RunView) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.records import PlanFile, load_plan, load_plan_file
 from radiant_core.plan.system import System
 from radiant_viewer.run_view import SCENE_NAME
+from radiant_viewer.unplanned import kind_of
 
 if TYPE_CHECKING:
     from radiant_core.scene import SfmScene
@@ -66,22 +67,27 @@ class Picture:
     scene: Path | None = None
 
 
-def save_picture(source: Path, view: str, path: Path, picture: Picture = Picture()) -> str:
-    """Write one view of a run, or of a plan as PNG; BadInput where there is no such view of it."""
+def save_picture(source: Path, view: str | None, path: Path, picture: Picture = Picture()) -> str:
+    """Write one view of a run, a training, a scene or a plan as PNG, without `view` the usual one; BadInput where there is no such view of
+    it, and where the file exists."""
     if source.suffix.lower() == ".ply" and source.is_file():
         raise BadInput(
             f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "
-            "pictures by 'radiant render MODEL.ply --keyframes FILE'."
+            f"pictures by 'radiant render {source} --trajectory orbit --frames 8 --out FOLDER'."
         )
+    if path.suffix.lower() != ".png":
+        raise BadInput(f"cannot write {path}: give a name that ends in .png.")
+    from radiant_app.commands import require_file_to_be
+
+    require_file_to_be(path)
     plan, scene = plan_file_of(source), picture.scene
     if plan is None:
-        from radiant_app import commands
+        from radiant_app.commands import screenshot
 
-        return commands.screenshot(source, view, path, picture.size_wh, picture.camera)
+        return screenshot(source, view, path, picture.size_wh, picture.camera)
     if picture.camera is not None:
         raise BadInput("a plan has no photographs: leave out --camera.")
-    if path.suffix.lower() != ".png" or not path.parent.is_dir():
-        raise BadInput(f"cannot write {path}: give a name that ends in .png in a folder that exists.")
+    view = view or "regions"
     if view not in ("regions", "cameras"):
         raise BadInput(f"a plan has no {view} yet, nothing was trained: use --view regions or cameras.")
     from radiant_viewer.images import save_png
@@ -99,6 +105,8 @@ def save_picture(source: Path, view: str, path: Path, picture: Picture = Picture
 def run_setting(run: Path, system: Path | None = None) -> PlanSetting:
     """With which machines the plan of a run may be changed: those it was planned for."""
     reason = f"The plan cannot be changed: {run.name} has no {SYSTEM_NAME}, it was planned by an earlier version; name one by --system."
+    if kind_of(run) != "run":
+        reason = f"There is no plan to change: {run.name} was made without one."
     own = run / SYSTEM_NAME
     return _setting(_machines(system, [own], reason), run / f"plan{EDITS}")
 

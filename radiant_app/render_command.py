@@ -11,23 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from radiant_app.commands import require_file_to_be, require_run, stage_bar
+from radiant_app.commands import require_file_to_be, require_model, require_run, stage_bar
+from radiant_app.evaluate_command import DEFAULT_LONG_SIDE_PX
 from radiant_app.evaluation import png_bytes
+from radiant_app.events import Warned
 from radiant_app.progress import ProgressDisplay
 from radiant_app.run_folder import new_folder
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
+from radiant_core.geometry.open3d_ops import surface_points
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_bounded, write_atomic
+from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders import Border, shared_borders
-from radiant_core.render.trajectories import Lens, along_border, looking_at, orbit, through_keyframes
+from radiant_core.render.trajectories import Lens, along_border, looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
-from radiant_viewer.movie import ENDINGS, MovieWriter
+from radiant_viewer.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
+from radiant_viewer.run_view import RunView, load_run_view
+from radiant_viewer.unplanned import kind_of, seen_box
 
 OTHER_FILMS = (".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".wmv", ".apng", ".webp")
 """Endings that no one means for a folder of frames."""
 MAX_KEYFRAME_BYTES = 1 << 24
+MIN_OPAQUE = 0.1
+"""Share of a model's Gaussians from which on the opaque ones alone say where it is."""
 ORBIT_ELEVATION_DEG, ORBIT_RADII = 35.0, 0.9
 """Distance of an orbit, in diagonals of the regions."""
 FLIGHT_HEIGHTS = 0.5
@@ -64,6 +72,8 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
     cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
     splats = _model(request.model)
     if is_film:
+        if request.out.suffix.lower() == ".mp4":
+            display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
         if len(np.unique(cameras.sizes_wh, axis=0)) > 1:
             raise BadInput("the cameras are of different sizes, which no film can show: render single pictures into a folder.")
         size_wh = tuple(int(side) for side in cameras.sizes_wh[0] // 2 * 2)
@@ -97,8 +107,7 @@ def _pictures(splats: Splats, cameras: Cameras) -> Iterator[tuple[str, NDArray[n
 
 
 def _model(model: Path) -> Splats:
-    if model.is_dir():
-        require_run(model, "scene.ply")
+    require_model(model)
     return load_ply(model / "scene.ply" if model.is_dir() else model)
 
 
@@ -108,25 +117,39 @@ def _cameras(request: RenderRequest) -> Cameras:
         raise BadInput(f"--{chosen[0]} and --{chosen[1]} both say from where to look: keep one of them.")
     if request.border is not None and request.trajectory != "border":
         raise BadInput("--border is of --trajectory border: leave one of them out.")
+    require_model(request.model)
     lens = Lens(size_wh=request.size_wh)
     if request.keyframes is not None:
         return keyframe_cameras(request.keyframes, request.fps, request.size_wh)
     if request.trajectory is not None:
         return _flight(request, lens)
     if request.cameras is None and not request.model.is_dir():
-        raise BadInput(f"{request.model} is no run folder: give --cameras, a cameras.safetensors, or --keyframes, to render a PLY.")
-    if request.cameras is None:
-        require_run(request.model, "evaluation/cameras.safetensors")
-    return load_cameras(request.cameras or request.model / "evaluation" / "cameras.safetensors")
+        raise BadInput(f"{request.model} is a model alone: say from where to look by --trajectory orbit, --cameras or --keyframes.")
+    if request.cameras is not None:
+        return load_cameras(request.cameras)
+    if kind_of(request.model) == "training":
+        return held_out_of_training(load_run_view(request.model))
+    require_run(request.model, "evaluation/cameras.safetensors")
+    return load_cameras(request.model / "evaluation" / "cameras.safetensors")
+
+
+def held_out_of_training(run: RunView) -> Cameras:
+    """The cameras whose photographs a training held out, as evaluating scores them: at most 1600 px long."""
+    held_out = [index for index, name in enumerate(run.scene.cameras.names) if name in run.held_out]
+    return run.scene.cameras.select(held_out).scaled(DEFAULT_LONG_SIDE_PX)
 
 
 def _flight(request: RenderRequest, lens: Lens) -> Cameras:
-    from radiant_viewer.run_view import load_run_view
     from radiant_viewer.views import ground_height
 
     if not request.model.is_dir():
-        raise BadInput(f"{request.model} is a model alone: a {request.trajectory} trajectory needs the plan of a run, give its folder.")
+        _require_orbit(request, "is a model alone")
+        # Haze and sky are thin or far: neither moves the middle of what is opaque.
+        return _orbit_around(middle_box(_opaque(load_ply(request.model))), request.num_frames, lens)
     run = load_run_view(request.model)
+    if run.kind != "run":
+        _require_orbit(request, "was made without a plan")
+        return _orbit_around(seen_box(run.scene), request.num_frames, lens)
     ground = ground_height(run.scene)
     corners = np.concatenate([border for border in run.cloud_plan.borders if len(border)])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -136,6 +159,23 @@ def _flight(request: RenderRequest, lens: Lens) -> Cameras:
     border = _border(run, request.border)
     above = float(np.median(run.scene.cameras.centers[:, 2])) - ground
     return along_border(border.ends, ground, max(FLIGHT_HEIGHTS * above, border.length_m / 20), request.num_frames, lens)
+
+
+def _require_orbit(request: RenderRequest, what: str) -> None:
+    if request.trajectory != "orbit":
+        raise BadInput(f"{request.model} {what} and has no borders to fly along: use --trajectory orbit, --keyframes or --cameras.")
+
+
+def _opaque(splats: Splats) -> FloatArray:
+    """Centres of the Gaussians that make surfaces; of all where few do."""
+    centers, chosen = surface_points(splats, np.inf)
+    return centers if chosen.mean() > MIN_OPAQUE else splats.means.astype(np.float64)
+
+
+def _orbit_around(box: FloatArray, num_frames: int, lens: Lens) -> Cameras:
+    """Once around the middle of a box (2,3), z up."""
+    side = float(np.linalg.norm(box[1] - box[0]))
+    return orbit(box.mean(axis=0), ORBIT_RADII * max(side, 1e-6), ORBIT_ELEVATION_DEG, num_frames, lens)
 
 
 def _border(run: Any, names: tuple[str, ...] | None) -> Border:

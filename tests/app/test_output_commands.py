@@ -66,6 +66,21 @@ def test_a_surface_model_lies_on_the_ground_of_the_town(tmp_path: Path) -> None:
         radiant("export", run, tmp_path / "a.tif")
 
 
+@pytest.mark.parametrize(("ending", "sentence"), [("tif", "cells have a height"), ("ply", "of the ground at most")])
+def test_a_surface_of_which_little_is_known_is_a_warning_with_the_figure(run: Path, tmp_path: Path, ending: str, sentence: str) -> None:
+    # Gaussians 2 m apart in cells of 0.5 m: what two views agree on are specks.
+    options = ("--format", "mesh") if ending == "ply" else ()
+    result = CliRunner().invoke(
+        app, ["export", str(run), str(tmp_path / f"a.{ending}"), "--resolution", "0.5", "--long-side-px", "96", "--json", *options]
+    )
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.stderr.split())
+    assert "warning surface: " in said and sentence in said and "--resolution" in said
+    if ending == "tif":
+        known = json.loads(result.stdout)["known"]
+        assert 0 < known < 1 / 9 and f"only {100 * known:.2g} % of" in said
+
+
 def test_a_film_follows_keyframes_and_a_border(run: Path, tmp_path: Path) -> None:
     keys = [{"time_s": 0, "position": [-80, -80, 60], "target": [0, 0, 0]}, {"time_s": 0.5, "position": [80, -80, 60], "target": [0, 0, 0]}]
     (tmp_path / "keys.json").write_text(json.dumps({"keyframes": keys}))
@@ -116,6 +131,22 @@ def test_a_picture_that_does_not_fit_into_memory_is_one_sentence(run: Path, tmp_
     assert not (tmp_path / "frames").exists()
 
 
+def test_a_film_that_browsers_refuse_says_so_before_it_is_rendered(run: Path, tmp_path: Path) -> None:
+    arguments = ["render", str(run), "--trajectory", "orbit", "--frames", "2", "--size", "64x48", "--out"]
+    said = {ending: CliRunner().invoke(app, [*arguments, str(tmp_path / f"film{ending}")]) for ending in (".mp4", ".webm", ".gif")}
+    assert {result.exit_code for result in said.values()} == {0}
+    warned = " ".join(said[".mp4"].stderr.split())
+    assert "warning render: film.mp4 will hold MPEG-4 Part 2" in warned and "end in .webm" in warned
+    assert "warning" not in said[".webm"].stderr + said[".gif"].stderr
+    film = cv2.VideoCapture(str(tmp_path / "film.webm"))
+    # VP8 is what every browser shows in a WebM.
+    assert int(film.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") == b"VP80"
+    assert (tmp_path / "film.webm").read_bytes()[:4] == b"\x1aE\xdf\xa3"
+    # A path that cannot be is refused before anything is said about the film.
+    refused = CliRunner().invoke(app, [*arguments[:2], "--out", str(tmp_path / "other.mp4")])
+    assert isinstance(refused.exception, BadInput) and "warning" not in refused.stderr
+
+
 def test_pictures_take_a_size_and_a_camera(run: Path, tmp_path: Path) -> None:
     radiant("inspect", run, "--screenshot", tmp_path / "a.png", "--view", "splats", "--size", "700x450", "--camera", "DJI_0008.JPG")
     image = cv2.imread(str(tmp_path / "a.png"))
@@ -125,6 +156,15 @@ def test_pictures_take_a_size_and_a_camera(run: Path, tmp_path: Path) -> None:
     one = cv2.imread(str(tmp_path / "b.png"))
     assert one is not None
     assert one.shape[0] < 450, "one row"
+
+
+def test_a_screenshot_replaces_no_file(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "plan.png").write_bytes(b"a picture that somebody made")
+    (tmp_path / "plan.json").write_bytes((run / "plan.json").read_bytes())
+    for source in (run, tmp_path / "plan.json"):
+        with pytest.raises(BadInput, match=r"plan\.png exists: choose another name"):
+            radiant("inspect", source, "--screenshot", tmp_path / "plan.png")
+    assert (tmp_path / "plan.png").read_bytes() == b"a picture that somebody made"
 
 
 @pytest.mark.parametrize(

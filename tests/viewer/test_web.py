@@ -214,5 +214,5 @@ def test_what_cannot_be_served_is_one_sentence(run_folder: Path, monkeypatch: py
         open_page(tmp_path, print, port=0)
     assert "not encrypted" in address_text("0.0.0.0", 80, "s")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"trame.*'web'.*--screenshot"):
+    with pytest.raises(BadInput, match=r"trame.*pip install -e '\.\[web\]'.*--screenshot"):
         require_web()

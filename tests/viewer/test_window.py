@@ -452,5 +452,5 @@ def test_without_a_display_there_is_one_sentence_and_no_crash(tmp_path: Path) ->
 
 def test_without_the_extra_the_missing_package_and_the_way_out_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(BadInput, match=r"PySide6.*'desktop'.*--screenshot"):
+    with pytest.raises(BadInput, match=r"PySide6.*pip install -e '\.\[desktop\]'.*--screenshot"):
         require_desktop()

@@ -56,7 +56,7 @@ class FlyDock(QDockWidget):
         self.add, self.remove, self.play = QPushButton("Add view"), QPushButton("Remove"), QPushButton("Play")
         self.add.setToolTip("Add the 3D view as the next keyframe (K)")
         self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
-        self.export.setToolTip("Write the flight as .mp4, .webm (for browsers) or .gif")
+        self.export.setToolTip("Write the flight as .webm (for browsers), .mp4 (not for browsers) or .gif")
         self.bar = QProgressBar()
         self.note = QLabel("Move the 3D view and add two or more keyframes.")
         self.note.setProperty("soft", "true")
@@ -160,8 +160,8 @@ class FlyDock(QDockWidget):
             widget.setVisible(self.job is not None)
 
     def _ask_export(self) -> None:
-        kinds = "MP4 for desktop players (*.mp4);;WebM for browsers (*.webm);;GIF (*.gif)"
-        path, _ = QFileDialog.getSaveFileName(self, "Export flight", str(Path.cwd() / "flight.mp4"), kinds)
+        kinds = "WebM for browsers and players (*.webm);;MP4 for desktop players, not for browsers (*.mp4);;GIF (*.gif)"
+        path, _ = QFileDialog.getSaveFileName(self, "Export flight", str(Path.cwd() / "flight.webm"), kinds)
         if path:
             self._window.attempt(lambda: self.write(Path(path)))
 

@@ -1,7 +1,8 @@
 """Frames (H,W,3) uint8 into a film: MP4 or WebM by OpenCV's own encoder, GIF by Pillow. Written whole or not at all.
 
-MP4 holds MPEG-4 Part 2, which desktop players show and browsers do not: OpenCV's wheel has no H.264 encoder, and its VP9 took 118 s for
-24 frames of 640×480. WebM holds VP8 (1.5 s for the same), which browsers show; GIF has 256 colours a frame.
+MP4 holds MPEG-4 Part 2, which desktop players show and browsers do not: the encoders for H.264 and H.265 in OpenCV's wheel are those of a
+video chip alone, it has none for AV1, and its VP9 took 118 s for 24 frames of 640×480. WebM holds VP8 (1.5 s for the same), which browsers
+show; GIF has 256 colours a frame.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from radiant_viewer.images import Image
 
 CODECS = {".mp4": "mp4v", ".webm": "VP80"}
 ENDINGS = (*CODECS, ".gif")
+NOT_FOR_BROWSERS = "MPEG-4 Part 2, which desktop players show and browsers do not: let its name end in .webm for both"
+"""What an MP4 holds, said before it is made."""
 MAX_GIF_BYTES = 1 << 30
 """Frames of a GIF are kept until the end, to share one file."""
 

@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 
 from radiant_viewer.camera_roles import NOBODY
 from radiant_viewer.run_view import RunView
+from radiant_viewer.unplanned import unplanned_photographs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,10 +31,15 @@ def find_photograph(run: RunView, index: int) -> PhotoAnswer:
     if parts.is_absolute() or ".." in parts.parts:
         return PhotoAnswer(path=None, reason=f"{name!r} is no name of a photograph inside a device's folder.")
     device = int(roles.device_of_camera[index])
-    if roles.held_out[index]:
+    if roles.held_out[index] and run.kind != "scene":
         return _first(
             [run.folder / "evaluation" / "photos" / name, run.folder / "pictures" / "photographs" / f"{name}.png"]
         ) or PhotoAnswer(path=None, reason="This photograph was held out and stays where it was scored: this run keeps no picture of it.")
+    if run.kind != "run":
+        folder = unplanned_photographs(run.folder)
+        return (None if folder is None else _first([folder / name])) or PhotoAnswer(
+            path=None, reason="This photograph is no longer where structure from motion left it."
+        )
     if device == NOBODY:
         return PhotoAnswer(path=None, reason="No device of the plan holds this photograph.")
     owner = roles.device_ids[device]

@@ -55,8 +55,8 @@ NO_SYSTEM = "The plan cannot be changed here: its machines are not known."
 
 
 def add_planning(window: InspectorWindow, setting: PlanSetting | None) -> Planning | None:
-    """Docks, map tools and shortcuts of planning; None where the window shows a model alone."""
-    if window.run is None or not len(window.run.scene.cameras):
+    """Docks, map tools and shortcuts of planning; None where the window shows a model alone, or what was made without a plan."""
+    if window.run is None or window.run.kind != "run" or not len(window.run.scene.cameras):
         return None
     return Planning(window, window.run, setting)
 

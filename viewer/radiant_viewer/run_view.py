@@ -1,4 +1,4 @@
-"""`RunView`: what a run folder holds for the eye, read through `radiant_core.io` and checked to belong together.
+"""`RunView`: what the folder of a run, a training or a scene holds for the eye, read through `radiant_core.io` and checked to fit together.
 
 Read once per window or screenshot. A run that is broken or not finished gives one sentence: what is missing, what finishes it.
 """
@@ -8,9 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.evaluate.split import held_out_mask
@@ -20,8 +22,9 @@ from radiant_core.io.run_store import read_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
-from radiant_viewer.camera_roles import CameraRoles, camera_roles
+from radiant_viewer.camera_roles import NOBODY, CameraRoles, camera_roles
 from radiant_viewer.field_files import local_files
+from radiant_viewer.unplanned import FolderKind, finish_command, has_unplanned_scene, kind_of, plan_of_everything, unplanned_scene
 
 SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
 DELIVERED = "delivered"
@@ -38,6 +41,7 @@ class RunView:
     held_out: names of the cameras that nothing was trained on; psnr_db: figures of held-out photographs by name, None before evaluation.
     Where photographs stayed with their devices (`in_field`), cameras have numbers for names, those of held-out photographs stayed, too
     (`unplaced`, sorted), and `files` has the names of the files behind numbers as far as the devices' folders lie in the run's.
+    kind: what the folder is; the plan of a training or a scene is one region without land.
     """
 
     folder: Path
@@ -51,6 +55,7 @@ class RunView:
     in_field: bool = False
     unplaced: tuple[str, ...] = ()
     files: Mapping[str, str] = field(default_factory=dict)
+    kind: FolderKind = "run"
 
     @property
     def photographs(self) -> tuple[str, ...]:
@@ -78,13 +83,15 @@ class RunView:
 
 
 def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
-    """The run in `folder`; BadInput when it is no run or not planned yet, StoreDamaged when a file is broken.
+    """The run, training or scene in `folder`; BadInput when it is none or not planned yet, StoreDamaged when a file is broken.
 
     `with_files`: names of files behind numbers, too, for a window, which writes nothing into the run; nobody else reads devices' records.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
+    if (kind := kind_of(folder)) != "run":
+        return _unplanned_view(folder, kind)
     if (folder / DELIVERED).is_dir():
         # Devices that place their own photographs send poses for what they trained on, and nothing of what they held out.
         _require_file(folder, f"{DELIVERED}/plan.json", "the run is not finished")
@@ -117,8 +124,30 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
     )
 
 
+def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
+    scene = unplanned_scene(folder)
+    held = held_out_mask(scene.cameras.names)
+    held_out = frozenset(name for name, is_held in zip(scene.cameras.names, held, strict=True) if is_held)
+    cloud_plan, edge_plans = plan_of_everything(scene, int((~held).sum()))
+    roles, nobody = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out), np.full(len(held), NOBODY, np.int64)
+    is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
+    return RunView(
+        folder=folder,
+        scene=scene,
+        cloud_plan=cloud_plan,
+        edge_plans=edge_plans,
+        splats=load_ply(folder / PLY_NAME) if kind == "training" and (folder / PLY_NAME).is_file() else None,
+        held_out=held_out,
+        psnr_db=_image_psnr_db(folder / METRICS_NAME) if is_scored else None,
+        roles=replace(roles, edge_of_camera=nobody, device_of_camera=nobody),
+        kind=kind,
+    )
+
+
 def is_planned(folder: Path) -> bool:
-    """Whether a run has come so far that there is a plan to show."""
+    """Whether a run has come so far that there is a plan to show, or a training that there are cameras."""
+    if kind_of(folder) != "run":
+        return has_unplanned_scene(folder)
     if (folder / DELIVERED).is_dir():
         return (folder / DELIVERED / PLAN_NAME).is_file()
     return (folder / SCENE_NAME).is_file() and (folder / PLAN_NAME).is_file()
@@ -127,7 +156,15 @@ def is_planned(folder: Path) -> bool:
 def file_stamps(path: Path) -> FileStamps:
     """What tells whether `load_run_view` of a run, or the file itself that `path` is, would read something new: of every file that is
     there its name, time and length."""
-    names = (SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME, f"{DELIVERED}/{PLAN_NAME}", f"{DELIVERED}/scene.safetensors")
+    names = (
+        SCENE_NAME,
+        "scene.safetensors",
+        PLAN_NAME,
+        PLY_NAME,
+        METRICS_NAME,
+        f"{DELIVERED}/{PLAN_NAME}",
+        f"{DELIVERED}/scene.safetensors",
+    )
     stamps = []
     for file in [path / name for name in names] if path.is_dir() else [path]:
         with suppress(OSError):
@@ -144,7 +181,7 @@ def plan_path(folder: Path) -> Path:
 def required_splats(run: RunView) -> Splats:
     """The run's model; BadInput with the command that makes it when there is none yet."""
     if run.splats is None:
-        raise BadInput(f"{run.folder} has no {PLY_NAME}: the run is not finished, {finish_command(run.folder)}.")
+        raise BadInput(no_model_text(run.folder))
     return run.splats
 
 
@@ -166,14 +203,19 @@ def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
     return paths[0], paths[1], paths[2]
 
 
-def finish_command(folder: Path) -> str:
-    """How a run that is not finished is finished, for the end of a sentence."""
-    return f"finish it with 'radiant run … --out {folder} --resume'"
+def no_model_text(folder: Path) -> str:
+    """Why a folder holds no model, and what makes one."""
+    state = {
+        "run": "the run is not finished",
+        "training": "the training is not finished",
+        "scene": "'radiant sfm' makes cameras and points",
+    }
+    return f"{folder} has no {PLY_NAME}: {state[kind_of(folder)]}, {finish_command(folder)}."
 
 
 def _require_file(folder: Path, name: str, reason: str) -> None:
     if not (folder / "manifest.json").is_file():
-        raise BadInput(f"{folder} is no run: it has no manifest.json; name the folder that 'radiant run --out' made.")
+        raise BadInput(f"{folder} is no run: it has no manifest.json; name the folder that 'radiant run --out' made, or train or sfm.")
     if not (folder / name).is_file():
         raise BadInput(f"{folder} has no {name}: {reason}, {finish_command(folder)}.")
 

@@ -58,19 +58,33 @@ def subject_of_run(run: RunView) -> Subject:
     """A run with all its layers."""
     roles = run.roles
     model = "no model yet" if run.splats is None else f"{len(run.splats):,} Gaussians"
+    dealt = f"{len(roles.edge_ids)} regions, {len(roles.device_ids)} devices"
+    if run.kind != "run":
+        dealt = f"{len(run.scene.points):,} points"
     return Subject(
         path=run.folder,
-        layers=tuple(with_planning_layers(run, run_layers(run))),
+        layers=tuple(with_planning_layers(run, run_layers(run)) if run.kind == "run" else run_layers(run)),
         splats=run.splats,
         run=run,
         unit=run.unit,
         ground=ground_height(run.scene),
-        summary=f"{len(run.scene.cameras)} cameras, {len(roles.edge_ids)} regions, {len(roles.device_ids)} devices, {model}",
+        summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}",
     )
+
+
+def _unplanned_layers(run: RunView) -> list[Layer]:
+    """The layers of a training or a scene from the ground up: points, model, cameras by split and by error."""
+    layers = [sparse_point_layer(run.scene)] if len(run.scene.points) else []
+    if run.splats is not None and not any(layer.name == "Gaussians" for layer in layers):
+        layers.append(splat_layer(run.splats))
+    layers.append(camera_layer(run.scene.cameras, run.roles, "split"))
+    return [*layers, camera_layer(run.scene.cameras, run.roles, "psnr", run.psnr_db)] if run.psnr_db else layers
 
 
 def run_layers(run: RunView) -> list[Layer]:
     """All layers of a run from the ground up: points, plan, cameras, and what the run has beyond: model, seams, errors."""
+    if run.kind != "run":
+        return _unplanned_layers(run)
     regions, strips, borders, by_region, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
     # Before capture there are no points, and "0 points" in a legend looks like a run that failed.
     layers = [regions, strips, *([sparse_point_layer(run.scene)] if len(run.scene.points) else [])]

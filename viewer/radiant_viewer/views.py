@@ -20,6 +20,7 @@ from radiant_core.plan.border_forecast import BorderForecast
 from radiant_core.plan.borders import Border
 from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.render.trajectories import box_corners
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures, seam_band_width
@@ -32,11 +33,12 @@ from radiant_viewer.layers import Label, Layer
 from radiant_viewer.offscreen import render_map, render_view
 from radiant_viewer.page import PageText, compose_page, drawing_size_wh
 from radiant_viewer.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
-from radiant_viewer.run_view import RunView, comparison_paths, finish_command, load_run_view, required_splats
+from radiant_viewer.run_view import RunView, comparison_paths, load_run_view, required_splats
 from radiant_viewer.seam_findings import SeamFinding, seam_findings, verdict_text
 from radiant_viewer.seam_layer import SeamPieces, seam_layer
 from radiant_viewer.splat_layer import sparse_point_layer
 from radiant_viewer.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
+from radiant_viewer.unplanned import FolderKind, finish_command, seen_box
 from radiant_viewer.waypoint_layer import waypoint_layer
 
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
@@ -45,15 +47,22 @@ compare: held-out photographs beside their renders, worst, middle and best."""
 SIZE_WH = (1280, 900)
 
 
-def screenshot(run_folder: Path, view: str, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None) -> Image:
-    """One view of a run (H,W,3); BadInput for an unknown view or one the run is not ready for, StoreDamaged for broken files.
+USUAL_VIEW: dict[FolderKind, View] = {"run": "regions", "training": "splats", "scene": "cameras"}
+
+
+def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None) -> Image:
+    """One view of a run, a training or a scene (H,W,3), without `view` the usual one; BadInput for an unknown view or one it is not
+    ready for, StoreDamaged for broken files.
 
     `camera`, the name of a photograph, is where splats are seen from and what "compare" shows alone; BadInput for another view or name.
     The height of "compare" is that of its rows.
     """
-    if view not in get_args(View):
+    if view is not None and view not in get_args(View):
         raise BadInput(f"view {view!r} is unknown: use one of {', '.join(get_args(View))}.")
     run = load_run_view(run_folder)
+    view = view or USUAL_VIEW[run.kind]
+    if run.kind != "run" and view in ("regions", "seams"):
+        raise BadInput(f"{run_folder} was made without a plan, so there are no {view}: use --view cameras, splats or compare.")
     if camera is not None:
         _require_camera(run, view, camera)
     if view == "regions":
@@ -210,19 +219,27 @@ def splats_picture(
 ) -> Image:
     """The model as our renderer draws it, from all above or from one of its cameras, with the borders of the regions on the ground."""
     ground = ground_height(scene)
-    layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)]
+    has_regions = any(len(border) for border in cloud_plan.borders)
+    layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)] if has_regions else []
     room_wh = drawing_size_wh(size_wh, is_map=False)
     subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
     if camera is None:
-        # All regions and a tenth of their width above them: far haze and sky do not make them small.
-        corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
-        rise = [0.0, 0.0, 0.1 * float(np.ptp(corners[:, 0]))]
-        view = fitted_camera(np.concatenate([corners, corners + rise]), room_wh)
+        view = fitted_camera(_looked_at(scene, cloud_plan, ground), room_wh)
     else:
         view = _fitted_to(scene.cameras.named([camera]), room_wh)
         subtitle += f"   ·   from {camera}"
     text = PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit)
     return compose_page(draw_splat_view(layers, splats, view), layers, size_wh, text)
+
+
+def _looked_at(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
+    """Places (K,3) that a picture of the whole model holds: all regions and a tenth of their width above them, without regions what cameras
+    and points span; far haze and sky do not make them small."""
+    corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
+    if not len(corners):
+        return box_corners(seen_box(scene))
+    rise = [0.0, 0.0, 0.1 * float(np.ptp(corners[:, 0]))]
+    return np.concatenate([corners, corners + rise])
 
 
 def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:

@@ -9,8 +9,9 @@ from PySide6.QtWidgets import QLabel, QMainWindow
 
 from radiant_viewer.progress_dock import ProgressDock
 from radiant_viewer.run_feeds import RunFeeds
-from radiant_viewer.run_view import finish_command, is_planned
+from radiant_viewer.run_view import is_planned
 from radiant_viewer.themes import THEMES, ThemeName, style_sheet
+from radiant_viewer.unplanned import finish_command
 
 SIZE_WH = (760, 320)
 WAITING = "This run has no plan yet: there is nothing to draw. Regions and cameras appear here as soon as it has one."

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from radiant_core.errors import BadInput
+from radiant_viewer.desktop import install_text
 from radiant_viewer.run_view import load_run_view
 
 PORT = 8765
@@ -27,7 +28,7 @@ def require_web() -> None:
     missing = [name for name in ("trame", "trame_vtk", "trame_vuetify") if importlib.util.find_spec(name) is None]
     if missing:
         raise BadInput(
-            f"no page can be served because {missing[0]} is not installed: install the extra 'web', "
+            f"no page can be served because {missing[0]} is not installed: {install_text('web')}, "
             "or make pictures without a browser: radiant inspect RUN --screenshot out.png."
         )
 

@@ -46,7 +46,8 @@ class WebPage:
     def __init__(self, run: RunView) -> None:
         self.run = run
         self.figures = run_camera_figures(run)
-        self.scene = WebScene(run_layers(run), HIDDEN_AT_FIRST, self._later)
+        hidden = HIDDEN_AT_FIRST if run.kind == "run" else HIDDEN_AT_FIRST - {"Cameras by split"}
+        self.scene = WebScene(run_layers(run), hidden, self._later)
         self.stops: tuple[SeamStop, ...] = ()
         self.before_solo: list[str] | None = None
         self.server: Any = get_server(f"radiant-{id(self)}", client_type="vue3")

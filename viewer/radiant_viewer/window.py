@@ -80,9 +80,10 @@ class InspectorWindow(QMainWindow):
         self.setCentralWidget(splitter)
         # Where there are no sparse points below them, the Gaussians are the ground.
         has_ground = any(layer.name == "Sparse points" for layer in self.layers)
-        self.layer_dock = LayerDock(
-            self, self.layers, HIDDEN_AT_FIRST if has_ground else HIDDEN_AT_FIRST - {"Gaussians"}, self._on_visibility
-        )
+        shown = set() if has_ground else {"Gaussians"}
+        if not any(layer.name == "Cameras by region" for layer in self.layers):
+            shown.add("Cameras by split")
+        self.layer_dock = LayerDock(self, self.layers, HIDDEN_AT_FIRST - shown, self._on_visibility)
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):

@@ -8,7 +8,7 @@ Sources: Besl and McKay, PAMI 14 (1992); Umeyama, PAMI 13 (1991).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -27,8 +27,11 @@ TRUNCATION_VOXELS = 4.0
 MIN_PIECE_VOXELS = 12.0
 MIN_WEIGHT = 1.5
 """A voxel counts from two views on: what one view alone saw may be a floater."""
-BLOCK_VOXELS, FIRST_BLOCKS = 16, 10_000
-"""The grid's table grows by itself."""
+BLOCK_VOXELS = 16
+MAX_BLOCKS = 160_000
+"""Open3D numbers the three colours of each voxel with 32 bits: 3 · 16³ · 174,763 is beyond."""
+BLOCKS_AT_ONCE = 8_192
+"""Open3D counts 16 bytes for each voxel of a mesh with 32 bits: from 32,768 blocks on it writes outside of its memory."""
 RAYS_AT_ONCE = 1 << 20
 
 
@@ -102,25 +105,41 @@ class Mesh:
     colors: NDArray[np.uint8]
 
 
-def fused_mesh(views: Iterable[DepthView], voxel: float, max_depth: float) -> Mesh:
-    """The surface that depth views agree on: their truncated signed distances averaged in voxels, then marching cubes; pieces smaller than
-    a square of `MIN_PIECE_VOXELS` are left out. May be empty. Source: Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid."""
+def count_blocks(views: Iterable[DepthView], voxel: float, max_depth: float) -> int:
+    """For how many blocks of 16³ voxels `fused_mesh` needs room; some 20 ms a view.
+
+    These are all that views see, and once more those of the largest view: Open3D adds a view's blocks to what it holds before it looks
+    which of them are new.
+    """
     import open3d as o3d
 
-    # Its stubs know neither numpy arrays nor channels of several sizes.
     core: Any = o3d.core
-    cpu, new_grid = core.Device("CPU:0"), cast(Any, o3d.t.geometry.VoxelBlockGrid)
-    # The older ScalableTSDFVolume of open3d 0.20 gives an empty mesh.
-    grid = new_grid(("tsdf", "weight", "color"), (core.float32,) * 3, ((1,), (1,), (3,)), voxel, BLOCK_VOXELS, FIRST_BLOCKS, cpu)
+    grid = cast(Any, o3d.t.geometry.VoxelBlockGrid)(("tsdf",), (core.float32,), ((1,),), voxel, BLOCK_VOXELS, 1, core.Device("CPU:0"))
+    found, largest = np.zeros(0, np.int64), 0
     for view in views:
-        depth = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(view.depth[..., None], np.float32)))
-        image = o3d.t.geometry.Image(core.Tensor(np.ascontiguousarray(view.image, np.float32) / 255))
-        # Open3D's first pixel centre is at 0, ours at 0.5.
-        K = core.Tensor(view.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]))
-        pose = core.Tensor(np.ascontiguousarray(view.cam_from_world))
-        blocks = grid.compute_unique_block_coordinates(depth, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
+        keys = _seen_blocks(grid, view, max_depth).numpy().astype(np.int64) + (1 << 20)
+        found = np.union1d(found, (keys[:, 0] << 42) + (keys[:, 1] << 21) + keys[:, 2])
+        largest = max(largest, len(keys))
+    return len(found) + largest
+
+
+def fused_mesh(
+    views: Iterable[DepthView], voxel: float, max_depth: float, num_blocks: int = 10_000, blocks_at_once: int = BLOCKS_AT_ONCE
+) -> Mesh:
+    """The surface that depth views agree on: their truncated signed distances averaged in voxels, then marching cubes; pieces smaller than
+    a square of `MIN_PIECE_VOXELS` are left out. May be empty. Source: Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
+
+    `num_blocks` as `count_blocks` says spares the grid to grow, which doubles it; the mesh is made of `blocks_at_once` and less.
+    """
+    import open3d as o3d
+
+    grid = _empty_grid(voxel, num_blocks)
+    for view in views:
+        blocks = _seen_blocks(grid, view, max_depth)
+        image = o3d.t.geometry.Image(_tensor(np.asarray(view.image, np.float32) / 255))
+        depth, K, pose = _depth_tensors(view)
         grid.integrate(blocks, depth, image, K, K, pose, 1.0, max_depth, TRUNCATION_VOXELS)
-    mesh = grid.extract_triangle_mesh(weight_threshold=MIN_WEIGHT).to_legacy()
+    mesh = _welded_mesh(_pieces(grid, voxel, blocks_at_once))
     if len(mesh.triangles):
         labels, _, areas = mesh.cluster_connected_triangles()
         small = np.asarray(areas)[np.asarray(labels)] < (MIN_PIECE_VOXELS * voxel) ** 2
@@ -131,6 +150,104 @@ def fused_mesh(views: Iterable[DepthView], voxel: float, max_depth: float) -> Me
         triangles=np.array(mesh.triangles, np.int64).reshape(-1, 3),
         colors=np.rint(255 * np.asarray(mesh.vertex_colors)).astype(np.uint8).reshape(-1, 3),
     )
+
+
+def _tensor(values: NDArray[Any]) -> Any:
+    import open3d as o3d
+
+    # Its stubs know no numpy arrays.
+    return cast(Any, o3d.core.Tensor)(np.ascontiguousarray(values))
+
+
+def _empty_grid(voxel: float, num_blocks: int) -> Any:
+    import open3d as o3d
+
+    core: Any = o3d.core
+    # The older ScalableTSDFVolume of open3d 0.20 gives an empty mesh.
+    new_grid = cast(Any, o3d.t.geometry.VoxelBlockGrid)
+    attributes = (("tsdf", "weight", "color"), (core.float32,) * 3, ((1,), (1,), (3,)))
+    return new_grid(*attributes, voxel, BLOCK_VOXELS, max(1, num_blocks), core.Device("CPU:0"))
+
+
+def _depth_tensors(view: DepthView) -> tuple[Any, Any, Any]:
+    """A view's depth, K and cam_from_world as Open3D takes them."""
+    import open3d as o3d
+
+    depth = o3d.t.geometry.Image(_tensor(view.depth[..., None].astype(np.float32)))
+    # Open3D's first pixel centre is at 0, ours at 0.5.
+    return depth, _tensor(view.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])), _tensor(view.cam_from_world)
+
+
+def _seen_blocks(grid: Any, view: DepthView, max_depth: float) -> Any:
+    return grid.compute_unique_block_coordinates(*_depth_tensors(view), 1.0, max_depth, TRUNCATION_VOXELS)
+
+
+def _pieces(grid: Any, voxel: float, blocks_at_once: int) -> Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]:
+    """The mesh in boxes of blocks: vertices (V,3), triangles (T,3), colors (V,3). Each is made with the blocks around its box and holds
+    the triangles whose middle lies in it, so that the next box goes on at the very same vertices."""
+    rows = grid.hashmap().active_buf_indices().numpy().astype(np.int64)
+    keys = grid.hashmap().key_tensor().numpy()[rows].astype(np.int64)
+    for low, high in _boxes(keys, blocks_at_once):
+        near = _within(keys, low - 1, high + 1)
+        mesh = _copied(grid, voxel, rows[near]).extract_triangle_mesh(weight_threshold=MIN_WEIGHT)
+        if "indices" not in mesh.triangle:
+            continue
+        vertices, triangles = mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy()
+        middles = np.floor(vertices[triangles].mean(axis=1) / (BLOCK_VOXELS * voxel))
+        used, numbered = np.unique(triangles[_within(middles, low, high)], return_inverse=True)
+        yield vertices[used], numbered.reshape(-1, 3).astype(np.int32), mesh.vertex.colors.numpy()[used]
+
+
+def _boxes(keys: NDArray[np.int64], blocks_at_once: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Boxes, lower corner inclusive and upper one exclusive, that hold all blocks `keys` (B,3), each with those around it no more than so
+    many, or a single block."""
+    if not len(keys):
+        return
+    waiting = [(keys.min(axis=0), keys.max(axis=0) + 1)]
+    while waiting:
+        low, high = waiting.pop()
+        inside = keys[_within(keys, low, high)]
+        if not len(inside):
+            continue
+        axis = int(np.argmax(high - low))
+        if _within(keys, low - 1, high + 1).sum() <= blocks_at_once or high[axis] - low[axis] == 1:
+            yield low, high
+            continue
+        cut = np.clip(int(np.median(inside[:, axis])), low[axis] + 1, high[axis] - 1)
+        edge = np.eye(3, dtype=bool)[axis]
+        waiting += [(low, np.where(edge, cut, high)), (np.where(edge, cut, low), high)]
+
+
+def _within(places: NDArray[Any], low: NDArray[np.int64], high: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(((places >= low) & (places < high)).all(axis=1))
+
+
+def _copied(grid: Any, voxel: float, rows: NDArray[np.int64]) -> Any:
+    """A grid of its own of some blocks, which `rows` names."""
+    if len(rows) == grid.hashmap().size():
+        return grid
+    part = _empty_grid(voxel, len(rows))
+    own_rows, _ = part.hashmap().activate(_tensor(grid.hashmap().key_tensor().numpy()[rows]))
+    own = own_rows.numpy().astype(np.int64)
+    for name in ("tsdf", "weight", "color"):
+        part.attribute(name).numpy()[own] = grid.attribute(name).numpy()[rows]
+    return part
+
+
+def _welded_mesh(pieces: Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]) -> Any:
+    """Pieces as one of Open3D's meshes, with every vertex once."""
+    import open3d as o3d
+
+    parts = list(pieces)
+    starts = np.cumsum([0, *(len(vertices) for vertices, _, _ in parts)])
+    mesh = o3d.geometry.TriangleMesh()
+    if not parts:
+        return mesh
+    vertices, colors = (np.concatenate([part[place] for part in parts]).astype(np.float64) for place in (0, 2))
+    triangles = np.concatenate([part[1] + start for part, start in zip(parts, starts[:-1], strict=True)])
+    mesh.vertices, mesh.vertex_colors = o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3dVector(colors)
+    mesh.triangles = o3d.utility.Vector3iVector(triangles.astype(np.int32))
+    return mesh if len(parts) == 1 else mesh.remove_duplicated_vertices()
 
 
 def heights_from_above(mesh: Mesh, places: ArrayLike) -> FloatArray:

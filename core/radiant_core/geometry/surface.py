@@ -1,10 +1,10 @@
 """A model's surface: rendered depth of many cameras fused into a mesh, and the heights of that mesh as a grid. Once per surface model.
 
-    reach R = median over views of the median depth;  box = the cameras' box, R wider on each side;  depth counts up to `MAX_DEPTH` · R
+    reach R = median over views of the median depth;  box = the cameras', R wider on each side;  depth counts up to `MAX_DEPTH` · R in it
     o' = 1 / (1 + exp(−4 (logit o − logit 0.3)))
 Rendered depth is a mean over all that a ray meets, haze before the surface included, so depth is rendered with opacities o' that are nearly
 0 or 1: then it is that of the first surface. A pixel counts where the model is opaque and where depth does not jump: at an edge the mean
-lies between the surfaces, where there is none. C renders of `long_side_px`, then some 0.2 s of fusion each.
+lies between the surfaces, where there is none. C renders of `long_side_px`, then some 0.2 s of fusion each, in a process of its own.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic, geodetic_from_enu
-from radiant_core.geometry.open3d_ops import DepthView, Mesh, fused_mesh, heights_from_above
+from radiant_core.geometry.fusion import FusionSettings, blocks_within, fuse_apart
+from radiant_core.geometry.open3d_ops import MAX_BLOCKS, DepthView, Mesh, heights_from_above
 from radiant_core.io.geotiff import HeightGrid
 from radiant_core.map_projection import geodetic_from_utm, utm_epsg, utm_from_geodetic
 from radiant_core.numerics import FloatArray
@@ -33,18 +34,31 @@ MIN_ALPHA = 0.5
 MAX_JUMP = 0.04
 """Greatest range of depth among a pixel's neighbours, as a share of it: seen from straight above, 640 px in 60°, a slope of 85°."""
 MAX_DEPTH = 3.0
-MAX_CELLS = 100_000_000
+MAX_CELLS, CELLS_AT_ONCE = 100_000_000, 1 << 22
 PIXELS_PER_CELL = 2.0
 _REACH_VIEWS, _REACH_PX = 12, 96
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """The mesh in the model's frame; voxel, its resolution, in the model's unit; num_views that saw something."""
+    """The mesh in the model's frame; voxel, its resolution, in the model's unit; num_views that saw something.
+
+    finest_voxel: what the photographs or the caller asked for, below `voxel` where that did not fit; num_blocks of 16³ voxels it took.
+    """
 
     mesh: Mesh
     voxel: float
     num_views: int
+    finest_voxel: float
+    num_blocks: int
+
+    @property
+    def most_covered(self) -> float:
+        """Most that the mesh can cover of its box on the map: the area of its triangles over that of the box, 1 at most."""
+        corners = self.mesh.vertices[self.mesh.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        box = np.ptp(self.mesh.vertices[:, :2], axis=0)
+        return float(min(1.0, np.linalg.norm(normals, axis=1).sum() / 2 / max(float(box.prod()), 1e-300)))
 
 
 def extract_surface(
@@ -53,12 +67,14 @@ def extract_surface(
     *,
     resolution: float | None = None,
     long_side_px: int = 640,
+    memory_bytes: int | None = None,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> Surface:
-    """The surface that C cameras see of a model; `resolution` by default two pixels on the ground at the usual depth.
+    """The surface that C cameras see of a model; `resolution` by default two pixels on the ground at the usual depth, or what is
+    possible in `memory_bytes`.
 
-    Raises BadInput without cameras, for a resolution that is no positive number or finer than 2,000 voxels across the reach, and where no
-    camera sees the model. `report` gets views done and their total.
+    Raises BadInput without cameras, for a resolution that is no positive number, finer than 2,000 voxels across the reach or more than
+    fits, and where no camera sees the model. `report` gets views done, rendered and then fused, and their total.
     """
     if not len(cameras):
         raise BadInput("there is no camera to look at the model from: give those of its scene.")
@@ -71,24 +87,45 @@ def extract_surface(
     # Open3D and the rasterizer keep float32: near the middle of the cameras steps are below a micrometre.
     middle = np.round(centers.mean(axis=0))
     local, moved = _moved(sharpened(splats), small, middle)
-    low, high = centers.min(axis=0) - middle - reach, centers.max(axis=0) - middle + reach
+    low, high = (centers.min(axis=0) - middle - reach)[:2], (centers.max(axis=0) - middle + reach)[:2]
     seen = 0
 
     def views() -> Iterator[DepthView]:
         nonlocal seen
         for index, view in enumerate(render_views(local, moved)):
-            depth = trusted_depth(view, MAX_DEPTH * reach)
+            depth = depth_in_box(trusted_depth(view, MAX_DEPTH * reach), moved.select([index]), low - voxel, high + voxel)
             if depth.any():
                 seen += 1
                 yield DepthView(image=view.image_bytes, depth=depth, K=moved.Ks[index], cam_from_world=moved.cam_from_world[index])
-            report(index + 1, len(moved))
+            report(index + 1, 2 * len(moved))
 
-    mesh = _cropped(fused_mesh(views(), voxel, MAX_DEPTH * reach), low[:2], high[:2])
+    settings = FusionSettings(
+        voxel=voxel,
+        is_fixed=resolution is not None,
+        max_depth=MAX_DEPTH * reach,
+        max_blocks=MAX_BLOCKS if memory_bytes is None else blocks_within(memory_bytes),
+    )
+    fusion = fuse_apart(views(), settings, lambda done, total: report(len(moved) + len(moved) * done // total, 2 * len(moved)))
+    mesh = _cropped(fusion.mesh, low, high)
     if not len(mesh.triangles):
         raise BadInput(
-            f"none of {len(cameras)} cameras sees a surface of {voxel:.3g}: choose a coarser resolution, or a model that is trained."
+            f"none of {len(cameras)} cameras sees a surface of {fusion.voxel:.3g}: choose a coarser resolution, or a model that is trained."
         )
-    return Surface(mesh=replace(mesh, vertices=mesh.vertices + middle), voxel=voxel, num_views=seen)
+    shifted = replace(mesh, vertices=mesh.vertices + middle)
+    return Surface(mesh=shifted, voxel=fusion.voxel, num_views=seen, finest_voxel=voxel, num_blocks=fusion.num_blocks)
+
+
+def depth_in_box(depth: NDArray[np.float32], camera: Cameras, low: FloatArray, high: FloatArray) -> NDArray[np.float32]:
+    """Depth (H,W) of one camera, 0 where its pixel lies outside a box on the map: what would be cut off the mesh takes no memory then."""
+    height, width = depth.shape
+    K, pose = camera.Ks[0], camera.cam_from_world[0]
+    x, y = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0], (np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]
+    inside = np.ones((height, width), bool)
+    for axis in (0, 1):
+        along = pose[0, axis] * x + (pose[1, axis] * y)[:, None] + pose[2, axis]
+        place = depth * along + camera.centers[0, axis]
+        inside &= (place >= low[axis]) & (place <= high[axis])
+    return np.where(inside, depth, 0).astype(np.float32)
 
 
 def sharpened(splats: Splats) -> Splats:
@@ -128,17 +165,19 @@ def surface_grid(surface: Surface, frame: Frame, cell: float | None = None) -> H
     north_west = np.array([first[0], last[1]]) * cell
     heights = np.full((rows, columns), np.nan)
     level = float(np.median(mesh.vertices[:, 2]))
-    # One caster for all rows would hold 6 numbers per cell: strips bound the memory.
     middle = np.append(mesh.vertices[:, :2].mean(axis=0), 0.0)
     near = replace(mesh, vertices=mesh.vertices - middle)
-    x, y = np.meshgrid(north_west[0] + (np.arange(columns) + 0.5) * cell, north_west[1] - (np.arange(rows) + 0.5) * cell)
-    places = np.column_stack([x.ravel(), y.ravel()])
-    local = _local_places(places, epsg, frame, level)
-    found = heights_from_above(near, local - middle[:2])
-    if epsg is not None:
-        known = np.isfinite(found)
-        found[known] = geodetic_from_enu(np.column_stack([local[known], found[known]]), frame.origin_lat_lon_alt)[:, 2]
-    heights[:] = found.reshape(rows, columns)
+    east = north_west[0] + (np.arange(columns) + 0.5) * cell
+    # Strips bound the memory: each place takes some 100 bytes on its way.
+    strip = max(1, CELLS_AT_ONCE // columns)
+    for first_row in range(0, rows, strip):
+        x, y = np.meshgrid(east, north_west[1] - (np.arange(first_row, min(first_row + strip, rows)) + 0.5) * cell)
+        local = _local_places(np.column_stack([x.ravel(), y.ravel()]), epsg, frame, level)
+        found = heights_from_above(near, local - middle[:2])
+        if epsg is not None:
+            known = np.isfinite(found)
+            found[known] = geodetic_from_enu(np.column_stack([local[known], found[known]]), frame.origin_lat_lon_alt)[:, 2]
+        heights[first_row : first_row + strip] = found.reshape(-1, columns)
     return HeightGrid(heights=heights, north_west=north_west, cell=cell, epsg=epsg)
 
 

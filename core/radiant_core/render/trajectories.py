@@ -79,6 +79,24 @@ def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: in
     return looking_at(center + radius * offsets, np.tile(center, (len(turn), 1)), lens)
 
 
+def middle_box(points: ArrayLike) -> FloatArray:
+    """Lower and upper corner (2,3) of where most of points (N,3) lie: median ± twice the median distance from it, axis by axis.
+
+    Of points spread evenly that is all of them; a third of them far away, as sky and haze are, moves it little. BadInput without points.
+    """
+    points = checked_array("points", points, (None, 3))
+    if not len(points):
+        raise BadInput("there is no point to look at: give a model that holds some.")
+    middle = np.median(points, axis=0)
+    reach = 2 * np.median(np.abs(points - middle), axis=0)
+    return np.stack([middle - reach, middle + reach])
+
+
+def box_corners(box: FloatArray) -> FloatArray:
+    """The eight corners (8,3) of a box given by its lower and upper one (2,3)."""
+    return np.array([[box[x, 0], box[y, 1], box[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+
+
 def along_border(ends: ArrayLike, ground: float, height: float, num_frames: int, lens: Lens) -> Cameras:
     """Along the line between `ends` (2,2), `height` above the ground, looking ahead and 45° down onto it."""
     ends = checked_array("ends", ends, (2, 2))

@@ -1,0 +1,129 @@
+"""Folders that hold no plan: of `radiant train`, one machine's model, and of `radiant sfm`, cameras and points alone. Read once per view.
+
+    training    manifest.json with the settings of a training; scene.ply once it is trained; cameras in sfm/ or in the source it names
+    scene       scene.safetensors and result.json
+Everything that asks for a plan gets one of a single region without land: nothing of it is drawn or written.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.records import load_scene
+from radiant_core.io.run_store import read_json
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.render.trajectories import middle_box
+from radiant_core.scene import SfmScene
+
+FolderKind = Literal["run", "training", "scene"]
+SCENE_NAMES = ("sfm/scene.safetensors", "scene.safetensors")
+"""Where a run or a training, and where `radiant sfm` keeps it."""
+EVERYTHING, ONE_MACHINE = "everything", "one machine"
+
+
+def kind_of(folder: Path) -> FolderKind:
+    """What a folder is; "run" where nothing says otherwise."""
+    if not (folder / "manifest.json").is_file():
+        return "scene" if (folder / "scene.safetensors").is_file() and (folder / "result.json").is_file() else "run"
+    return "training" if "validate" in _settings(folder) else "run"
+
+
+def finish_command(folder: Path) -> str:
+    """How what is missing in a folder is made, for the end of a sentence."""
+    kind = kind_of(folder)
+    if kind == "training":
+        return f"finish it with 'radiant train … --out {folder} --resume'"
+    if kind == "scene":
+        return f"train a model of it with 'radiant train {folder} --out MODEL' and give that folder"
+    return f"finish it with 'radiant run … --out {folder} --resume'"
+
+
+def unplanned_scene(folder: Path) -> SfmScene:
+    """The cameras and points of a training or a scene; BadInput with what to do where they are not there."""
+    places = [folder / name for name in SCENE_NAMES]
+    source = _settings(folder).get("source") if kind_of(folder) == "training" else None
+    if isinstance(source, str):
+        places += [Path(source) / name for name in SCENE_NAMES]
+    for place in places:
+        if place.is_file():
+            return load_scene(place)
+    if (folder / "scene.ply").is_file():
+        raise BadInput(
+            f"the cameras of {folder} are those of {source}, which holds no scene any more: put it back, or look at the model alone, "
+            f"{folder / 'scene.ply'}."
+        )
+    raise BadInput(f"{folder} has no cameras yet: structure from motion is not finished, {finish_command(folder)}.")
+
+
+def unplanned_photographs(folder: Path) -> Path | None:
+    """The folder of undistorted photographs of a training or a scene; None where nothing says which it is."""
+    source = _settings(folder).get("source")
+    for owner in [folder / "sfm", folder, *([Path(source) / "sfm", Path(source)] if isinstance(source, str) else [])]:
+        try:
+            images = read_json(owner / "result.json", ("images",))["images"] if (owner / "result.json").is_file() else None
+        except StoreDamaged:
+            continue
+        if isinstance(images, str):
+            return owner / images
+    return None
+
+
+def has_unplanned_scene(folder: Path) -> bool:
+    """Whether `unplanned_scene` finds one."""
+    try:
+        unplanned_scene(folder)
+    except BadInput:
+        return False
+    return True
+
+
+def seen_box(scene: SfmScene) -> FloatArray:
+    """Lower and upper corner (2,3) of the land below the cameras and of where most of the points lie."""
+    box = middle_box(scene.points if len(scene.points) else scene.cameras.centers)
+    places = scene.cameras.centers[:, :2]
+    box[0, :2], box[1, :2] = np.minimum(box[0, :2], places.min(axis=0)), np.maximum(box[1, :2], places.max(axis=0))
+    return box
+
+
+def plan_of_everything(scene: SfmScene, num_trained: int) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """One region without land that has the first to last of so many cameras, and one machine in it."""
+    nobody = np.zeros(num_trained, np.int64)
+    centers = scene.cameras.centers[:, :2]
+    cloud = CloudPlan(
+        method="captured",
+        edge_ids=(EVERYTHING,),
+        sites=centers.mean(axis=0, keepdims=True) if len(centers) else np.zeros((1, 2)),
+        weights=np.zeros(1),
+        borders=(np.zeros((0, 2)),),
+        edge_of_camera=nobody,
+        edge_time_s=np.zeros(1),
+        lower_bound_s=0.0,
+        status="stopped",
+        certified=False,
+    )
+    edge = EdgePlan(
+        edge_id=EVERYTHING,
+        device_ids=(ONE_MACHINE,),
+        camera_indices=np.arange(num_trained),
+        device_of_camera=nobody,
+        strips=(np.zeros((0, 2)),),
+        device_time_s=np.zeros(1),
+    )
+    return cloud, (edge,)
+
+
+def _settings(folder: Path) -> dict[str, Any]:
+    """What the manifest says was asked for; nothing where it cannot be read, which others tell who need it."""
+    if not (folder / "manifest.json").is_file():
+        return {}
+    try:
+        record = read_json(folder / "manifest.json")
+    except StoreDamaged:
+        return {}
+    config = record.get("config") if isinstance(record, dict) else None
+    return config if isinstance(config, dict) else {}
