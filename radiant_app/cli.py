@@ -17,7 +17,7 @@ from radiant_app.cli_output import export, render
 from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
 from radiant_app.cli_replan import replan_plan
-from radiant_app.option_types import LongSide, RasterCellOption, SizeOption
+from radiant_app.option_types import DistanceOption, HeightOption, LongSide, RasterCellOption, SizeOption, UpOption
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, RadiantError
@@ -94,6 +94,9 @@ def run(
     frames: Annotated[Frames, typer.Option(help="shared: photographs are pooled; gps, known: each device places its own.")] = "shared",
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
     masks: MaskFolder = None,
+    up: UpOption = None,
+    distance: DistanceOption = None,
+    height: HeightOption = None,
     plan: PlanFile = None,
     raster_cell_m: RasterCellOption = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
@@ -130,7 +133,16 @@ def run(
 
     given = {"train_preset": train_preset, "aggregate_preset": aggregate_preset, "plan_method": plan_method, "matching": matching}
     chosen = run_preset(preset, **given, upload=upload, executor=executor, address=address, deadline_factor=deadline)
-    held: dict[str, Any] = {"poses": poses, "masks": masks, "plan": plan, "single_owner": single_owner, "raster_cell_m": raster_cell_m}
+    held: dict[str, Any] = {
+        "poses": poses,
+        "masks": masks,
+        "plan": plan,
+        "single_owner": single_owner,
+        "raster_cell_m": raster_cell_m,
+        "up": up,
+        "distance": distance,
+        "height_m": height,
+    }
     config = RunConfig(
         source=source,
         out=out,
@@ -167,12 +179,17 @@ def sfm(
     out: Out,
     matching: Annotated[Matching, typer.Option(help=_MATCHING_HELP)] = "auto",
     masks: MaskFolder = None,
+    up: UpOption = None,
+    distance: DistanceOption = None,
+    height: HeightOption = None,
     as_json: AsJson = False,
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
+    from radiant_app.sources import sfm_task
 
-    finish(commands.sfm(source, out, matching, _listener(), masks), as_json)
+    task = sfm_task(source, {"matching": matching}, masks, {"up": up or "auto", "distance": distance, "height_m": height})
+    finish(commands.sfm(task, out, _listener()), as_json)
 
 
 app.command()(plan)
@@ -205,6 +222,9 @@ def train(
     ] = None,
     long_side_px: LongSide = None,
     masks: MaskFolder = None,
+    up: UpOption = None,
+    distance: DistanceOption = None,
+    height: HeightOption = None,
     settings: Settings = None,
     seed: Seed = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out from its last checkpoint.")] = False,
@@ -224,6 +244,9 @@ def train(
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=gaussians, settings=settings_of(settings or ())),
         time_s=None if time is None else seconds_of(time),
         masks=masks,
+        up=up,
+        distance=distance,
+        height_m=height,
         memory_bytes=None if memory is None else bytes_of(memory),
         validate=validate,
         seed=seed,

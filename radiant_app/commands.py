@@ -25,11 +25,10 @@ from radiant_core.io.upload import load_upload
 from radiant_core.scene import SfmScene
 
 
-def sfm(source: Path, out: Path, matching: Any, display: ProgressDisplay, masks: Path | None = None) -> dict[str, Any]:
-    """Structure from motion of `source` into the new folder `out`."""
+def sfm(task: dict[str, Any], out: Path, display: ProgressDisplay) -> dict[str, Any]:
+    """Structure from motion of a `sources.sfm_task` into the new folder `out`."""
     from radiant_app.sources import reconstruct_source
 
-    task = {"source": str(source), "sfm": {"matching": matching}, "masks": None if masks is None else str(masks)}
     with new_folder(out), stage_bar(display, "sfm") as report:
         result = reconstruct_source(task, out, lambda progress: report(progress.done, progress.total, progress.phase))
     save_scene(out / "scene.safetensors", result.scene)

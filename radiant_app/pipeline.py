@@ -30,7 +30,7 @@ from radiant_app.prediction_error import prediction_of
 from radiant_app.promises import promises_of
 from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.run_folder import Manifest, opened_run
-from radiant_app.sources import detect_source, source_files
+from radiant_app.sources import detect_source, sfm_task, source_files
 from radiant_app.stages import Progress, counting_down, executor_of, plan_stage, require_plan, training_settings, with_uploads
 from radiant_app.system_file import even_system, load_system
 from radiant_core import __version__
@@ -168,16 +168,18 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
     sfm: dict[str, Any] = {"matching": config.matching, "seed": config.seed}
     if memory_bytes is not None:
         sfm["memory_bytes"] = memory_bytes
-    masks = None if config.masks is None else config.masks.resolve()
-    write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks)})
-    masked = [] if masks is None else [source_files(masks, config.out)]
-    key = content_key(__version__, sfm, source_files(config.source, config.out), *masked)
+    task = sfm_task(config.source, sfm, config.masks, config.placement)
+    write_json(folder / "task.json", task)
+    masked = [] if config.masks is None else [source_files(config.masks.resolve(), config.out)]
+    key = content_key(
+        __version__, sfm, source_files(config.source, config.out), *masked, *([task["placement"]] if task["placement"] else [])
+    )
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
     scene = load_scene(folder / "scene.safetensors")
     if len(scene.cameras) < 3:
         raise BadInput(f"only {len(scene.cameras)} photographs could be placed, expected at least 3: take more that overlap.")
     if scene.frame.kind == "unscaled":
-        message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
+        message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres: --distance or --height give a scale."
         progress.listen(Warned(stage="sfm", message=message))
     return scene, folder / read_json(folder / "result.json", ("images",))["images"]
 

@@ -57,7 +57,7 @@ def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_ex
     findings = []
     for rank, index in enumerate(order.tolist()):
         border = borders[index]
-        examined = rank < num_examined and scene.frame.kind == "metric" and border.length_m <= MAX_EXAMINED_M
+        examined = rank < num_examined and scene.frame.unit == "m" and border.length_m <= MAX_EXAMINED_M
         quantities = border_steps(splats, border.ends).found if examined else ()
         findings.append(SeamFinding(border=border, step_levels=float(steps[index]), quantities=quantities))
     return findings
