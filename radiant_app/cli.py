@@ -132,26 +132,15 @@ def run(
     from radiant_core.train.needs import Overrides
 
     given = {"train_preset": train_preset, "aggregate_preset": aggregate_preset, "plan_method": plan_method, "matching": matching}
-    chosen = run_preset(preset, **given, upload=upload, executor=executor, address=address, deadline_factor=deadline)
-    held: dict[str, Any] = {
-        "poses": poses,
-        "masks": masks,
-        "plan": plan,
-        "single_owner": single_owner,
-        "raster_cell_m": raster_cell_m,
-        "up": up,
-        "distance": distance,
-        "height_m": height,
-    }
+    chosen = run_preset(preset, **given, upload=upload, executor=executor, address=address, deadline_factor=deadline, teachers=teachers)
+    placed: dict[str, Any] = {"frames": frames, "poses": poses, "up": up, "distance": distance, "height_m": height}
+    held: dict[str, Any] = {"masks": masks, "plan": plan, "single_owner": single_owner, "raster_cell_m": raster_cell_m}
     config = RunConfig(
         source=source,
         out=out,
         system=emulate or system,
         emulated=emulate is not None,
-        **chosen,
-        frames=frames,
-        **held,
-        teachers=teachers,
+        **{**chosen, **held, **placed},
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats, settings=settings_of(settings or ())),
         lpips_weights=lpips_weights,
         lpips_network=lpips_net,
@@ -186,10 +175,9 @@ def sfm(
 ) -> None:
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
-    from radiant_app.sources import sfm_task
 
-    task = sfm_task(source, {"matching": matching}, masks, {"up": up or "auto", "distance": distance, "height_m": height})
-    finish(commands.sfm(task, out, _listener()), as_json)
+    placement = {"up": up or "auto", "distance": distance, "height_m": height}
+    finish(commands.sfm(source, out, matching, _listener(), masks, placement), as_json)
 
 
 app.command()(plan)

@@ -25,10 +25,18 @@ from radiant_core.io.upload import load_upload
 from radiant_core.scene import SfmScene
 
 
-def sfm(task: dict[str, Any], out: Path, display: ProgressDisplay) -> dict[str, Any]:
-    """Structure from motion of a `sources.sfm_task` into the new folder `out`."""
-    from radiant_app.sources import reconstruct_source
+def sfm(
+    source: Path,
+    out: Path,
+    matching: Any,
+    display: ProgressDisplay,
+    masks: Path | None = None,
+    placement: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Structure from motion of `source` into the new folder `out`; `placement` has fields of `radiant_core.sfm.placement.Placement`."""
+    from radiant_app.sources import reconstruct_source, sfm_task
 
+    task = sfm_task(source, {"matching": matching}, masks, placement or {})
     with new_folder(out), stage_bar(display, "sfm") as report:
         result = reconstruct_source(task, out, lambda progress: report(progress.done, progress.total, progress.phase))
     save_scene(out / "scene.safetensors", result.scene)

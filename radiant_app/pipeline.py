@@ -179,7 +179,7 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
     if len(scene.cameras) < 3:
         raise BadInput(f"only {len(scene.cameras)} photographs could be placed, expected at least 3: take more that overlap.")
     if scene.frame.kind == "unscaled":
-        message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres: --distance or --height give a scale."
+        message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
         progress.listen(Warned(stage="sfm", message=message))
     return scene, folder / read_json(folder / "result.json", ("images",))["images"]
 

@@ -196,7 +196,7 @@ def _up_decision(up: UpEstimate, forced: bool) -> Decision:
     return Decision(
         stage="sfm",
         topic="up",
-        choice=f"up from the {up.source}",
+        choice=f"up from the {up.source}" + ("" if forced else f", known to {up.uncertainty_deg:.1f}°"),
         figure=up.uncertainty_deg,
         unit="deg standard deviation",
         reason="asked for by --up" if forced else f"left out: {against}" if against else "nothing in the scene contradicts",

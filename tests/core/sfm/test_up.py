@@ -128,7 +128,15 @@ def with_strays(rng: np.random.Generator) -> Made:
     return nadir(rng, points)
 
 
+def city(rng: np.random.Generator, heading: float) -> Made:
+    """Straight down on facades, whose points are more than those of the streets."""
+    walls = [box(rng, (x, -80, 0), (x, 80, 35), 400) for x in (-40, 0, 40)]
+    return nadir(rng, np.vstack([*walls, box(rng, (-80, -80, 0), (80, 80, 0), 250)]), heading=heading)
+
+
 MADE = {
+    "nadir over facades": lambda rng: city(rng, 30),
+    "nadir, facades square to the pictures": lambda rng: city(rng, 90),
     "nadir": nadir,
     "nadir, one heading": lambda rng: nadir(rng, heading=30),
     "nadir, tilted mount": lambda rng: nadir(rng, pitch_deg=84),
@@ -151,7 +159,7 @@ MADE = {
     "points in a line": lambda rng: nadir(rng, np.outer(rng.uniform(-50, 50, 200), (1, 0.3, 0.2))),
     "points in one place": lambda rng: nadir(rng, np.ones((200, 3))),
 }
-IN_DOUBT = {"nadir in one line, sideways"}
+IN_DOUBT = {"nadir in one line, sideways", "nadir, facades square to the pictures"}
 
 
 def turned(made: Made, rotation: FloatArray, scale: float = 0.07) -> Made:
