@@ -180,16 +180,16 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
 
 
 def _loaded_scene(request: TrainRequest) -> tuple[SfmScene, _Photos]:
+    if (request.up, request.distance, request.height_m) != (None, None, None):
+        raise BadInput(
+            f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
+            "it is made, or train from the photographs."
+        )
     scene = load_scene_of(request.source)
     if request.masks is not None:
         raise BadInput(
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
             "`radiant run` when it is made, or train from the photographs."
-        )
-    if (request.up, request.distance, request.height_m) != (None, None, None):
-        raise BadInput(
-            f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
-            "it is made, or train from the photographs."
         )
     return scene, (images_of_scene(request.source), masks_of_scene(request.source))
 
