@@ -19,7 +19,7 @@ from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
 from radiant_app.cli_replan import replan_plan
 from radiant_app.memory import OUT_OF_MEMORY, is_out_of_memory
-from radiant_app.option_types import LongSide, RasterCellOption, SizeOption
+from radiant_app.option_types import DistanceOption, HeightOption, LongSide, RasterCellOption, SizeOption, UpOption
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.streams import make_streams_last
 from radiant_app.tables import finish, print_figures, print_summary
@@ -100,6 +100,9 @@ def run(
     frames: Annotated[Frames, typer.Option(help="shared: photographs are pooled; gps, known: each device places its own.")] = "shared",
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
     masks: MaskFolder = None,
+    up: UpOption = None,
+    distance: DistanceOption = None,
+    height: HeightOption = None,
     plan: PlanFile = None,
     raster_cell_m: RasterCellOption = None,
     single_owner: Annotated[bool, typer.Option("--single-owner", help="Collect the devices' comparison pictures in the run.")] = False,
@@ -135,17 +138,15 @@ def run(
     from radiant_core.train.needs import Overrides
 
     given = {"train_preset": train_preset, "aggregate_preset": aggregate_preset, "plan_method": plan_method, "matching": matching}
-    chosen = run_preset(preset, **given, upload=upload, executor=executor, address=address, deadline_factor=deadline)
-    held: dict[str, Any] = {"poses": poses, "masks": masks, "plan": plan, "single_owner": single_owner, "raster_cell_m": raster_cell_m}
+    chosen = run_preset(preset, **given, upload=upload, executor=executor, address=address, deadline_factor=deadline, teachers=teachers)
+    placed: dict[str, Any] = {"frames": frames, "poses": poses, "up": up, "distance": distance, "height_m": height}
+    held: dict[str, Any] = {"masks": masks, "plan": plan, "single_owner": single_owner, "raster_cell_m": raster_cell_m}
     config = RunConfig(
         source=source,
         out=out,
         system=emulate or system,
         emulated=emulate is not None,
-        **chosen,
-        frames=frames,
-        **held,
-        teachers=teachers,
+        **{**chosen, **held, **placed},
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats, settings=settings_of(settings or ())),
         lpips_weights=lpips_weights,
         lpips_network=lpips_net,
@@ -173,6 +174,9 @@ def sfm(
     out: Out,
     matching: Annotated[Matching, typer.Option(help=_MATCHING_HELP)] = "auto",
     masks: MaskFolder = None,
+    up: UpOption = None,
+    distance: DistanceOption = None,
+    height: HeightOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with what was interrupted in --out: features and matches are kept.")
     ] = False,
@@ -181,7 +185,8 @@ def sfm(
     """Structure from motion alone: cameras and sparse points, undistorted photographs."""
     from radiant_app import commands
 
-    result = commands.sfm(source, out, matching, _listener(), masks, resume=resume)
+    placement = {"up": up or "auto", "distance": distance, "height_m": height}
+    result = commands.sfm(source, out, matching, _listener(), masks, placement, resume=resume)
     finish(result if as_json else {**result, "unregistered": ", ".join(result["unregistered"]) or "none"}, as_json)
 
 
@@ -215,6 +220,9 @@ def train(
     ] = None,
     long_side_px: LongSide = None,
     masks: MaskFolder = None,
+    up: UpOption = None,
+    distance: DistanceOption = None,
+    height: HeightOption = None,
     settings: Settings = None,
     seed: Seed = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out from its last checkpoint.")] = False,
@@ -234,6 +242,9 @@ def train(
         overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=gaussians, settings=settings_of(settings or ())),
         time_s=None if time is None else seconds_of(time),
         masks=masks,
+        up=up,
+        distance=distance,
+        height_m=height,
         memory_bytes=None if memory is None else bytes_of(memory),
         validate=validate,
         seed=seed,

@@ -27,13 +27,23 @@ from radiant_core.io.upload import load_upload
 from radiant_core.scene import SfmScene
 
 
-def sfm(
-    source: Path, out: Path, matching: Any, display: ProgressDisplay, masks: Path | None = None, *, resume: bool = False
+def sfm(  # noqa: PLR0913
+    source: Path,
+    out: Path,
+    matching: Any,
+    display: ProgressDisplay,
+    masks: Path | None = None,
+    placement: dict[str, Any] | None = None,
+    *,
+    resume: bool = False,
 ) -> dict[str, Any]:
-    """Structure from motion of `source` into the new folder `out`, or with `resume` on with one that was interrupted there."""
-    from radiant_app.sources import reconstruct_source
+    """Structure from motion of `source` into the new folder `out`, or with `resume` on with one that was interrupted there.
 
-    task = {"source": str(source), "sfm": {"matching": matching}, "masks": None if masks is None else str(masks)}
+    `placement` has fields of `radiant_core.sfm.placement.Placement`.
+    """
+    from radiant_app.sources import reconstruct_source, sfm_task
+
+    task = sfm_task(source, {"matching": matching}, masks, placement or {})
     with sfm_folder(out, task, resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
         result = reconstruct_source(task, out, lambda progress: display(sfm_progress("sfm", progress)))
     save_scene(out / "scene.safetensors", result.scene)

@@ -68,6 +68,12 @@ class RunConfig:
     """For frames "known": a COLMAP model with the poses of the photographs; None where the source brings its own."""
     masks: Path | None = None
     """Folder of masks, see `radiant_core.io.masks`; None: photographs are used whole."""
+    up: str | None = None
+    """Which way is up, see `radiant_core.sfm.placement.Placement`; None: auto."""
+    distance: str | None = None
+    """How far apart two photographs were taken: PHOTO,PHOTO,METRES."""
+    height_m: float | None = None
+    """How high the cameras were over the ground that they see, median."""
     plan: Path | None = None
     """A plan made before capture: every photograph goes to the device that was to take it; None: plan from what was captured."""
     raster_cell_m: float | None = None
@@ -105,6 +111,11 @@ class RunConfig:
         return self.teachers == "early" and not (self.emulated or pools)
 
     @property
+    def placement(self) -> dict[str, Any]:
+        """The fields of `Placement`."""
+        return {"up": self.up or "auto", "distance": self.distance, "height_m": self.height_m}
+
+    @property
     def cell_m(self) -> float | None:
         """Side of the raster's cells, None where the cloud may plan from positions."""
         if self.raster_cell_m is None:
@@ -137,6 +148,9 @@ class RunConfig:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and self.masks is not None:
             raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
+        if self.frames != "shared" and (self.up, self.distance, self.height_m) != (None, None, None):
+            told = "--up, --distance and --height turn and scale one scene"
+            raise BadInput(f"{told}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
         for path in (self.source, self.out, self.poses, self.masks, self.plan, self.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")

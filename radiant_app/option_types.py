@@ -28,4 +28,24 @@ BenchScene = Annotated[
 ]
 BenchPlot = Annotated[Path | None, typer.Option(help="train, methods, fed3dgs: PNG of the curves; plan: folder of its figures, alone.")]
 SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height of a picture in px.")]
+UpOption = Annotated[
+    str | None,
+    typer.Option(
+        "--up",
+        show_default="auto",
+        help="auto: by GPS, else by what ground and cameras show. Or: ground (the plane through most points is level), level (photographs "
+        "were held level), down (they look straight down), a photograph's name (its top edge is up), or x,y,z in the frame of a COLMAP "
+        "project. Goes before GPS.",
+    ),
+]
+DistanceOption = Annotated[
+    str | None,
+    typer.Option(
+        "--distance", metavar="PHOTO,PHOTO,METRES", help="How far apart two photographs were taken: makes lengths metres. Goes before GPS."
+    ),
+]
+HeightOption = Annotated[
+    float | None,
+    typer.Option("--height", help="Metres of the cameras over the ground that they see, median: makes lengths metres. Goes before GPS."),
+]
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]

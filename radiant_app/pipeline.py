@@ -31,7 +31,7 @@ from radiant_app.promises import promises_of
 from radiant_app.rescue import Rescue, plan_key, replanned
 from radiant_app.run_folder import Manifest, opened_run
 from radiant_app.source_key import source_key
-from radiant_app.sources import detect_source
+from radiant_app.sources import detect_source, sfm_task
 from radiant_app.stages import (
     Progress,
     counted,
@@ -188,9 +188,10 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
     sfm: dict[str, Any] = {"matching": config.matching, "seed": config.seed}
     if memory_bytes is not None:
         sfm["memory_bytes"] = memory_bytes
-    masks = None if config.masks is None else config.masks.resolve()
-    write_json(folder / "task.json", {"source": str(config.source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks)})
-    key = source_key(config, sfm, folder, progress.listen)
+    task = sfm_task(config.source, sfm, config.masks, config.placement)
+    write_json(folder / "task.json", task)
+    settings = {**sfm, "placement": task["placement"]} if task["placement"] else sfm
+    key = source_key(config, settings, folder, progress.listen)
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
     scene = load_scene(folder / "scene.safetensors")
     if len(scene.cameras) < 3:

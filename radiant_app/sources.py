@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -39,18 +40,31 @@ def all_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
+def sfm_task(source: Path, sfm: dict[str, Any], masks: Path | None, placement: dict[str, Any]) -> dict[str, Any]:
+    """What structure from motion is told: the source, fields of `SfmConfig`, a folder of masks, fields of `Placement` that differ from its
+    own. Raises BadInput for a placement that makes no sense."""
+    from radiant_core.sfm.placement import Placement
+
+    chosen, usual = asdict(Placement(**placement)), asdict(Placement())
+    told = {name: value for name, value in chosen.items() if value != usual[name]}
+    return {"source": str(source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks.resolve()), "placement": told}
+
+
 def reconstruct_source(task: dict[str, Any], folder: Path, report: Callable[[Any], None]) -> Any:
     """The `SfmResult` of the source that a task names, made in `folder`."""
-    from radiant_core.sfm.reconstruct import SfmConfig, reconstruct, scene_from_colmap, scene_from_mill19
+    from radiant_core.sfm.reconstruct import Placement, SfmConfig, reconstruct, scene_from_colmap, scene_from_mill19
 
     kind, images, model = detect_source(Path(task["source"]))
     masks = None if task.get("masks") is None else Path(task["masks"])
+    placement = Placement(**task.get("placement", {}))
     if kind == "colmap":
         assert model is not None
-        return scene_from_colmap(model, images, folder, report, masks)
+        return scene_from_colmap(model, images, folder, report, masks, placement)
     if kind == "mill19":
+        if placement != Placement():
+            raise BadInput(f"{images} brings its own frame, which is used as it is: leave out --up, --distance and --height.")
         return scene_from_mill19(images, folder, report, masks=masks)
-    return reconstruct(images, folder, SfmConfig(**task["sfm"]), report, masks)
+    return reconstruct(images, folder, SfmConfig(**task["sfm"]), report, masks, placement)
 
 
 DELIVERED = "delivered"

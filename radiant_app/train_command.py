@@ -70,6 +70,10 @@ class TrainRequest:
     """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
     masks: Path | None = None
     """Folder of masks of the photographs, see `radiant_core.io.masks`; not with a scene, which has its own."""
+    up: str | None = None
+    """Which way is up, as distance and height see `radiant_core.sfm.placement.Placement`; not with a scene, which has its frame."""
+    distance: str | None = None
+    height_m: float | None = None
     memory_bytes: int | None = None
     """What the process may hold; None: as much as the preset's Gaussians take."""
     validate: bool | None = None
@@ -163,12 +167,25 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
     if has_scene(request.source):
         return _loaded_scene(request, progress.listen)
     detect_source(request.source)
-    config = RunConfig(source=request.source, out=request.out, seed=request.seed, masks=request.masks)
+    config = RunConfig(
+        source=request.source,
+        out=request.out,
+        seed=request.seed,
+        masks=request.masks,
+        up=request.up,
+        distance=request.distance,
+        height_m=request.height_m,
+    )
     scene, images = sfm_stage(config, progress, request.memory_bytes)
     return scene, (images, masks_of_scene(request.out))
 
 
 def _loaded_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Photos]:
+    if (request.up, request.distance, request.height_m) != (None, None, None):
+        raise BadInput(
+            f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
+            "it is made, or train from the photographs."
+        )
     if request.masks is not None:
         raise BadInput(
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "

@@ -26,25 +26,26 @@ class Frame:
     """What the world coordinates mean.
 
     kind "metric": metres, x east, y north, z up from `origin_lat_lon_alt` (3,) degrees and metres, float64.
+    kind "scaled": metres by a known length and z up, without a place on the globe; the origin is zero.
     kind "unscaled": no GPS was found; z is up as estimated, one unit is arbitrary, the origin is zero.
     `residual_m`: median distance of the camera centres to GPS, None without GPS.
     """
 
-    kind: Literal["metric", "unscaled"]
+    kind: Literal["metric", "scaled", "unscaled"]
     origin_lat_lon_alt: FloatArray
     residual_m: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_lat_lon_alt", checked_array("origin_lat_lon_alt", self.origin_lat_lon_alt, (3,)))
-        if self.kind not in ("metric", "unscaled"):
-            raise BadInput(f"frame kind {self.kind!r} is unknown: use 'metric' or 'unscaled'.")
+        if self.kind not in ("metric", "scaled", "unscaled"):
+            raise BadInput(f"frame kind {self.kind!r} is unknown: use 'metric', 'scaled' or 'unscaled'.")
         if self.residual_m is not None and not (np.isfinite(self.residual_m) and self.residual_m >= 0):
             raise BadInput(f"the residual of a frame is {self.residual_m}, expected a distance or None without GPS.")
 
     @property
     def unit(self) -> str:
         """Metres ("m") or, where nothing fixes the scale, "units"."""
-        return "m" if self.kind == "metric" else "units"
+        return "units" if self.kind == "unscaled" else "m"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

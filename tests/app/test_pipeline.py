@@ -36,11 +36,13 @@ from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
+from radiant_core.io.colmap import read_model
 from radiant_core.io.geojson_region import load_region
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.io.upload import load_upload, save_upload
+from radiant_core.sfm.world import cameras_of
 from radiant_core.train.needs import Overrides
 from tests.app.alex_weights import write_alex_weights
 
@@ -315,6 +317,20 @@ def test_commands_on_a_finished_run(finished: tuple[RunConfig, RunResult, list[E
     assert trained.returncode == 0 and len(load_ply(tmp_path / "all.ply")) > 100, trained.stderr
     shot = radiant("inspect", config.out, "--screenshot", tmp_path / "shot.png", "--view", "cameras")
     assert shot.returncode == 0 and (tmp_path / "shot.png").stat().st_size > 1000, shot.stderr
+
+
+def test_after_resuming_the_colmap_models_of_a_run_are_in_the_frame_of_its_scene(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    config, _, _ = finished
+    run(config, lambda event: None, resume=True)
+    scene = load_scene(config.out / "sfm" / "scene.safetensors")
+    exported = radiant("export", config.out, tmp_path / "colmap", "--format", "colmap")
+    assert exported.returncode == 0, exported.stderr
+    for folder in (config.out / "sfm" / "undistorted" / "sparse", tmp_path / "colmap"):
+        cameras = cameras_of(read_model(folder)).named(scene.cameras.names)
+        # 1e-6 m: two ways through one similarity in float64, and the digits of COLMAP's text.
+        np.testing.assert_allclose(cameras.cam_from_world, scene.cameras.cam_from_world, atol=1e-6)
 
 
 def test_a_run_is_extended_by_another_and_by_a_region_of_the_plan(

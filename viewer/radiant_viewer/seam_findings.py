@@ -40,7 +40,7 @@ def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_ex
     the scene has metres. BadInput when the plan has one region only."""
     findings = []
     for rank, figures in enumerate(border_figures(scene, cloud_plan, splats)):
-        can_be_examined = figures.has_verdict and scene.frame.kind == "metric" and figures.border.length_m <= MAX_EXAMINED_M
+        can_be_examined = figures.has_verdict and scene.frame.unit == "m" and figures.border.length_m <= MAX_EXAMINED_M
         examined = rank < num_examined and can_be_examined
         quantities = border_steps(splats, figures.observed_ends).found if examined else ()
         findings.append(SeamFinding(figures=figures, quantities=quantities))

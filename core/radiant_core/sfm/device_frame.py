@@ -21,7 +21,8 @@ from radiant_core.frames import MAX_REACH_M, Frame, FrameUncertainty, Sim3, enu_
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.align import Alignment, robust_sim3
-from radiant_core.sfm.orient import UpEstimate, estimate_up, level_fit, roll_deg
+from radiant_core.sfm.orient import level_fit
+from radiant_core.sfm.up import UpEstimate, estimate_up, roll_deg
 from radiant_core.sfm.world import MAX_GPS_ROLL_DEG
 
 MIN_POSITIONS = 4
@@ -32,8 +33,6 @@ MAX_ROTATION_UNCERTAINTY_RAD = np.radians(15.0)
 """Beyond these the models of neighbours cannot be found in each other's renders; `frame_refinement` asks more of a model without any."""
 MIN_UP_UNCERTAINTY_RAD = np.radians(1.0)
 """Ground and photographs are level to no better than this."""
-PLANE_UP_UNCERTAINTY_RAD = np.radians(3.0)
-"""The ground of a site taken for level: a slope of 5 %."""
 ROBUST_PRICE = 1.09
 SIGMA_FROM_MEDIAN_3D = 1 / 1.538
 """As `align.SIGMA_FROM_MEDIAN`: the median length of three normal errors of σ = 1 is 1.538."""
@@ -120,14 +119,12 @@ def _with_up(
     if fit.status != "collinear" and gps_roll <= 2 * up.roll_deg:
         return fit.target_from_source, "GPS", None
     level = level_fit(centers[fit.inliers], positions_m[fit.inliers], up.up)
-    return None if level is None else (level, up.source, _up_uncertainty_rad(up, scene.cameras))
+    return None if level is None else (level, up.source, _up_uncertainty_rad(up))
 
 
-def _up_uncertainty_rad(up: UpEstimate, cameras: Cameras) -> float:
-    """Standard deviation of an estimated up: of level cameras their roll over √C, of a ground plane a usual slope."""
-    if up.source == "ground plane":
-        return PLANE_UP_UNCERTAINTY_RAD
-    return max(MIN_UP_UNCERTAINTY_RAD, float(np.radians(up.roll_deg)) / np.sqrt(max(1, len(cameras) - 2)))
+def _up_uncertainty_rad(up: UpEstimate) -> float:
+    """Standard deviation of an estimated up; beyond all use where it is in doubt."""
+    return max(MIN_UP_UNCERTAINTY_RAD, float(np.radians(90.0 if up.doubt else up.uncertainty_deg)))
 
 
 def _sigma_m(fit: Sim3, centers: FloatArray, positions_m: FloatArray, inliers: NDArray[np.bool_]) -> float:

@@ -18,7 +18,7 @@ from radiant_core.io.colmap import ColmapModel, checked_model, read_model, write
 from radiant_core.io.mill19 import read_mill19
 from radiant_core.io.records import save_cameras
 from radiant_core.sfm.known_poses import NO_POINTS
-from radiant_core.sfm.orient import roll_deg
+from radiant_core.sfm.up import roll_deg
 
 NO_POINTS_2D, NO_IDS = np.zeros((0, 2)), np.zeros(0, np.int64)
 MAX_ROLL_DEG = 30.0

@@ -1,15 +1,6 @@
-"""Which way is up in a scene, and the world frame that follows: metric from GPS, or unscaled.
-
-Runs once per scene. Up without GPS: photographs are taken level, so their x axes lie in the horizontal plane and
-    up = argmin_u Σᵢ (xᵢ · u)²,
-which is open when all x axes are parallel (a nadir grid). Then, and wherever it agrees with the cameras, the plane through
-most sparse points decides: a photographed site has one dominant ground.
-"""
+"""The world frame that follows from where up is (`up.py`): metric by positions that keep it, or unscaled. Once per scene."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,41 +12,7 @@ from radiant_core.numerics import FloatArray
 
 MEDIAN_DEPTH_UNITS = 10.0
 """Median distance from a camera to the points it sees, in a frame without GPS."""
-MAX_ROLL = np.sin(np.radians(20.0))
-NUM_PLANE_TRIALS = 300
 NUM_REFITS = 30
-MAX_PLANE_POINTS = 5000
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class UpEstimate:
-    """Unit vector up (3,) and what it was taken from; roll_deg is the RMS angle of the cameras' x axes to the horizontal."""
-
-    up: FloatArray
-    source: Literal["ground plane", "level cameras"]
-    roll_deg: float
-
-
-def estimate_up(cameras: Cameras, points: FloatArray, seed: int = 0) -> UpEstimate:
-    """Up in the frame of C cameras and P points (P,3), from the ground plane if the cameras agree, else from the cameras."""
-    rotations = cameras.cam_from_world[:, :3, :3]
-    _, vectors = np.linalg.eigh(rotations[:, 0].T @ rotations[:, 0] / len(cameras))
-    level = vectors[:, 0]
-    plane = _dominant_plane(points, seed)
-    use_plane = plane is not None and _roll(rotations, plane) < max(MAX_ROLL, 1.5 * _roll(rotations, level))
-    up = plane if use_plane and plane is not None else level
-    # Photographs are upright (-y towards up) or look down (-z towards up): their sum tells up from down.
-    upward = float(-(rotations[:, 1] + rotations[:, 2]).mean(axis=0) @ up)
-    return UpEstimate(
-        up=up if upward >= 0 else -up,
-        source="ground plane" if use_plane else "level cameras",
-        roll_deg=roll_deg(cameras, up),
-    )
-
-
-def roll_deg(cameras: Cameras, up: FloatArray) -> float:
-    """RMS angle of the x axes of C cameras to the plane across `up`: how far they would be rolled if that were up."""
-    return float(np.degrees(np.arcsin(min(1.0, _roll(cameras.cam_from_world[:, :3, :3], up)))))
 
 
 def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDArray[np.int64], up: FloatArray) -> Sim3:
@@ -114,30 +71,3 @@ def level_rotation(up: FloatArray) -> FloatArray:
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
     return np.array([[1 - x * x / (1 + z), -x * y / (1 + z), -x], [-x * y / (1 + z), 1 - y * y / (1 + z), -y], [x, y, z]])
-
-
-def _roll(rotations: FloatArray, up: FloatArray) -> float:
-    return float(np.sqrt(np.mean((rotations[:, 0] @ up) ** 2)))
-
-
-def _dominant_plane(points: FloatArray, seed: int) -> FloatArray | None:
-    """Unit normal (3,) of the plane near most points (RANSAC, then least squares over its points); None under 20 points."""
-    if len(points) < 20:
-        return None
-    rng = np.random.default_rng(seed)
-    sample = points[rng.choice(len(points), min(len(points), MAX_PLANE_POINTS), replace=False)]
-    middle = np.median(sample, axis=0)
-    near = 0.05 * float(np.median(np.linalg.norm(sample - middle, axis=1)))
-    best, best_count = None, 2
-    for _ in range(NUM_PLANE_TRIALS):
-        a, b, c = sample[rng.choice(len(sample), 3, replace=False)]
-        normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal)
-        if length == 0:
-            continue
-        within = np.abs((sample - a) @ (normal / length)) < near
-        if within.sum() > best_count:
-            best, best_count = within, int(within.sum())
-    if best is None:
-        return None
-    return np.linalg.svd(sample[best] - sample[best].mean(axis=0), full_matrices=False)[2][2]

@@ -22,16 +22,18 @@ from radiant_core.sfm.mapping import MappingJob, map_photographs
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import undistorting_threads, within_memory
 from radiant_core.sfm.pairs import choose_pairs
+from radiant_core.sfm.placement import Placement
 from radiant_core.sfm.refine import refine
 from radiant_core.sfm.spaced_names import write_for_colmap
-from radiant_core.sfm.undistort import undistort
+from radiant_core.sfm.undistort import move_model, undistort
 from radiant_core.sfm.workspace import listed, listing_warnings, start_clean
-from radiant_core.sfm.world import scene_in_world
+from radiant_core.sfm.world import UNPLACED, scene_in_world
 
 __all__ = [
     "Mapper",
     "Matching",
     "Phase",
+    "Placement",
     "Report",
     "SfmConfig",
     "SfmProgress",
@@ -44,16 +46,20 @@ __all__ = [
 PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "undistorting")
 
 
-def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None) -> SfmResult:
+def reconstruct(
+    photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
+) -> SfmResult:
     """Cameras, points and undistorted photographs of the usable photographs in `photo_folder`.
 
-    `work_folder` gets undistorted/, sparse/ and, where a folder of `masks` is given, masks/; of what an interrupted attempt left there
-    features and matches of the same photographs, masks and settings are used, all else is removed first. Raises BadInput when fewer than
-    two photographs can be used or they do not overlap, or for masks that do not fit.
+    `work_folder` gets undistorted/ and sparse/, whose COLMAP models are in the scene's frame, and, where a folder of `masks` is given,
+    masks/; of what an interrupted attempt left there features and matches of the same photographs, masks and settings are used, all else
+    is removed first. Raises BadInput when fewer than two photographs can be used or they do not overlap, for masks that do not fit, or
+    for a `placement` that names other photographs.
     """
     report = numbered_steps(report, PHASES)
     listing = listed(photo_folder, report)
     photographs = listing.photographs
+    placement.check_names((photo.name for photo in photographs), of_model=False)
     config, limited = within_memory(config, [photo.size_wh for photo in photographs])
     with kept_database(work_folder, database_key(photographs, config, masks)) as database:
         given = take_masks(masks, photographs, work_folder)
@@ -77,41 +83,47 @@ def reconstruct(photo_folder: Path, work_folder: Path, config: SfmConfig, report
     threads = undistorting_threads(config, [photo.size_wh for photo in photographs])
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
-    scene, decisions, warnings = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed)
-    num_placed = len(scene.cameras)
-    scene, repeats = without_repeats(scene, undistorted.image_folder)
+    placed = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed, placement)
+    for folder in (work_folder / "sparse", undistorted.model_folder):
+        move_model(folder, placed.world_from_model)
+    scene, repeats = without_repeats(placed.scene, undistorted.image_folder)
     outliers = gps_outliers(scene, photographs)
     return SfmResult(
         scene=scene,
         undistorted_folder=undistorted.image_folder,
         unregistered=mapped.unregistered,
-        decisions=(*limited, matching, *mapped.decisions, *decisions, *masks_decision(scene, masks)),
+        decisions=(*limited, matching, *mapped.decisions, *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
             *listing_warnings(listing),
             *repeats,
             *_unregistered_warnings(mapped.unregistered, photographs),
             *outliers.warning(),
-            *warnings,
+            *placed.warnings,
         ),
         unnamed_warnings=(
             *listing_warnings(listing, named=False),
-            *copies_count(num_placed - len(scene.cameras), num_placed),
+            *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
             *outliers.warning(named=False),
-            *warnings,
+            *placed.warnings,
         ),
         masks_folder=masks,
     )
 
 
-def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path, report: Report, masks: Path | None = None) -> SfmResult:
+def scene_from_colmap(
+    model_folder: Path, image_folder: Path, work_folder: Path, report: Report, masks: Path | None = None, placement: Placement = UNPLACED
+) -> SfmResult:
     """The scene of an existing COLMAP model, binary or text, and its images.
 
-    Pinhole images are used where they are; others are undistorted into `work_folder`. The frame comes from the images' GPS
-    where they have it; images that cannot be decoded are skipped and named. Points that are seen only where `masks` are 0 are left out.
-    Raises BadInput when the model cannot be read, an image is missing or has another shape than its camera, or a mask does not fit.
+    Pinhole images are used where they are; others are undistorted into `work_folder`, with a model in the scene's frame. The frame comes
+    from the images' GPS where they have it; images that cannot be decoded are skipped and named. Points that are seen only where `masks`
+    are 0 are left out.
+    Raises BadInput when the model cannot be read, an image is missing or has another shape than its camera, a mask does not fit, or
+    `placement` names other images.
     """
     model = read_model(model_folder)
+    placement.check_names((image.name for image in model.images), of_model=True)
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
     report = numbered_steps(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
@@ -131,14 +143,16 @@ def scene_from_colmap(model_folder: Path, image_folder: Path, work_folder: Path,
         undistorted = undistort(model_folder, image_folder, work_folder, SfmConfig().threads, report)
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
-    scene, decisions, warnings = scene_in_world(model, listing.photographs, seed=0)
-    scene, repeats = without_repeats(scene, images_to_use)
+    placed = scene_in_world(model, listing.photographs, 0, placement)
+    if not pinhole:
+        move_model(work_folder / "undistorted" / "sparse", placed.world_from_model)
+    scene, repeats = without_repeats(placed.scene, images_to_use)
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,
         unregistered=(),
-        decisions=(*decisions, *masks_decision(scene, masks)),
-        warnings=(*listing_warnings(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *warnings),
+        decisions=(*placed.decisions, *masks_decision(scene, masks)),
+        warnings=(*listing_warnings(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
         masks_folder=masks,
     )
 

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from radiant_core.frames import Sim3
 from radiant_core.io.run_store import require_room
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
 from radiant_core.sfm.config import Report, SfmProgress
@@ -43,3 +44,10 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
     part.rename(final)
     report(SfmProgress(phase="undistorting", done=1, total=1))
     return Undistorted(model_folder=final / "sparse", image_folder=final / "images")
+
+
+def move_model(model_folder: Path, world_from_model: Sim3) -> None:
+    """Move the binary COLMAP model in `model_folder` by a similarity, so that it and the scene made of it are in one frame."""
+    model = pycolmap.Reconstruction(model_folder)
+    model.transform(pycolmap.Sim3d(world_from_model.scale, pycolmap.Rotation3d(world_from_model.rotation), world_from_model.translation))
+    model.write_binary(model_folder)

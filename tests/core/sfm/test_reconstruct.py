@@ -10,10 +10,12 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import read_model, write_model
 from radiant_core.io.photos import Photograph, list_photographs
+from radiant_core.scene import SfmScene
 from radiant_core.sfm.align import compare_centers
 from radiant_core.sfm.colmap_calls import pycolmap
 from radiant_core.sfm.mapping import MappingJob, without_strays
@@ -67,6 +69,34 @@ def test_the_hamlet_is_registered_near_its_truth(hamlet: Path, hamlet_result: tu
     assert result.scene.frame.residual_m is not None
     assert result.scene.frame.residual_m < 1.5
     assert cameras.centers[:, 2].min() > np.percentile(result.scene.points[:, 2], 95)
+
+
+@pytest.mark.parametrize("folder", ["undistorted/sparse", "sparse"])
+def test_the_colmap_models_left_behind_are_in_the_frame_of_the_scene(folder: str, hamlet_result: tuple) -> None:
+    result, _, work = hamlet_result
+    _assert_in_frame_of(result.scene, pycolmap.Reconstruction(work / folder))
+
+
+def test_an_undistorted_model_of_somebody_else_is_in_the_frame_of_the_scene(hamlet: Path, tmp_path: Path) -> None:
+    model = read_model(hamlet / "known")
+    write_model(tmp_path / "model", model)
+    f, _, cx, cy = model.cameras[min(model.cameras)].params
+    lens = "".join(f"{number} SIMPLE_RADIAL 320 240 {f} {cx} {cy} -0.05\n" for number in model.cameras)
+    (tmp_path / "model" / "cameras.txt").write_text(lens)
+    before = {path.name: path.read_bytes() for path in (tmp_path / "model").iterdir()}
+    result = scene_from_colmap(tmp_path / "model", hamlet / "images", tmp_path / "work", quiet)
+    _assert_in_frame_of(result.scene, pycolmap.Reconstruction(tmp_path / "work" / "undistorted" / "sparse"))
+    assert {path.name: path.read_bytes() for path in (tmp_path / "model").iterdir()} == before, "what was given stays"
+
+
+def _assert_in_frame_of(scene: SfmScene, model: pycolmap.Reconstruction) -> None:
+    centers = {image.name: image.projection_center() for image in model.images.values()}
+    assert set(centers) == set(scene.cameras.names)
+    # 1e-6 m: two ways through the same similarity in float64, over some hundred metres.
+    np.testing.assert_allclose(scene.cameras.centers, [centers[name] for name in scene.cameras.names], atol=1e-6)
+    points = np.array([point.xyz for point in model.points3D.values()])
+    assert len(points) == len(scene.points)
+    assert KDTree(points).query(scene.points)[0].max() < 1e-6
 
 
 def test_what_was_skipped_and_decided_is_said(hamlet_result: tuple) -> None:

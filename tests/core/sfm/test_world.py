@@ -9,10 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3, enu_from_geodetic
 from radiant_core.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from radiant_core.io.photos import CameraKey, Photograph
-from radiant_core.sfm.orient import MEDIAN_DEPTH_UNITS, estimate_up, level_fit, level_rotation
+from radiant_core.scene import SfmScene
+from radiant_core.sfm.orient import MEDIAN_DEPTH_UNITS, level_fit, level_rotation
+from radiant_core.sfm.placement import Placement
+from radiant_core.sfm.up import estimate_up
 from radiant_core.sfm.world import cameras_of, scene_in_world
 
 ORIGIN = np.array([46.8, -91.9, 200.0])
@@ -99,6 +103,13 @@ def in_any_frame(cameras: Cameras, points: np.ndarray, rng: np.random.Generator)
     return model_of(turned, move.apply(points))
 
 
+def in_world(
+    model: ColmapModel, photos: tuple[Photograph, ...], placement: Placement | None = None
+) -> tuple[SfmScene, tuple[Decision, ...], tuple[str, ...]]:
+    placed = scene_in_world(model, photos, 0, placement or Placement())
+    return placed.scene, placed.decisions, placed.warnings
+
+
 def grid(rng: np.random.Generator, count: int = 30) -> np.ndarray:
     return np.column_stack([rng.uniform(-50, 50, (count, 2)), rng.uniform(38, 42, count)])
 
@@ -109,7 +120,7 @@ def test_with_gps_the_scene_comes_back_in_metres_whatever_frame_it_was_in(seed: 
     names = tuple(f"{index:03d}.jpg" for index in range(30))
     photos = photographs_at(names, grid(rng))
     cameras, points = flight(metres_of(photos, ORIGIN), rng), ground(rng)
-    scene, decisions, warnings = scene_in_world(in_any_frame(cameras, points, rng), photos, seed=0)
+    scene, decisions, warnings = in_world(in_any_frame(cameras, points, rng), photos)
     assert (scene.frame.kind, warnings) == ("metric", ())
     expected = metres_of(photos, scene.frame.origin_lat_lon_alt)
     # 1e-6 m: positions went through degrees (1e-9 m) and a fit of exact pairs.
@@ -124,7 +135,7 @@ def test_projections_do_not_change_with_the_frame() -> None:
     positions_m = grid(rng)
     model = in_any_frame(flight(positions_m, rng), ground(rng), rng)
     before = cameras_of(model)
-    scene, _, _ = scene_in_world(model, photographs_at(before.names, positions_m), seed=0)
+    scene, _, _ = in_world(model, photographs_at(before.names, positions_m))
 
     def rays(cameras: Cameras, points: np.ndarray) -> np.ndarray:
         in_camera = np.einsum("cij,pj->cpi", cameras.cam_from_world[:, :3, :3], points) + cameras.cam_from_world[:, None, :3, 3]
@@ -137,7 +148,7 @@ def test_projections_do_not_change_with_the_frame() -> None:
 def test_without_gps_z_is_up_the_frame_unscaled_and_the_median_distance_ten_units(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cameras, points = flight(grid(rng), rng), ground(rng)
-    scene, decisions, warnings = scene_in_world(in_any_frame(cameras, points, rng), photographs_at(cameras.names, None), seed=0)
+    scene, decisions, warnings = in_world(in_any_frame(cameras, points, rng), photographs_at(cameras.names, None))
     assert scene.frame.kind == "unscaled"
     assert scene.frame.residual_m is None
     assert any("no metric scale" in warning for warning in warnings)
@@ -161,8 +172,10 @@ def test_up_is_found_for_street_oblique_and_nadir_photographs(pitch_deg: float) 
 def test_a_wall_is_not_taken_for_the_ground_when_the_cameras_are_level() -> None:
     rng = np.random.default_rng(3)
     wall = ground(rng)[:, [0, 2, 1]]
-    assert estimate_up(flight(grid(rng), rng, 0.0), wall).source == "level cameras"
-    assert estimate_up(flight(grid(rng), rng, 0.0), wall).up[2] > 0.999
+    estimate = estimate_up(flight(grid(rng), rng, 0.0), wall)
+    assert "ground plane" not in estimate.source
+    assert [name for name, _ in estimate.left_out] == ["ground plane"]
+    assert estimate.up[2] > 0.999
 
 
 def test_a_straight_flight_line_keeps_metres_and_takes_up_from_the_ground() -> None:
@@ -170,7 +183,7 @@ def test_a_straight_flight_line_keeps_metres_and_takes_up_from_the_ground() -> N
     positions_m = np.column_stack([np.linspace(-50, 50, 25), np.linspace(-20, 20, 25), np.full(25, 40.0)])
     cameras, points = flight(positions_m, rng), ground(rng)
     photos = photographs_at(cameras.names, positions_m + rng.normal(scale=0.3, size=(25, 3)))
-    scene, decisions, warnings = scene_in_world(in_any_frame(cameras, points, rng), photos, seed=0)
+    scene, decisions, warnings = in_world(in_any_frame(cameras, points, rng), photos)
     assert scene.frame.kind == "metric"
     assert any("on a line" in warning for warning in warnings)
     assert decisions[-1].unit == "deg roll uncertainty"
@@ -184,7 +197,7 @@ def test_altitudes_that_drift_by_a_hundred_metres_do_not_tilt_the_world() -> Non
     positions_m = grid(rng, 60)
     told_m = positions_m + rng.normal(scale=1.0, size=(60, 3)) + np.outer(positions_m[:, 0], [0, 0, 1.0])
     cameras, points = flight(positions_m, rng), ground(rng)
-    scene, decisions, warnings = scene_in_world(in_any_frame(cameras, points, rng), photographs_at(cameras.names, told_m), seed=0)
+    scene, decisions, warnings = in_world(in_any_frame(cameras, points, rng), photographs_at(cameras.names, told_m))
     assert scene.frame.kind == "metric"
     assert any("altitudes" in warning for warning in warnings)
     assert "roll" in decisions[-1].unit
@@ -204,7 +217,7 @@ def test_gps_that_cannot_carry_a_frame_gives_an_unscaled_one_and_says_so(case: s
     }[case]
     if case == "two":
         told_m[:2] = positions_m[:2]
-    scene, _, warnings = scene_in_world(in_any_frame(cameras, points, rng), photographs_at(cameras.names, told_m), seed=0)
+    scene, _, warnings = in_world(in_any_frame(cameras, points, rng), photographs_at(cameras.names, told_m))
     assert scene.frame.kind == "unscaled"
     assert len(warnings) == 1
 

@@ -1,0 +1,56 @@
+"""--up, --distance and --height on their way from the command line to structure from motion, and where they are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from radiant_app.cli import app
+from radiant_app.config import RunConfig
+from radiant_app.sources import reconstruct_source, sfm_task
+from radiant_app.train_command import TrainRequest, train
+from radiant_core.errors import BadInput
+
+GIVEN: list[dict[str, Any]] = [{"up": "ground"}, {"distance": "a.jpg,b.jpg,3"}, {"height_m": 40.0}]
+
+
+def test_a_task_tells_what_was_asked_for_and_no_more() -> None:
+    assert sfm_task(Path("photos"), {}, None, {"up": "auto", "distance": None, "height_m": None})["placement"] == {}
+    assert sfm_task(Path("photos"), {}, None, {"up": "down", "height_m": 40.0})["placement"] == {"up": "down", "height_m": 40.0}
+    with pytest.raises(BadInput, match="keep one"):
+        sfm_task(Path("photos"), {}, None, {"distance": "a.jpg,b.jpg,3", "height_m": 40.0})
+
+
+@pytest.mark.parametrize("given", GIVEN)
+@pytest.mark.parametrize("frames", ["gps", "known"])
+def test_devices_that_place_themselves_cannot_be_told(frames: Any, given: dict[str, Any]) -> None:
+    with pytest.raises(BadInput, match=f"--frames {frames} each device places its own"):
+        RunConfig(source=Path("photos"), out=Path("out"), frames=frames, **given)
+
+
+@pytest.mark.parametrize("given", GIVEN)
+def test_a_scene_and_poses_that_come_with_the_photographs_keep_their_frame(given: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "train" / "metadata").mkdir(parents=True)
+    with pytest.raises(BadInput, match="brings its own frame"):
+        reconstruct_source(sfm_task(tmp_path, {}, None, given), tmp_path / "work", lambda progress: None)
+    (tmp_path / "scene.safetensors").touch()
+    with pytest.raises(BadInput, match="is a scene, which has its frame"):
+        train(TrainRequest(source=tmp_path, out=tmp_path / "out", **given))
+
+
+def test_a_photograph_that_is_not_there_is_named_before_the_work_begins(tmp_path: Path) -> None:
+    hamlet = Path(__file__).parents[2] / "sample_scenes" / "hamlet" / "images"
+    told: list[Any] = []
+    for placement in ({"up": "nobody.jpg"}, {"distance": "nobody.jpg,hamlet_00.jpg,3"}):
+        with pytest.raises(BadInput, match=r"nobody\.jpg"):
+            reconstruct_source(sfm_task(hamlet, {}, None, placement), tmp_path / "work", told.append)
+    assert {progress.phase for progress in told} == {"checking photographs"}
+
+
+@pytest.mark.parametrize("command", ["run", "sfm", "train"])
+def test_every_command_that_makes_a_scene_has_the_options(command: str) -> None:
+    shown = CliRunner().invoke(app, [command, "--help"]).output
+    assert all(option in shown for option in ("--up", "--distance", "--height"))
