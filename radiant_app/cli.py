@@ -18,8 +18,21 @@ from radiant_app.cli_output import export, render
 from radiant_app.cli_plan import plan
 from radiant_app.cli_profile import profile
 from radiant_app.cli_replan import replan_plan
+from radiant_app.cli_sfm import MATCHING_HELP, sfm
 from radiant_app.memory import OUT_OF_MEMORY, is_out_of_memory
-from radiant_app.option_types import DistanceOption, HeightOption, LongSide, RasterCellOption, SizeOption, UpOption
+from radiant_app.option_types import (
+    AsJson,
+    DistanceOption,
+    HeightOption,
+    LongSide,
+    LpipsNet,
+    LpipsWeights,
+    MaskFolder,
+    Matching,
+    RasterCellOption,
+    SizeOption,
+    UpOption,
+)
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.streams import make_streams_last
 from radiant_app.tables import finish, print_figures, print_summary
@@ -40,12 +53,10 @@ INTERRUPTED = 130
 TrainPreset = Literal["draft", "default", "standard", "paper"]
 AggregatePreset = Literal["default", "paper"]
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
-Matching = Literal["auto", "spatial", "exhaustive"]
 Frames = Literal["shared", "gps", "known"]
 RunPreset = Literal["default", "paper"]
 UploadFormat = Literal["float32", "float16", "spz"]
 Teachers = Literal["early", "late"]
-LpipsNetwork = Literal["vgg", "alex"]
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
@@ -59,7 +70,6 @@ _TRAIN_HELP = (
 )
 _AGGREGATE_HELP = "paper: retrain every parameter at the edges and the cloud."
 _PLAN_HELP = "exact: least makespan; paper: Alg. 1; voronoi; even."
-_MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
 _INSPECTED_HELP = "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window also a 3DGS .ply."
 _WEB_HELP = (
     "Serve a read-only page for a browser until Ctrl-C, on 127.0.0.1 by default. The address that is printed holds a random secret; "
@@ -70,17 +80,7 @@ NumSteps = Annotated[int | None, typer.Option("--steps", min=1, help="Training s
 Settings = Annotated[list[str] | None, typer.Option("--set", help="Any setting of training: NAME=VALUE, as in TrainConfig; repeatable.")]
 MaxSplats = Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")]
 PlanFile = Annotated[Path | None, typer.Option(help="Plan made by `radiant plan` before capture; else what was captured is planned.")]
-MaskFolder = Annotated[
-    Path | None, typer.Option("--masks", help="Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored.")
-]
 Seed = Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of every random choice.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
-LpipsWeights = Annotated[
-    Path | None,
-    typer.Option("--lpips-weights", help="Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or one safetensors."),
-]
-LpipsNet = Annotated[LpipsNetwork, typer.Option("--lpips-net", help="Network of LPIPS: VGG16 or AlexNet.")]
-Out = Annotated[Path, typer.Option("--out", help="Where the result is written; must not exist or be empty.", show_default=False)]
 RunOut = Annotated[Path | None, typer.Option("--out", help="Folder of the run, new or empty; a batch has one beside its file.")]
 SystemFile = Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; else two edges with two each.")]
 
@@ -96,7 +96,7 @@ def run(
     train_preset: Annotated[TrainPreset | None, typer.Option(help=f"{_TRAIN_HELP} Without it that of --preset.")] = None,
     aggregate_preset: Annotated[AggregatePreset | None, typer.Option(help=f"{_AGGREGATE_HELP} Without it that of --preset.")] = None,
     plan_method: Annotated[PlanMethod | None, typer.Option(help=f"{_PLAN_HELP} Without it exact, or paper by --preset paper.")] = None,
-    matching: Annotated[Matching | None, typer.Option(help=f"{_MATCHING_HELP} Without it auto, or exhaustive by --preset paper.")] = None,
+    matching: Annotated[Matching | None, typer.Option(help=f"{MATCHING_HELP} Without it auto, or exhaustive by --preset paper.")] = None,
     frames: Annotated[Frames, typer.Option(help="shared: photographs are pooled; gps, known: each device places its own.")] = "shared",
     poses: Annotated[Path | None, typer.Option(help="COLMAP model with the poses, for --frames known.")] = None,
     masks: MaskFolder = None,
@@ -168,28 +168,7 @@ def demo(
     _run(demo_config(out), resume or out.exists(), as_json=False)
 
 
-@app.command()
-def sfm(
-    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
-    out: Out,
-    matching: Annotated[Matching, typer.Option(help=_MATCHING_HELP)] = "auto",
-    masks: MaskFolder = None,
-    up: UpOption = None,
-    distance: DistanceOption = None,
-    height: HeightOption = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with what was interrupted in --out: features and matches are kept.")
-    ] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Structure from motion alone: cameras and sparse points, undistorted photographs."""
-    from radiant_app import commands
-
-    placement = {"up": up or "auto", "distance": distance, "height_m": height}
-    result = commands.sfm(source, out, matching, _listener(), masks, placement, resume=resume)
-    finish(result if as_json else {**result, "unregistered": ", ".join(result["unregistered"]) or "none"}, as_json)
-
-
+app.command()(sfm)
 app.command()(plan)
 app.command()(profile)
 

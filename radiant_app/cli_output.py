@@ -7,10 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from radiant_app.option_types import SizeOption
+from radiant_app.option_types import AsJson, SizeOption
 from radiant_app.tables import finish
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
 
 
 def render(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -49,3 +49,14 @@ HeightOption = Annotated[
     typer.Option("--height", help="Metres of the cameras over the ground that they see, median: makes lengths metres. Goes before GPS."),
 ]
 LongSide = Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")]
+MaskFolder = Annotated[
+    Path | None, typer.Option("--masks", help="Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")]
+LpipsWeights = Annotated[
+    Path | None,
+    typer.Option("--lpips-weights", help="Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or one safetensors."),
+]
+LpipsNet = Annotated[Literal["vgg", "alex"], typer.Option("--lpips-net", help="Network of LPIPS: VGG16 or AlexNet.")]
+Matching = Literal["auto", "spatial", "exhaustive"]
+Out = Annotated[Path, typer.Option("--out", help="Where the result is written; must not exist or be empty.", show_default=False)]

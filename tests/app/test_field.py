@@ -401,7 +401,7 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
     # What was delivered can be planned anew and extended; nobody knows more than the plan of what arrived.
     display = ProgressDisplay(Console(file=io.StringIO()))
     delivered = len(load_scene(config.out / "delivered" / "scene.safetensors").cameras)
-    assert delivered < sum(len(plan.camera_indices) for plan in load_plan(config.out / "plan.json")[1]), "some are held out or have no pose"
+    assert 0 < delivered <= sum(len(plan.camera_indices) for plan in load_plan(config.out / "plan.json")[1]), "some may have no pose"
     new = replan_files(
         ReplanRequest(source=config.out, out=tmp_path / "new.json", situation=Situation(dead=frozenset(["south-1"]))), display
     )
