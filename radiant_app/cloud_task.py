@@ -20,7 +20,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import content_key, read_json
+from radiant_core.io.run_store import SEAL_NAME, content_key, read_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import Cloud, System
 from radiant_core.splats import Splats
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
 MACHINE_SHARE = 0.8
 """Of the memory that is free where the cloud runs, what joining may take unless the system file sets a limit: the rest is others'."""
-CUT_COSTS = (
-    "On two scenes that were joined both ways a cut came out 0.5 to 0.8 dB lower. To join them, free memory there or raise the limit under "
-    "[cloud] in the system file, or lower --long-side-px or --max-splats, and go on with --resume."
-)
+CUT_COSTS = "On two scenes that were joined both ways a cut came out 0.5 to 0.8 dB lower."
+JOIN_AGAIN = "`radiant aggregate RUN --out JOINED.ply` joins the models of a run without a limit, on any machine"
+CUT_NAME = "cut_for_memory"
+"""An empty file in the cloud's folder: its models are cut because its machine had too little memory."""
 BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
@@ -119,11 +119,22 @@ def joined_at_cloud(folder: Path, task: dict[str, Any], inbox: Inbox, emit: Call
     rows = [task["edges"].index(name) for name in inbox.senders]
     times_s = task["edge_times_s"]
     needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, None if times_s is None else [times_s[row] for row in rows])
-    limits, memory_of = _within_machine(Cloud(**task["limits"]))
+    given = Cloud(**task["limits"])
+    limits, memory_of = _within_machine(given)
     retrains, decision = choose_at_cloud(needs, limits, stage, memory_of=memory_of)
     emit(Decided(decision=decision))
+    (folder / CUT_NAME).unlink(missing_ok=True)
     if not retrains:
-        emit(Warned(stage=stage, message=f"{decision.choice}: {decision.reason}. {CUT_COSTS}"))
+        by_machine = choose_at_cloud(needs, given, stage)[0]
+        if by_machine:
+            (folder / CUT_NAME).touch()
+        lift = (
+            "free memory there and go on with --resume"
+            if by_machine
+            else "raise that limit under [cloud] in the system file of the next run"
+        )
+        again = f"; or {JOIN_AGAIN}" if inbox.uncertainty is None else ""
+        emit(Warned(stage=stage, message=f"{decision.choice}: {decision.reason}. {CUT_COSTS} To join them {lift}{again}."))
     if not retrains and aggregate.preset == "paper":
         return None
     teachers = cloud_teachers(folder, inbox, train.long_side_px, emit)
@@ -146,6 +157,12 @@ def joined_at_cloud(folder: Path, task: dict[str, Any], inbox: Inbox, emit: Call
             joined = retrain_on_synthetic_views([teacher], train, aggregate, replace(alone, statistics_bytes=left))
             teachers[index] = replace(teacher, splats=joined.splats)
     return cut_at_borders(teachers, claims)
+
+
+def forget_cut(folder: Path) -> None:
+    """Unseal a cloud that cut its models for want of its machine's memory: there may be more by now."""
+    if (folder / CUT_NAME).is_file():
+        (folder / SEAL_NAME).unlink(missing_ok=True)
 
 
 def _within_machine(cloud: Cloud) -> tuple[Cloud, str]:

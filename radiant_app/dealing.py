@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from radiant_app.cloud_task import pool_settings, retrain_settings
+from radiant_app.cloud_task import forget_cut, pool_settings, retrain_settings
 from radiant_app.delivering import DELIVERIES, give_task, introduce, introduce_teacher
 from radiant_app.evaluation import LPIPS_NAME
 from radiant_app.executors.protocol import NodeTask
@@ -212,6 +212,7 @@ class Dealer:
             shutil.rmtree(folder / place, ignore_errors=True)
         if not edges:
             return None
+        forget_cut(folder)
         for edge in edges:
             self.deal_edge(edge, folder / "inbox" / edge)
             self.deal_record(f"edges/{edge}", folder)

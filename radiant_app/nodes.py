@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from radiant_app.cloud_task import (
     CUT_COSTS,
+    JOIN_AGAIN,
     edge_pools,
     exposures_decision,
     faint_decision,
@@ -360,7 +361,9 @@ def _edge_statistics_bytes(inbox: Inbox, train: TrainConfig, memory_bytes: float
     decision = join_memory_decision(stage, needed_bytes, left, memory_bytes)
     emit(Decided(decision=decision))
     if left is None:
-        message = f"{decision.choice}: {decision.reason}, and memory_gb of this edge allows {memory_bytes / 1e6:,.0f} MB. {CUT_COSTS}"
+        allowed = f"memory_gb of this edge allows {memory_bytes / 1e6:,.0f} MB"
+        lift = f"To join them raise it in the system file of the next run; or {JOIN_AGAIN}"
+        message = f"{decision.choice}: {decision.reason}, and {allowed}. {CUT_COSTS} {lift}."
         emit(Warned(stage=stage, message=message))
     return left
 

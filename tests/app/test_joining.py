@@ -7,11 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from radiant_app import cloud_task
+from radiant_app.commands import aggregate
 from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
+from radiant_app.events import Event, StageDone
 from radiant_app.pipeline import run
+from radiant_app.progress import ProgressDisplay
 from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
@@ -28,9 +32,12 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     town = sample_scenes_folder() / "town"
     shutil.copytree(town / "images", folder / "town" / "images")
     shutil.copytree(town / "known", folder / "town" / "sparse" / "0")
-    overrides = Overrides(long_side_px=128, num_steps=200)
-    run(RunConfig(source=folder / "town", out=folder / "run", overrides=overrides), lambda event: None)
+    run(config_of(folder / "town", folder / "run"), lambda event: None)
     return folder / "run"
+
+
+def config_of(source: Path, out: Path) -> RunConfig:
+    return RunConfig(source=source, out=out, overrides=Overrides(long_side_px=128, num_steps=200))
 
 
 def plainly_cut(trained: Path) -> Splats:
@@ -67,3 +74,24 @@ def test_what_the_machine_cannot_join_is_cut_with_a_warning_and_what_an_edge_poo
     joined_db, alone_db = held_out_db(trained, load_ply(trained / "scene.ply")), held_out_db(trained, by_views.splats)
     assert joined_db > alone_db + 0.1 and alone_db > held_out_db(trained, by_machine.splats) + 0.1
     assert alone_db > held_out_db(trained, plainly_cut(trained))
+    assert "raise that limit under [cloud] in the system file of the next run" in views_warning
+    assert "free memory there and go on with --resume" in warning and all(
+        "radiant aggregate RUN" in text for text in (warning, views_warning)
+    )
+
+
+def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run whose cloud had too little memory: `--resume` with more, and `radiant aggregate` of the same models."""
+    folder = tmp_path / "run"
+    shutil.copytree(trained, folder)
+    scene, config = load_ply(trained / "scene.ply"), config_of(trained.parent / "town", folder)
+    cut_off = joined_again(folder, tmp_path / "cut", memory_bytes=1e8)
+    assert not (tmp_path / "cut" / cloud_task.CUT_NAME).exists(), "a limit of the system file is there at the next try too"
+    (folder / "cloud" / cloud_task.CUT_NAME).touch()
+    again: list[Event] = []
+    run(config, again.append, resume=True)
+    assert [event.stage for event in again if isinstance(event, StageDone)][0] == "cloud"
+    np.testing.assert_array_equal(load_ply(folder / "scene.ply").means, scene.means)
+    assert not (folder / "cloud" / cloud_task.CUT_NAME).exists()
+    aggregate(folder, tmp_path / "joined.ply", "default", None, ProgressDisplay(Console(quiet=True)))
+    assert held_out_db(trained, load_ply(tmp_path / "joined.ply")) > held_out_db(trained, cut_off.splats) + 0.3

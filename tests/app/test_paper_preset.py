@@ -127,7 +127,12 @@ def test_beyond_a_limit_the_cloud_cuts_at_the_borders_and_says_the_figure(
     (choice,) = [d for d in decided(events) if d.topic == "aggregation"]
     assert choice.choice.startswith("models are cut") and told in choice.reason and "exceeds" in choice.reason
     (warning,) = [event.message for event in events if isinstance(event, Warned)]
-    assert choice.reason in warning and "dB lower" in warning and "raise the limit under [cloud]" in warning
+    assert (
+        choice.reason in warning
+        and "dB lower" in warning
+        and "raise that limit under [cloud]" in warning
+        and "`radiant aggregate RUN" in warning
+    )
     (blind,) = [d for d in decided(events) if d.topic == "blind spots"]
     summary = read_json(cloud / "summary.json")
     models = [load_splats(cloud / "inbox" / edge / "model.safetensors") for edge in task["edges"]]

@@ -106,11 +106,11 @@ def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str, *, memory_of: s
     ]
     if not limited:
         name, figure, unit = "memory", needs.memory_bytes / 1e9, "GB"
-        retrains, reason = True, "its predicted memory; the system file sets the cloud no limit"
+        retrains, reason = True, "its predicted memory; the system file sets no limit, so that the cloud's machine decides"
     else:
         name, figure, limit, unit, whose = max(limited, key=lambda item: item[1] / item[2] if item[2] else float("inf"))
         retrains = figure <= limit
         word = "is within" if retrains else "exceeds"
         reason = f"the predicted {name} of retraining, {figure:.3g} {unit}, {word} {whose} of {limit:.3g} {unit}"
-    choice = "retraining, as at the edges" if retrains else "models are cut at their borders instead of retrained"
+    choice = "retraining all models together" if retrains else "models are cut at their borders instead of retrained"
     return retrains, Decision(stage=stage, topic="aggregation", choice=choice, figure=figure, unit=f"{unit} predicted", reason=reason)

@@ -252,6 +252,18 @@ def test_the_nadir_flight_agrees_with_its_gps_which_is_good_to_a_third_of_a_metr
     assert angle_deg(estimate.up, by_gps) < 3.0
 
 
+def test_the_nadir_flight_whose_gps_is_useless_flew_level_and_looked_down(data_folder: Path) -> None:
+    """Of caliterra GPS says nothing of up (43° off, heights off by 18 m on a site of 120): a plane through the centres, and the mean view."""
+    folder = data_folder / "caliterra"
+    estimate, by_gps, _ = _set(folder, "0")
+    cameras = cameras_of(read_model(folder / "sparse_undistorted" / "0"))
+    flight = np.linalg.svd(cameras.centers - np.median(cameras.centers, axis=0), full_matrices=False)[2][2]
+    looks_up = -cameras.cam_from_world[:, 2, :3].mean(axis=0)
+    assert angle_deg(estimate.up, flight * np.sign(flight @ looks_up)) < 3.0
+    assert angle_deg(estimate.up, looks_up / np.linalg.norm(looks_up)) < 3.0
+    assert angle_deg(estimate.up, by_gps) > 20.0, "its altitudes are no reference"
+
+
 def test_the_horizon_says_that_the_estimate_is_right_where_drifting_altitudes_tilt_gps(data_folder: Path) -> None:
     folder = data_folder / "lewis"
     model = pycolmap.Reconstruction(folder / "sparse" / "0")
