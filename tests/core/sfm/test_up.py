@@ -253,7 +253,7 @@ def test_the_nadir_flight_agrees_with_its_gps_which_is_good_to_a_third_of_a_metr
 
 
 def test_the_nadir_flight_whose_gps_is_useless_flew_level_and_looked_down(data_folder: Path) -> None:
-    """Of caliterra GPS says nothing of up (43° off, heights off by 18 m on a site of 120): a plane through the centres, and the mean view."""
+    """Heights of caliterra are off by 18 m on a site of 120: the plane through the centres, and the mean view, are better references."""
     folder = data_folder / "caliterra"
     estimate, by_gps, _ = _set(folder, "0")
     cameras = cameras_of(read_model(folder / "sparse_undistorted" / "0"))
