@@ -79,7 +79,7 @@ def test_what_the_machine_cannot_join_is_cut_with_a_warning_and_what_an_edge_poo
     assert all("radiant aggregate RUN" in text for text in (warning, views_warning))
 
 
-def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path) -> None:
     """A run whose cloud had too little memory: `--resume` with more, and `radiant aggregate` of the same models."""
     folder = tmp_path / "run"
     shutil.copytree(trained, folder)
