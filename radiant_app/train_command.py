@@ -38,6 +38,7 @@ from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
 from radiant_core.render.contract import resolve_backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.placement import AUTO, Placement
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import CheckpointFolder, training_key
 from radiant_core.train.config import Preset, TrainConfig, train_preset
@@ -85,6 +86,7 @@ class TrainRequest:
         for name, value, unit in (("--time", self.time_s, "seconds"), ("--checkpoint-every", self.checkpoint_every_s, "seconds")):
             if value is not None and not 0 < value < np.inf:
                 raise BadInput(f"{name} is {value}, expected a positive number of {unit}.")
+        Placement(up=self.up or AUTO, distance=self.distance, height_m=self.height_m)
 
     @property
     def settings(self) -> dict[str, Any]:
