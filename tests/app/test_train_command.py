@@ -120,7 +120,7 @@ def test_other_settings_or_a_used_folder_are_refused(finished: tuple[TrainReques
     request, _, _ = finished
     with pytest.raises(BadInput, match="not empty"):
         train(request)
-    with pytest.raises(BadInput, match="begun with another seed"):
+    with pytest.raises(BadInput, match="begun with another --seed"):
         train(replace(request, seed=1), resume=True)
 
 
