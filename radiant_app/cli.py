@@ -182,7 +182,9 @@ def train(
     scene: Annotated[
         Path, typer.Argument(help="A run, the folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)
     ],
-    out: Annotated[Path, typer.Option("--out", help="Folder of model, figures and pictures; or MODEL.ply alone.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of model, figures and pictures; or, of a run or scene, MODEL.ply.", show_default=False)
+    ],
     train_preset: TrainPresetOption = "default",
     time: Annotated[str | None, typer.Option(help="End training after this time: 90, 90s, 5m, 1h.", show_default=False)] = None,
     steps: Annotated[int | None, typer.Option("--steps", min=1, help="End training after so many steps.")] = None,

@@ -5,7 +5,7 @@
     OUT/sfm/                                        structure from motion, where the source is no scene yet
     OUT/checkpoints/ done.json                      while it trains; once the model is whole
 
-With --out MODEL.ply the model alone is written: nothing is scored, and a kill starts again from nothing.
+With --out MODEL.ply the model alone is written, of a source that has a scene: nothing is scored, and a kill starts again from nothing.
 """
 
 from __future__ import annotations
@@ -337,6 +337,12 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
     if resume:
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)
+    if not has_scene(request.source):
+        detect_source(request.source)
+        raise BadInput(
+            f"{request.source} holds no scene yet, which a training into the single file {request.out.name} needs: give a folder as --out, "
+            "which gets scene and model, or the folder that 'radiant sfm' made of it."
+        )
     scene, photos = _loaded_scene(request, listen)
     decisions: list[Decision] = []
 

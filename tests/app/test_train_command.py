@@ -211,6 +211,15 @@ def test_memory_becomes_a_limit_of_gaussians_and_too_little_one_sentence(scene: 
     assert not (tmp_path / "small").exists()
 
 
+def test_a_single_ply_of_photographs_says_what_it_takes(tmp_path: Path) -> None:
+    photos = Path(__file__).parents[2] / "sample_scenes" / "hamlet" / "images"
+    with pytest.raises(BadInput, match=r"holds no scene yet.*model\.ply.*give a folder as --out.*'radiant sfm'"):
+        train(TrainRequest(source=photos, out=tmp_path / "model.ply"))
+    with pytest.raises(BadInput, match="is no folder: give a folder of photographs"):
+        train(TrainRequest(source=tmp_path / "nowhere", out=tmp_path / "model.ply"))
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_single_ply_has_the_same_model_and_no_folder(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:
     request, metrics, _ = finished
     result = train(replace(request, out=tmp_path / "model.ply"))
