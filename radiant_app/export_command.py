@@ -210,6 +210,7 @@ def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface,
             resolution=request.resolution,
             long_side_px=request.long_side_px,
             memory_bytes=available_bytes(),
+            scratch=request.out.parent,
             report=lambda done, total: report(done, total, "views"),
         )
     if surface.voxel > surface.finest_voxel:
