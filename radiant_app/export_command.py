@@ -23,6 +23,7 @@ from radiant_core.splats import Splats
 
 if TYPE_CHECKING:
     from radiant_core.geometry.surface import Surface
+    from radiant_core.scene import SfmScene
     from radiant_viewer.run_view import RunView
 
 ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"]
@@ -41,8 +42,6 @@ _WANTED = {
 MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its own, on the average: with fewer no gap
 can be told from what was seen."""
-
-_LEVEL = "the middle of the scene's points, not from the sea"
 
 _ADVICE = "what was seen lies scattered: look at it before anything is measured, and try a coarser --resolution, which closes gaps."
 
@@ -148,10 +147,24 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.run_folder import new_folder
     from radiant_core.io.scene_export import save_colmap
 
-    scene = _run_of(request).scene
+    scene = _unrepeated_scene(_run_of(request), display)
     with new_folder(request.out):
         save_colmap(request.out, scene)
     return {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
+
+
+def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
+    """The scene, of a training or of structure from motion without copies of photographs, as training takes it."""
+    from radiant_core.sfm.copies import without_repeats
+    from radiant_viewer.unplanned import unplanned_photographs
+
+    photographs = None if run.kind == "run" else unplanned_photographs(run.folder)
+    if photographs is None or not photographs.is_dir():
+        return run.scene
+    scene, told = without_repeats(run.scene, photographs)
+    for message in told:
+        display(Warned(stage="export", message=message))
+    return scene
 
 
 def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -181,8 +194,6 @@ def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         text = f"only {_percent(grid.known)} of {grid.heights.size:,} cells have a height; {_ADVICE}"
         display(Warned(stage="surface", message=text))
     save_geotiff(request.out, grid)
-    if not run.scene.frame.altitude_known:
-        display(Warned(stage="surface", message=f"GPS has no altitude: heights count from {_LEVEL}."))
     height, width = grid.heights.shape
     return {
         "crs": "none, the model's own coordinates" if grid.epsg is None else f"EPSG:{grid.epsg}",
@@ -237,8 +248,7 @@ def _origin_of(run: RunView) -> dict[str, Any]:
     if run.scene.frame.kind != "metric":
         return {}
     lat, lon, alt = run.scene.frame.origin_lat_lon_alt.tolist()
-    height = f"{alt:.3f} m" if run.scene.frame.altitude_known else f"heights from {_LEVEL}"
-    return {"origin": f"{lat:.9f}, {lon:.9f}, {height}", "axes": "east, north, up"}
+    return {"origin": f"{lat:.9f}, {lon:.9f}, {alt:.3f} m", "axes": "east, north, up"}
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
