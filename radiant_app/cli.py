@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from itertools import pairwise
 from pathlib import Path
 from shlex import quote
 from typing import Annotated, Any, Literal, NoReturn
@@ -34,7 +35,7 @@ from radiant_app.option_types import (
     UpOption,
 )
 from radiant_app.quantities import bytes_of, seconds_of
-from radiant_app.streams import make_streams_last
+from radiant_app.streams import CannotPrint, make_streams_last
 from radiant_app.tables import finish, print_figures, print_summary
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 
@@ -181,7 +182,9 @@ def train(
     scene: Annotated[
         Path, typer.Argument(help="A run, the folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)
     ],
-    out: Annotated[Path, typer.Option("--out", help="Folder of model, figures and pictures; or MODEL.ply alone.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of model, figures and pictures; or, of a run or scene, MODEL.ply.", show_default=False)
+    ],
     train_preset: TrainPresetOption = "default",
     time: Annotated[str | None, typer.Option(help="End training after this time: 90, 90s, 5m, 1h.", show_default=False)] = None,
     steps: Annotated[int | None, typer.Option("--steps", min=1, help="End training after so many steps.")] = None,
@@ -378,6 +381,9 @@ def main() -> NoReturn:
             raise
         _say(f"{OUT_OF_MEMORY} {_how_to_go_on()}".strip())
         sys.exit(StageFailed.exit_code)
+    except CannotPrint as error:
+        _say(f"the result could not be printed ({error.strerror}): {_where_it_lies()}.")
+        sys.exit(BadInput.exit_code)
     except OSError as error:
         _say(f"{error.strerror or error} ({error.filename}): check the path, the rights and the free space.")
         sys.exit(BadInput.exit_code)
@@ -402,6 +408,14 @@ def _how_to_go_on() -> str:
     """What to say of a command that did not come to its end."""
     resumable = set(sys.argv[1:2]) & {"run", "demo", "train", "sfm"}
     return "What was finished is kept: go on with the same command and --resume." if resumable else ""
+
+
+def _where_it_lies() -> str:
+    """What to say of a result that exists and was not printed."""
+    given = [after for option, after in pairwise(sys.argv) if option == "--out"]
+    given += [argument.removeprefix("--out=") for argument in sys.argv if argument.startswith("--out=")]
+    made = [out for out in given if Path(out).exists()]
+    return f"it lies in {made[0]}" if made else "send standard output elsewhere, or free space there"
 
 
 def interrupt_on_signals() -> None:

@@ -166,7 +166,7 @@ def libraries_log_to(path: Path) -> Iterator[None]:
     if not own:
         yield
         return
-    with os.fdopen(os.dup(2), "w", buffering=1, encoding=told.encoding, errors=told.errors) as shown, path.open("w") as log:
+    with os.fdopen(os.dup(2), "w", buffering=1, encoding=told.encoding, errors=told.errors) as shown, path.open("a") as log:
         told.flush()
         os.dup2(log.fileno(), 2)
         sys.stderr = shown

@@ -13,6 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import LpipsNetwork
 from radiant_core.io.upload import UploadFormat
 from radiant_core.plan.count_raster import DEFAULT_CELL_M
+from radiant_core.sfm.placement import Placement
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
@@ -151,6 +152,7 @@ class RunConfig:
         if self.frames != "shared" and (self.up, self.distance, self.height_m) != (None, None, None):
             told = "--up, --distance and --height turn and scale one scene"
             raise BadInput(f"{told}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
+        Placement(**self.placement)
         for path in (self.source, self.out, self.poses, self.masks, self.plan, self.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")

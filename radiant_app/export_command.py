@@ -23,6 +23,7 @@ from radiant_core.splats import Splats
 
 if TYPE_CHECKING:
     from radiant_core.geometry.surface import Surface
+    from radiant_core.scene import SfmScene
     from radiant_viewer.run_view import RunView
 
 ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"]
@@ -146,10 +147,24 @@ def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.run_folder import new_folder
     from radiant_core.io.scene_export import save_colmap
 
-    scene = _run_of(request).scene
+    scene = _unrepeated_scene(_run_of(request), display)
     with new_folder(request.out):
         save_colmap(request.out, scene)
     return {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
+
+
+def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
+    """The scene, of a training or of structure from motion without copies of photographs, as training takes it."""
+    from radiant_core.sfm.copies import without_repeats
+    from radiant_viewer.unplanned import unplanned_photographs
+
+    photographs = None if run.kind == "run" else unplanned_photographs(run.folder)
+    if photographs is None or not photographs.is_dir():
+        return run.scene
+    scene, told = without_repeats(run.scene, photographs)
+    for message in told:
+        display(Warned(stage="export", message=message))
+    return scene
 
 
 def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -206,6 +221,7 @@ def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface,
             resolution=request.resolution,
             long_side_px=request.long_side_px,
             memory_bytes=available_bytes(),
+            scratch=request.out.parent,
             report=lambda done, total: report(done, total, "views"),
         )
     if surface.voxel > surface.finest_voxel:

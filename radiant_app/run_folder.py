@@ -12,7 +12,7 @@ import hashlib
 import json
 import platform
 import shutil
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -30,6 +30,20 @@ from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_
 MANIFEST_VERSION = 1
 SFM_TASK = "task.json"
 """What `radiant sfm` was asked for, beside its work."""
+GROUPS = ("overrides", "placement", "sfm")
+"""Settings that are several options."""
+OPTIONS = {
+    "source": "source",
+    "emulated": "--emulate",
+    "preset": "--train-preset",
+    "height_m": "--height",
+    "time_s": "--time",
+    "memory_bytes": "--memory",
+    "num_steps": "--steps",
+    "max_num_splats": "--max-splats",
+    "settings": "--set",
+}
+"""Setting → what the command line calls it, where that is another name."""
 RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings", "ledger")
 
 
@@ -173,10 +187,9 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
     if not (out / SFM_TASK).is_file():
         raise BadInput(f"{out} holds no {SFM_TASK}, so nothing was begun there that can go on: choose another folder.")
     before = read_json(out / SFM_TASK)
-    differing = sorted(name for name in task if not isinstance(before, dict) or before.get(name) != task[name])
+    differing = differing_options(task, before if isinstance(before, dict) else {})
     if differing:
-        told = ", ".join(differing)
-        raise BadInput(f"{out} was begun with another {told}: repeat that to go on, remove it, or choose another folder.")
+        raise BadInput(f"{out} was begun with another {differing}: repeat that to go on, remove it, or choose another folder.")
     if (out / "result.json").is_file():
         raise BadInput(f"{out} is finished, there is nothing to go on with: choose another folder to make the scene anew.")
 
@@ -258,6 +271,22 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
     return fields
 
 
+def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> str:
+    """What was asked for otherwise before, as the command line calls it; empty where nothing was."""
+    return ", ".join(sorted(set(_differing_options(asked, before))))
+
+
+def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> Iterator[str]:
+    for name, value in asked.items():
+        other = before.get(name)
+        if value == other:
+            continue
+        if name in GROUPS and isinstance(value, dict) and isinstance(other, dict):
+            yield from _differing_options({key: value.get(key) for key in {*value, *other}}, other)
+        else:
+            yield OPTIONS.get(name, f"--{name.replace('_', '-')}")
+
+
 def software_versions() -> dict[str, str]:
     """Versions of what decides a result."""
     packages = ("torch", "numpy", "scipy", "pycolmap", "open3d", "opencv-contrib-python-headless")
@@ -325,10 +354,8 @@ def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
     if not path.is_file():
         raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
     record = _record(path)
-    differing = sorted(key for key in settings if record.config.get(key) != settings[key])
+    differing = differing_options(settings, record.config)
     if differing:
-        raise BadInput(
-            f"{out} was begun with another {', '.join(differing)}: repeat those settings to resume, remove it, or choose another folder."
-        )
+        raise BadInput(f"{out} was begun with another {differing}: repeat those settings to resume, remove it, or choose another folder.")
     kept = {name: getattr(record, name) for name in ("stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")}
     return Manifest(folder=out, config=settings, **kept)

@@ -1,7 +1,7 @@
 """Standard output and error of a command that may work for hours: where they break, what it does goes on.
 
 Standard error carries progress: a full disk under its log or a reader that went away (`2>&1 | head`) silences it and ends nothing. Standard
-output carries results: there only a reader that went away is no error. Once per process.
+output carries results: there only a reader that went away is no error, and all else is `CannotPrint`. Once per process.
 """
 
 from __future__ import annotations
@@ -12,33 +12,39 @@ import sys
 from typing import Any, TextIO
 
 
+class CannotPrint(OSError):
+    """What was to be printed did not arrive, most often since the disk is full: what was made for it is whole."""
+
+
 class LastingStream(io.TextIOWrapper):
-    """A text stream that leads nowhere from the first of some errors on."""
+    """A text stream that leads nowhere from the first error on; one that is not among those that silence it is told as CannotPrint."""
 
     def __init__(self, stream: TextIO, silenced_by: type[OSError]) -> None:
         super().__init__(stream.buffer, encoding=stream.encoding, errors=stream.errors, line_buffering=True)
         self._silenced_by = silenced_by
 
     def write(self, text: str) -> int:
-        """As of any text stream; after such an error nothing is written, and nothing said."""
+        """As of any text stream; after an error nothing is written, and nothing said."""
         try:
             return super().write(text)
-        except self._silenced_by:
-            self._silence()
+        except OSError as error:
+            self._silence(error)
             return len(text)
 
     def flush(self) -> None:
         """As `write`."""
         try:
             super().flush()
-        except self._silenced_by:
-            self._silence()
+        except OSError as error:
+            self._silence(error)
 
-    def _silence(self) -> None:
+    def _silence(self, error: OSError) -> None:
         # What is still buffered goes there too: else it would be tried again, at the latest when the process ends.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())
         os.close(nowhere)
+        if not isinstance(error, self._silenced_by):
+            raise CannotPrint(error.errno, error.strerror) from error
 
 
 def make_streams_last() -> None:

@@ -5,7 +5,7 @@
     OUT/sfm/                                        structure from motion, where the source is no scene yet
     OUT/checkpoints/ done.json                      while it trains; once the model is whole
 
-With --out MODEL.ply the model alone is written: nothing is scored, and a kill starts again from nothing.
+With --out MODEL.ply the model alone is written, of a source that has a scene: nothing is scored, and a kill starts again from nothing.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
 from radiant_core.render.contract import resolve_backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.placement import AUTO, Placement
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import CheckpointFolder, training_key
 from radiant_core.train.config import Preset, TrainConfig, train_preset
@@ -85,6 +86,7 @@ class TrainRequest:
         for name, value, unit in (("--time", self.time_s, "seconds"), ("--checkpoint-every", self.checkpoint_every_s, "seconds")):
             if value is not None and not 0 < value < np.inf:
                 raise BadInput(f"{name} is {value}, expected a positive number of {unit}.")
+        Placement(up=self.up or AUTO, distance=self.distance, height_m=self.height_m)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -335,6 +337,12 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
     if resume:
         raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
     require_file_to_be(request.out)
+    if not has_scene(request.source):
+        detect_source(request.source)
+        raise BadInput(
+            f"{request.source} holds no scene yet, which a training into the single file {request.out.name} needs: give a folder as --out, "
+            "which gets scene and model, or the folder that 'radiant sfm' made of it."
+        )
     scene, photos = _loaded_scene(request, listen)
     decisions: list[Decision] = []
 

@@ -186,7 +186,7 @@ class Fold:
     def _tell_pause(self, seconds: float) -> None:
         at_work = [running for running in self.running.values() if running.began]
         for running in at_work:
-            message = f"the run stood still for {seconds:.0f} s meanwhile, as if suspended: they are in its time, and make nobody late."
+            message = f"the run stood still for {seconds:.0f} s meanwhile, as if suspended: this time does not count towards its deadline."
             self.listen(Warned(stage=running.task.stage, message=message))
         if self.faults.watch is not None:
             self.faults.watch.paused([running.node.id for running in at_work], seconds)

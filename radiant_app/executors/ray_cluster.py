@@ -220,7 +220,8 @@ def _environment(address: str) -> dict[str, str]:
     has to know its secret, which Ray takes from here before it looks for one, or makes one, in ~/.ray."""
     if address != "local":
         return dict(os.environ)
-    # Told 127.0.0.1 as its address, Ray takes that of the network; where it knows no clusters of several machines, it stays at home.
+    # Told 127.0.0.1 as its address, Ray takes that of the network; where it supports no clusters of several machines, it uses
+    # 127.0.0.1 all the same.
     secret = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(SECRET_BYTES)}
     return {**os.environ, "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", **secret}
 

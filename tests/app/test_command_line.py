@@ -73,6 +73,30 @@ def test_a_result_that_cannot_be_written_is_an_error() -> None:
     assert process.returncode == 2 and "No space left" in process.stderr and "Traceback" not in process.stderr
 
 
+@pytest.mark.parametrize("option", [["--out", "made"], ["--out=made"]])
+def test_a_result_that_cannot_be_printed_says_where_it_lies(option: list[str], tmp_path: Path) -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full")
+    script = f"""
+import sys
+from pathlib import Path
+from radiant_app import commands
+from radiant_app.cli import main
+
+def sfm(source, out, *others, **options):
+    out.mkdir()
+    return {{"cameras": 3, "unregistered": []}}
+
+commands.sfm = sfm
+sys.argv = ["radiant", "sfm", "photos", *{option!r}]
+main()
+"""
+    with Path("/dev/full").open("w") as full:
+        process = ended(script, stdout=full, cwd=tmp_path)
+    told = "radiant: the result could not be printed (No space left on device): it lies in made.\n"
+    assert (process.returncode, process.stderr) == (2, told)
+
+
 def test_a_working_folder_that_is_gone_gets_one_sentence(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     script = "import os, sys; from radiant_app.cli import main; os.rmdir(os.getcwd()); sys.argv = ['radiant', 'doctor']; main()"

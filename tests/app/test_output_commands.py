@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,9 @@ from typer.testing import CliRunner
 
 from radiant_app.cli import app
 from radiant_core.errors import BadInput
+from radiant_core.geometry import fusion
+from radiant_core.geometry.fusion import _save_view
+from radiant_core.geometry.open3d_ops import DepthView
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import save_cameras
 from radiant_core.render.trajectories import Lens, looking_at
@@ -49,6 +53,33 @@ def test_every_format_is_written_by_its_ending_and_says_what_it_rounds(run: Path
     features = json.loads((tmp_path / "a.geojson").read_text())["features"]
     held_out = [f["properties"] for f in features if f["properties"].get("held_out")]
     assert sorted(row["psnr_db"] for row in held_out) == [20.0, 21.0, 22.0]
+
+
+def test_the_views_of_a_surface_lie_beside_it_and_go_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    town = made_up_town()
+    run = tmp_path / "run"
+    save_run(run, replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
+    # /tmp may be memory, and too small for the views of many photographs.
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+    seen = set[str]()
+
+    def look(path: Path, view: DepthView) -> None:
+        _save_view(path, view)
+        seen.add(path.parent.parent.name)
+        assert path.parent.name.startswith(".")
+
+    monkeypatch.setattr(fusion, "_save_view", look)
+    for ends in ("well", "not"):
+        (folder := tmp_path / ends).mkdir()
+        command = ("export", run, folder / "a.ply", "--format", "mesh", "--resolution", 2, "--long-side-px", 64)
+        if ends == "well":
+            radiant(*command)
+        else:
+            monkeypatch.setattr(fusion, "worker_command", lambda place: [sys.executable, "-c", "raise SystemExit('broken')"])
+            with pytest.raises(BadInput, match="broken"):
+                radiant(*command)
+        assert [path.name for path in folder.iterdir()] == ["a.ply"] * (ends == "well")
+    assert seen == {"well", "not"}
 
 
 def test_a_surface_model_lies_on_the_ground_of_the_town(tmp_path: Path) -> None:

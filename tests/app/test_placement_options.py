@@ -31,6 +31,27 @@ def test_devices_that_place_themselves_cannot_be_told(frames: Any, given: dict[s
         RunConfig(source=Path("photos"), out=Path("out"), frames=frames, **given)
 
 
+@pytest.mark.parametrize("command", ["run", "train", "sfm"])
+@pytest.mark.parametrize(
+    "given",
+    [
+        *(("--height", value) for value in ("nan", "inf", "0", "-1", "1e7")),
+        *(("--distance", f"a.jpg,b.jpg,{value}") for value in ("nan", "inf", "0", "x")),
+        ("--up", "0,nan,1"),
+        ("--up", "0,0,0"),
+        ("--height", "2", "--distance", "a.jpg,b.jpg,3"),
+    ],
+)
+def test_a_length_or_direction_that_is_none_is_refused_before_anything_is_written(
+    command: str, given: tuple[str, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "photos").mkdir()
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, [command, str(tmp_path / "photos"), "--out", str(out), *given])
+    assert isinstance(done.exception, BadInput) and all(option in str(done.exception) for option in given[::2])
+    assert not out.exists()
+
+
 @pytest.mark.parametrize("given", GIVEN)
 def test_a_scene_and_poses_that_come_with_the_photographs_keep_their_frame(given: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "train" / "metadata").mkdir(parents=True)

@@ -263,9 +263,12 @@ def test_libraries_write_to_a_file_and_python_is_heard(tmp_path: Path) -> None:
         "    os.write(2, b'I2026 undistorters.cc:208]\\n'); print('a bar', file=sys.stderr)\n"
         "os.write(2, b'afterwards\\n'); print('at the end', file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", script, tmp_path / "log.txt"], capture_output=True, text=True, check=True, env=os.environ)
-    assert done.stderr.splitlines() == ["a bar", "afterwards", "at the end"]
-    assert (tmp_path / "log.txt").read_text() == "I2026 undistorters.cc:208]\n"
+    for times in (1, 2):
+        command = [sys.executable, "-c", script, tmp_path / "log.txt"]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ)
+        assert done.stderr.splitlines() == ["a bar", "afterwards", "at the end"]
+        # What is resumed keeps what was said before it was interrupted.
+        assert (tmp_path / "log.txt").read_text() == times * "I2026 undistorters.cc:208]\n"
 
 
 def test_sfm_gives_one_object_with_lists_and_a_log_of_its_own(tmp_path: Path) -> None:

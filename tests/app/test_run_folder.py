@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import errno
 import os
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.main import get_command
 
 from radiant_app import run_folder
+from radiant_app.cli import app
 from radiant_app.config import RunConfig
 from radiant_app.events import StageDone, StageStarted, Warned
-from radiant_app.run_folder import Manifest, new_folder, opened_run, sfm_folder
+from radiant_app.run_folder import Manifest, differing_options, new_folder, opened_run, recorded_config, sfm_folder
+from radiant_app.train_command import TrainRequest
 from radiant_core.errors import BadInput, CannotWrite
 from radiant_core.io.run_store import RunLock, atomic_path, write_atomic
+from radiant_core.train.needs import Overrides
 
 
 def config(out: Path) -> RunConfig:
@@ -131,7 +136,21 @@ def test_a_disk_that_is_full_empties_no_folder_and_leaves_none_that_holds_nothin
     assert not (tmp_path / "second").exists()
 
 
-SFM = {"source": "photos", "sfm": {"matching": "auto"}, "masks": None}
+@pytest.mark.parametrize("command", ["run", "train"])
+def test_settings_that_differ_are_named_as_the_command_line_calls_them(command: str) -> None:
+    make: Any = RunConfig if command == "run" else TrainRequest
+    recorded: Any = recorded_config if command == "run" else lambda request: request.settings
+    asked = make(source=Path("photos"), out=Path("out"))
+    assert differing_options(recorded(asked), recorded(asked)) == ""
+    other = replace(asked, height_m=40.0, overrides=Overrides(num_steps=5, max_num_splats=7, settings={"sh_degree": 1}))
+    assert differing_options(recorded(other), recorded(asked)) == "--height, --max-splats, --set, --steps"
+    options = get_command(app).commands[command].params  # type: ignore[attr-defined]
+    names = {name for option in options for name in (*option.opts, option.name)}
+    for field in {*recorded(asked), *asdict(Overrides())} - {"overrides", "source"}:
+        assert differing_options({field: "other"}, {field: None}) in names, f"{field} has no option of that name"
+
+
+SFM = {"source": "photos", "sfm": {"matching": "auto"}, "masks": None, "placement": {}}
 
 
 def begin_sfm(out: Path, task: dict[str, Any] = SFM, *, resume: bool = False, error: BaseException | None = None) -> None:
@@ -147,8 +166,10 @@ def test_structure_from_motion_that_was_interrupted_goes_on_and_nothing_else_doe
         begin_sfm(out, error=KeyboardInterrupt())
     with pytest.raises(BadInput, match="go on with what was begun there by --resume"):
         begin_sfm(out)
-    with pytest.raises(BadInput, match="begun with another masks, sfm: repeat that"):
+    with pytest.raises(BadInput, match="begun with another --masks, --matching: repeat that"):
         begin_sfm(out, {**SFM, "sfm": {"matching": "spatial"}, "masks": "masks"}, resume=True)
+    with pytest.raises(BadInput, match="begun with another --height, --up: repeat that"):
+        begin_sfm(out, {**SFM, "placement": {"up": "level", "height_m": 40.0}}, resume=True)
     with RunLock(out), pytest.raises(BadInput, match="another process"):
         begin_sfm(out, resume=True)
     with pytest.raises(BadInput, match="no overlap"):

@@ -165,8 +165,11 @@ def test_a_pause_is_told_to_those_who_run_and_to_the_watch(tmp_path: Path, monke
 
 def test_messages_are_all_heard_before_anybody_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fold, "SILENT_S", -1.0)
+    events: list[Event] = []
     runner = Sleeper(tmp_path, 0.0)
-    Fold(runner=runner, prepare=preparer(tmp_path), listen=lambda event: None, clock=time.monotonic, faults=Faults()).run(TREE)
+    times = Fold(runner=runner, prepare=preparer(tmp_path), listen=events.append, clock=time.monotonic, faults=Faults()).run(TREE)
+    assert set(times) == done(events) == {node.id for node in TREE}
+    assert not [event for event in events if isinstance(event, Warned)]
 
 
 def test_a_message_of_a_node_that_is_gone_hides_none_that_came_after_it(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_other_settings_or_a_used_folder_are_refused(finished: tuple[TrainReques
     request, _, _ = finished
     with pytest.raises(BadInput, match="not empty"):
         train(request)
-    with pytest.raises(BadInput, match="begun with another seed"):
+    with pytest.raises(BadInput, match="begun with another --seed"):
         train(replace(request, seed=1), resume=True)
 
 
@@ -209,6 +209,15 @@ def test_memory_becomes_a_limit_of_gaussians_and_too_little_one_sentence(scene: 
     with pytest.raises(BadInput, match=r"100 MB of memory leave room for 0 Gaussians.*give [\d,]+ MB"):
         train(replace(request, out=tmp_path / "small", memory_bytes=100 * 10**6))
     assert not (tmp_path / "small").exists()
+
+
+def test_a_single_ply_of_photographs_says_what_it_takes(tmp_path: Path) -> None:
+    photos = Path(__file__).parents[2] / "sample_scenes" / "hamlet" / "images"
+    with pytest.raises(BadInput, match=r"holds no scene yet.*model\.ply.*give a folder as --out.*'radiant sfm'"):
+        train(TrainRequest(source=photos, out=tmp_path / "model.ply"))
+    with pytest.raises(BadInput, match="is no folder: give a folder of photographs"):
+        train(TrainRequest(source=tmp_path / "nowhere", out=tmp_path / "model.ply"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_single_ply_has_the_same_model_and_no_folder(finished: tuple[TrainRequest, dict, list[Event]], tmp_path: Path) -> None:

@@ -14,7 +14,9 @@ import tifffile
 
 from radiant_app.inspect_command import run_setting
 from radiant_app.run_folder import Manifest
+from radiant_app.sources import scored_scene_of
 from radiant_app.train_command import TrainRequest
+from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import read_model
 from radiant_core.io.ply import save_ply
@@ -80,6 +82,37 @@ def test_a_training_is_looked_at_filmed_and_exported(folders: tuple[Path, Path],
     assert {feature["geometry"]["type"] for feature in features} == {"Point"}
     assert not any({"edge", "device"} & feature["properties"].keys() for feature in features)
     assert sum(feature["properties"]["held_out"] for feature in features) == 3
+
+
+def test_a_training_shows_and_films_what_it_scored_where_its_scene_holds_copies(town: Town, tmp_path: Path) -> None:
+    sfm, trained = tmp_path / "sfm", tmp_path / "trained"
+    (sfm / "images").mkdir(parents=True)
+    trained.mkdir()
+    # A copy that comes first in the order of names moves every eighth photograph.
+    names = town.scene.cameras.names
+    order, alone = [0, *range(24)], town.scene.cameras
+    poses, sizes_wh = alone.cam_from_world[order], alone.sizes_wh[order]
+    cameras = Cameras(names=("A copy.JPG", *names), Ks=alone.Ks[order], cam_from_world=poses, sizes_wh=sizes_wh)
+    observations = np.column_stack([np.arange(9000), np.arange(9000) % 25])
+    save_scene(sfm / "scene.safetensors", replace(town.scene, cameras=cameras, observations=observations))
+    for name in ("A copy.JPG", names[0]):
+        cv2.imwrite(str(sfm / "images" / name), cv2.resize(np.full((4, 4, 3), 99, np.uint8), (640, 480)))
+    write_json(sfm / "result.json", {"images": "images", "masks": None})
+    settings = TrainRequest(source=sfm, out=trained).settings
+    Manifest(folder=trained, config=json.loads(json.dumps(settings, default=str))).save()
+    save_ply(trained / "scene.ply", town.splats)
+    trained_on = scored_scene_of(sfm)[0].cameras.names
+    scored = sorted(trained_on)[::8]
+    write_json(trained / "metrics.json", {"images": [{"name": name, "psnr_db": 20.0} for name in scored]})
+    run = load_run_view(trained)
+    assert run.held_out == set(scored) and {cameras.names[row] for row in np.flatnonzero(run.roles.held_out)} == set(scored)
+    radiant("render", trained, "--out", tmp_path / "held", "--long-side-px", 48)
+    assert sorted(path.stem for path in (tmp_path / "held").iterdir()) == scored
+    for folder in (trained, sfm):
+        radiant("export", folder, tmp_path / f"{folder.name} colmap")
+        assert [image.name for image in read_model(tmp_path / f"{folder.name} colmap").images] == list(
+            scored_scene_of(sfm)[0].cameras.names
+        )
 
 
 def test_a_scene_shows_cameras_and_photographs_and_says_what_a_model_needs(folders: tuple[Path, Path], tmp_path: Path) -> None:

@@ -126,11 +126,14 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
 
 def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
     scene = unplanned_scene(folder)
-    held = held_out_mask(scene.cameras.names)
-    held_out = frozenset(name for name, is_held in zip(scene.cameras.names, held, strict=True) if is_held)
+    is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
+    psnr_db = _image_psnr_db(folder / METRICS_NAME) if is_scored else None
+    names = scene.cameras.names
+    # A scene may hold copies of photographs, which training leaves out before it splits: what it scored is known only from its figures.
+    held = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
+    held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
     cloud_plan, edge_plans = plan_of_everything(scene, int((~held).sum()))
     roles, nobody = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out), np.full(len(held), NOBODY, np.int64)
-    is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
     return RunView(
         folder=folder,
         scene=scene,
@@ -138,7 +141,7 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
         edge_plans=edge_plans,
         splats=load_ply(folder / PLY_NAME) if kind == "training" and (folder / PLY_NAME).is_file() else None,
         held_out=held_out,
-        psnr_db=_image_psnr_db(folder / METRICS_NAME) if is_scored else None,
+        psnr_db=psnr_db,
         roles=replace(roles, edge_of_camera=nobody, device_of_camera=nobody),
         kind=kind,
     )

@@ -2,7 +2,7 @@
 
     bytes = `BASE_BYTES` + blocks · `BYTES_PER_BLOCK`,  blocks of 16³ voxels ∝ 1 / voxel² for a surface
 Open3D ends the process by a signal where its tables are too small; here that is a sentence. The views lie in a temporary folder, some 2 MB
-each at 640 px: they are counted first, then fused, 0.2 s each.
+each at 640 px, beside the result where the caller says so, since /tmp may be memory: they are counted first, then fused, 0.2 s each.
 """
 
 from __future__ import annotations
@@ -58,12 +58,16 @@ def blocks_within(memory_bytes: int) -> int:
     return int(np.clip((MEMORY_SHARE * memory_bytes - BASE_BYTES) / BYTES_PER_BLOCK, MIN_BLOCKS, MAX_BLOCKS))
 
 
-def fuse_apart(views: Iterable[DepthView], settings: FusionSettings, report: Callable[[int, int], None]) -> Fusion:
+def fuse_apart(
+    views: Iterable[DepthView], settings: FusionSettings, report: Callable[[int, int], None], scratch: Path | None = None
+) -> Fusion:
     """The mesh of depth views, made by another process; `report` gets views fused and their total.
+
+    The views go into a hidden folder in `scratch`, by default the system's for temporary files, and are removed in the end.
 
     Raises BadInput, which names a resolution that would do, where a fixed one takes too many blocks and where that process ends early.
     """
-    with tempfile.TemporaryDirectory(prefix="radiant-surface-") as name:
+    with tempfile.TemporaryDirectory(prefix=".radiant-surface-", dir=scratch) as name:
         folder = Path(name)
         try:
             for index, view in enumerate(views):

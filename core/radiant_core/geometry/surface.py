@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -61,17 +62,18 @@ class Surface:
         return float(min(1.0, np.linalg.norm(normals, axis=1).sum() / 2 / max(float(box.prod()), 1e-300)))
 
 
-def extract_surface(
+def extract_surface(  # noqa: PLR0913
     splats: Splats,
     cameras: Cameras,
     *,
     resolution: float | None = None,
     long_side_px: int = 640,
     memory_bytes: int | None = None,
+    scratch: Path | None = None,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> Surface:
     """The surface that C cameras see of a model; `resolution` by default two pixels on the ground at the usual depth, or what is
-    possible in `memory_bytes`.
+    possible in `memory_bytes`. `scratch` is the folder for temporary files, some 2 MB per camera.
 
     Raises BadInput without cameras, for a resolution that is no positive number, finer than 2,000 voxels across the reach or more than
     fits, and where no camera sees the model. `report` gets views done, rendered and then fused, and their total.
@@ -105,7 +107,7 @@ def extract_surface(
         max_depth=MAX_DEPTH * reach,
         max_blocks=MAX_BLOCKS if memory_bytes is None else blocks_within(memory_bytes),
     )
-    fusion = fuse_apart(views(), settings, lambda done, total: report(len(moved) + len(moved) * done // total, 2 * len(moved)))
+    fusion = fuse_apart(views(), settings, lambda done, total: report(len(moved) + len(moved) * done // total, 2 * len(moved)), scratch)
     mesh = _cropped(fusion.mesh, low, high)
     if not len(mesh.triangles):
         raise BadInput(

@@ -17,7 +17,7 @@ from radiant_core.errors import BadInput, StageFailed
 try:
     import pycolmap
 except (ImportError, RuntimeError, MemoryError) as error:
-    # It takes half a gigabyte of addresses to load, and blames its installation where that is refused.
+    # It takes half a gigabyte of addresses to load, and where that is refused its error names a broken installation.
     why = str(error.__cause__ or error).strip().split("\n")[0]
     raise BadInput(f"pycolmap cannot be loaded ({why}): allow more memory (ulimit -v), or run ./setup.sh again.") from error
 

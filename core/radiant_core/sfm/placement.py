@@ -41,7 +41,7 @@ class Placement:
         if self.distance is not None and self.height_m is not None:
             raise BadInput("--distance and --height both give the scale: keep one of them.")
         if self.height_m is not None and not 0 < self.height_m <= MAX_LENGTH_M:
-            raise BadInput(f"--height is {self.height_m}, expected metres above 0.")
+            raise BadInput(f"--height is {self.height_m}, expected metres above 0, at most {MAX_LENGTH_M:,.0f}.")
         if self.distance is not None:
             _split_distance(self.distance)
         vector = self.vector
@@ -129,7 +129,7 @@ def _split_distance(text: str) -> tuple[str, float]:
     except ValueError:
         length_m = float("nan")
     if "," not in names or not 0 < length_m <= MAX_LENGTH_M:
-        raise BadInput(f"--distance is {text!r}, expected PHOTO,PHOTO,METRES with metres above 0.")
+        raise BadInput(f"--distance is {text!r}, expected PHOTO,PHOTO,METRES with metres above 0, at most {MAX_LENGTH_M:,.0f}.")
     return names, length_m
 
 

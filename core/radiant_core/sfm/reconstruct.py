@@ -25,7 +25,7 @@ from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.placement import Placement
 from radiant_core.sfm.refine import refine
 from radiant_core.sfm.spaced_names import write_for_colmap
-from radiant_core.sfm.undistort import move_model, undistort
+from radiant_core.sfm.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.workspace import listed, listing_warnings, start_clean
 from radiant_core.sfm.world import UNPLACED, scene_in_world
 
@@ -84,9 +84,10 @@ def reconstruct(
     undistorted = undistort(work_folder / "sparse", photo_folder, work_folder, threads, report)
     masks = undistort_masks(given, work_folder / "sparse", work_folder, config.threads)
     placed = scene_in_world(read_model(undistorted.model_folder), photographs, config.seed, placement)
-    for folder in (work_folder / "sparse", undistorted.model_folder):
-        move_model(folder, placed.world_from_model)
     scene, repeats = without_repeats(placed.scene, undistorted.image_folder)
+    for folder in (work_folder / "sparse", undistorted.model_folder):
+        fit_model(folder, placed.world_from_model, scene.cameras)
+    remove_images(undistorted.image_folder, scene.cameras)
     outliers = gps_outliers(scene, photographs)
     return SfmResult(
         scene=scene,
@@ -144,9 +145,13 @@ def scene_from_colmap(
         masks = undistort_masks(given, model_folder, work_folder, SfmConfig().threads)
         model, images_to_use = read_model(undistorted.model_folder), undistorted.image_folder
     placed = scene_in_world(model, listing.photographs, 0, placement)
-    if not pinhole:
-        move_model(work_folder / "undistorted" / "sparse", placed.world_from_model)
     scene, repeats = without_repeats(placed.scene, images_to_use)
+    if not pinhole:
+        # What was given stays as it is; sparse/ is there where COLMAP could not read it as it was.
+        for folder in (work_folder / "sparse", work_folder / "undistorted" / "sparse"):
+            if folder.is_dir():
+                fit_model(folder, placed.world_from_model, scene.cameras)
+        remove_images(images_to_use, scene.cameras)
     return SfmResult(
         scene=without_masked_points(scene, masks),
         undistorted_folder=images_to_use,

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from radiant_core.cameras import Cameras
 from radiant_core.frames import Sim3
 from radiant_core.io.run_store import require_room
 from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
@@ -46,8 +47,22 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
     return Undistorted(model_folder=final / "sparse", image_folder=final / "images")
 
 
-def move_model(model_folder: Path, world_from_model: Sim3) -> None:
-    """Move the binary COLMAP model in `model_folder` by a similarity, so that it and the scene made of it are in one frame."""
+def fit_model(model_folder: Path, world_from_model: Sim3, cameras: Cameras) -> None:
+    """Make the COLMAP model in `model_folder` fit the scene made of it: moved into its world, without images that are none of its cameras.
+
+    Points that only those images saw go, too.
+    """
     model = pycolmap.Reconstruction(model_folder)
     model.transform(pycolmap.Sim3d(world_from_model.scale, pycolmap.Rotation3d(world_from_model.rotation), world_from_model.translation))
+    kept = set(cameras.names)
+    for image in [image for image in model.images.values() if image.has_pose and image.name not in kept]:
+        model.deregister_frame(image.frame_id)
     model.write_binary(model_folder)
+
+
+def remove_images(image_folder: Path, cameras: Cameras) -> None:
+    """Remove the images of a folder of `undistort` that are none of the cameras."""
+    kept = {image_folder / name for name in cameras.names}
+    for path in image_folder.rglob("*"):
+        if path.is_file() and path not in kept:
+            path.unlink()

@@ -10,11 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
 from radiant_core.io.colmap import read_model, write_model
 from radiant_core.sfm.copies import repeated_cameras
-from radiant_core.sfm.reconstruct import SfmProgress, scene_from_colmap
+from radiant_core.sfm.reconstruct import SfmConfig, SfmProgress, reconstruct, scene_from_colmap
 from tests.core.scenes import cameras_above
 
 
@@ -44,6 +45,37 @@ def test_every_photograph_of_a_project_that_has_all_twice_is_used_once(copy: Cal
     assert result.scene.cameras.names == tuple(image.name for image in model.images)
     (told,) = [warning for warning in result.warnings if "copies" in warning]
     assert told.startswith("12 of 24 photographs are copies of others") and "z_drone_0000.jpg (of drone_0000.jpg)" in told
+
+
+@pytest.mark.parametrize("kind", ["photographs", "colmap"])
+def test_copies_are_neither_in_the_scene_nor_in_what_is_left_for_other_programs(kind: str, hamlet: Path, tmp_path: Path) -> None:
+    photos, work = tmp_path / "photos", tmp_path / "work"
+    shutil.copytree(hamlet / "images", photos)
+    model = read_model(hamlet / "known")
+    doubles = [replace(image, image_id=1_000 + number, name=f"z {image.name}") for number, image in enumerate(model.images[3:5])]
+    for double in doubles:
+        saved_anew(photos / double.name.removeprefix("z "), photos / double.name)
+    given = sorted(path.name for path in photos.iterdir())
+    if kind == "photographs":
+        result = reconstruct(photos, work, SfmConfig(max_image_size_px=640, max_num_features=1500, num_threads=2), quiet)
+    else:
+        doubles = [replace(image, points2d=np.zeros((0, 2)), point3d_ids=np.zeros(0, np.int64)) for image in doubles]
+        write_model(tmp_path / "model", replace(model, images=(*model.images, *doubles)))
+        f, _, cx, cy = model.cameras[min(model.cameras)].params
+        lens = "".join(f"{number} SIMPLE_RADIAL 320 240 {f} {cx} {cy} -0.05\n" for number in model.cameras)
+        (tmp_path / "model" / "cameras.txt").write_text(lens)
+        result = scene_from_colmap(tmp_path / "model", photos, work, quiet)
+        assert len(read_model(tmp_path / "model").images) == len(given), "what was given stays"
+    cameras = result.scene.cameras
+    assert len(cameras) == len(given) - 2 and any("2 of 14 photographs are copies" in warning for warning in result.warnings)
+    assert sorted(path.name for path in (work / "undistorted/images").iterdir()) == sorted(cameras.names)
+    assert sorted(path.name for path in photos.iterdir()) == given
+    for folder in ["sparse", "undistorted/sparse"]:
+        left = read_model(work / folder)
+        of_model = {image.name: -image.cam_from_world[:3, :3].T @ image.translation for image in left.images}
+        assert sorted(of_model) == sorted(cameras.names)
+        np.testing.assert_allclose(cameras.centers, [of_model[name] for name in cameras.names], atol=1e-6)
+        assert len(left.points.xyz) and KDTree(result.scene.points).query(left.points.xyz)[0].max() < 1e-6
 
 
 def standing_together(size_wh: tuple[int, int]) -> Cameras:
