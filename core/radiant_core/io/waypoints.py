@@ -24,7 +24,7 @@ from radiant_core.io.copies import copies_warning, file_copies
 from radiant_core.io.csv_waypoints import csv_rows
 from radiant_core.io.geojson_waypoints import geojson_rows
 from radiant_core.io.kml_waypoints import kml_rows
-from radiant_core.io.photos import photograph_positions
+from radiant_core.io.photos import photograph_positions, unread_files, unread_warning
 from radiant_core.io.run_store import open_without_waiting
 from radiant_core.io.waypoint_rows import WaypointRows
 from radiant_core.numerics import FloatArray
@@ -97,7 +97,7 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
         raise BadInput(f"cannot use the positions of the photographs in {folder}: {error}") from error
     return FoundWaypoints(
         waypoints=waypoints,
-        warnings=(*copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low, geodetic)),
+        warnings=(*unread_warning(unread_files(folder)), *copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low, geodetic)),
         without_gps=without,
     )
 
