@@ -169,7 +169,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
 def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
     ground_m = request.content.ground_m
     if ground_m is not None and not waypoints.altitude_known:
-        raise BadInput(f"--ground is {ground_m:g} m, and no position in {request.source} has an altitude above it: leave --ground out.")
+        raise BadInput(f"--ground is {ground_m:g} m, and no position in {request.source} has an altitude: leave --ground out.")
     return replace(waypoints, ground_m=ground_m)
 
 
