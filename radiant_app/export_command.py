@@ -43,6 +43,8 @@ MIN_KNOWN = 1 / 9
 """Share of a surface model's cells from which on a cell has one neighbour with a height, or its own, on the average: with fewer no gap
 can be told from what was seen."""
 
+_LEVEL = "the middle of the scene's points, not from the sea"
+
 _ADVICE = "what was seen lies scattered: look at it before anything is measured, and try a coarser --resolution, which closes gaps."
 
 
@@ -194,6 +196,8 @@ def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
         text = f"only {_percent(grid.known)} of {grid.heights.size:,} cells have a height; {_ADVICE}"
         display(Warned(stage="surface", message=text))
     save_geotiff(request.out, grid)
+    if not run.scene.frame.altitude_known:
+        display(Warned(stage="surface", message=f"GPS has no altitude: heights count from {_LEVEL}."))
     height, width = grid.heights.shape
     return {
         "crs": "none, the model's own coordinates" if grid.epsg is None else f"EPSG:{grid.epsg}",
@@ -248,7 +252,8 @@ def _origin_of(run: RunView) -> dict[str, Any]:
     if run.scene.frame.kind != "metric":
         return {}
     lat, lon, alt = run.scene.frame.origin_lat_lon_alt.tolist()
-    return {"origin": f"{lat:.9f}, {lon:.9f}, {alt:.3f} m", "axes": "east, north, up"}
+    height = f"{alt:.3f} m" if run.scene.frame.altitude_known else f"heights from {_LEVEL}"
+    return {"origin": f"{lat:.9f}, {lon:.9f}, {height}", "axes": "east, north, up"}
 
 
 _WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {

@@ -49,7 +49,7 @@ from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
-from radiant_core.io.copies import file_copies
+from radiant_core.io.copies import copies_warning, file_copies
 from radiant_core.io.photos import SUFFIXES
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
@@ -190,7 +190,7 @@ def _device_folders(source: Path, system: System) -> dict[str, Path] | None:
 def _captured(config: RunConfig, poses: GivenPoses | None, folders: dict[str, Path] | None, progress: Progress) -> Captured:
     if poses is None and folders is not None and config.cell_m is not None:
         return _told_by_devices(config.cell_m, folders, progress)
-    captured = _by_poses(poses, folders, config.source) if poses is not None else _by_gps(config, folders, progress)
+    captured = _by_poses(poses, folders, config.source, progress) if poses is not None else _by_gps(config, folders, progress)
     _tell_unplaced(captured, progress)
     return captured
 
@@ -284,7 +284,7 @@ def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | N
     """What `run_positions` finds out of the photographs in `place`, in a process of its own."""
     folder = progress.manifest.folder / stage
     folder.mkdir(parents=True, exist_ok=True)
-    task = {"photographs": str(place.resolve()), "cell_m": cell_m, "held_out": list(held_out)}
+    task = {"photographs": str(place.resolve()), "cell_m": cell_m, "held_out": list(held_out), "owned": stage != "positions"}
     write_json(folder / "task.json", task)
     # Another process may not open them. Reading their heads again is cheap, and where those say the same nothing follows from it.
     photographs = [path for path in sorted(place.iterdir()) if path.suffix.lower() in SUFFIXES and path.is_file()]
@@ -322,11 +322,13 @@ def _photo_folder(source: Path) -> Path:
     return source / "images" if (source / "images").is_dir() else source
 
 
-def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path) -> Captured:
+def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path, progress: Progress) -> Captured:
     """Positions from the given poses; with device folders each pose belongs to the device that has a file of its name."""
     names = poses.cameras.names
     if folders is None:
         copies = file_copies({name: poses.photos / name for name in names})
+        for told in copies_warning(copies, len(names)):
+            progress.listen(Warned(stage="plan", message=told))
         names = tuple(name for name in names if name not in copies)
         absent = [name for name in names if not (poses.photos / name).is_file()]
         owners: list[str | None] = [None] * len(names)

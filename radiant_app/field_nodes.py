@@ -55,11 +55,13 @@ def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
     Of a device's own folder only counts come out: how many training photographs lie in each cell of a raster, and how high about.
     """
-    task = read_json(folder / "task.json", ("photographs", "cell_m", "held_out"))
+    task = read_json(folder / "task.json", ("photographs", "cell_m", "held_out", "owned"))
     photographs = Path(task["photographs"])
     found = photograph_positions(photographs)
     copies = file_copies({name: photographs / name for name in found})
-    _tell_copies(len(copies), len(found), (stage, emit))
+    if not task["owned"]:
+        # Of its own a device tells when it has decoded them: of broken files none is a copy.
+        _tell_copies(len(copies), len(found), (stage, emit))
     low = [name for name, place in found.items() if place is not None and np.isnan(place[2])]
     if low:
         told = f"{len(low)} of {len(found)} photographs have GPS without altitude, and a device's frame needs one"
@@ -215,7 +217,7 @@ def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str,
     frame = device_frame(result.scene, positions, np.array(task["origin"]), task["sfm"]["seed"])
     if isinstance(frame, RefusedFrame):
         raise BadInput(f"its frame is refused: {frame.reason}")
-    emit(Decided(decision=_frame_decision(stage, asdict(frame.uncertainty), len(positions))))
+    emit(Decided(decision=_frame_decision(stage, asdict(frame.uncertainty), frame.num_inliers)))
     _draw_frame(folder, frame.scene.cameras, positions, task["origin"], frame.sigma_m)
     return _Placed(scene=frame.scene, images=result.undistorted_folder, uncertainty=asdict(frame.uncertainty))
 

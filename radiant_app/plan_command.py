@@ -150,7 +150,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
     from radiant_viewer.views import waypoint_plan_picture
 
-    waypoints = replace(found.waypoints, ground_m=request.content.ground_m)
+    waypoints = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m
     made = _made_plan(_ToPlan(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
     content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
@@ -161,8 +161,16 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
     report(3, len(PHASES), PHASES[3])
     _write(request.out, made, content, pictures, waypoints)
     written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
-    warnings = found.warnings if waypoints.heights_m is not None else (*found.warnings, NO_HEIGHTS)
+    above_sea = waypoints.altitude_known and waypoints.heights_m is None
+    warnings = (*found.warnings, NO_HEIGHTS) if above_sea else found.warnings
     return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **written}
+
+
+def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
+    ground_m = request.content.ground_m
+    if ground_m is not None and not waypoints.altitude_known:
+        raise BadInput(f"--ground is {ground_m:g} m, and no position in {request.source} has an altitude: leave --ground out.")
+    return replace(waypoints, ground_m=ground_m)
 
 
 def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:

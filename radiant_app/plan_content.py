@@ -155,6 +155,8 @@ def _forecast_heights(waypoints: Waypoints) -> FloatArray | str:
     if len(waypoints) > MAX_IMAGES:
         return f"not made, for {len(waypoints)} positions are more than {MAX_IMAGES}."
     heights_m = waypoints.heights_m
+    if heights_m is None and not waypoints.altitude_known:
+        return "not made, for no position has an altitude."
     if heights_m is None:
         kind = "are" if waypoints.absolute else "look like"
         high = waypoints.lat_lon_alt[:, 2].max()

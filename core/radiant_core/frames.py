@@ -29,11 +29,13 @@ class Frame:
     kind "scaled": metres by a known length and z up, without a place on the globe; the origin is zero.
     kind "unscaled": no GPS was found; z is up as estimated, one unit is arbitrary, the origin is zero.
     `residual_m`: median distance of the camera centres to GPS, None without GPS.
+    `altitude_known`: whether the origin's altitude is one; without, GPS has none, and z counts from the middle of the scene's points.
     """
 
     kind: Literal["metric", "scaled", "unscaled"]
     origin_lat_lon_alt: FloatArray
     residual_m: float | None = None
+    altitude_known: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origin_lat_lon_alt", checked_array("origin_lat_lon_alt", self.origin_lat_lon_alt, (3,)))

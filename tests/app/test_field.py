@@ -21,8 +21,8 @@ from radiant_app.config import RunConfig
 from radiant_app.demo import sample_scenes_folder
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
 from radiant_app.extend_command import ExtendRequest, extend
-from radiant_app.field import Captured, _middle, _tell_unplaced
-from radiant_app.field_nodes import _placed_once, run_field, run_positions
+from radiant_app.field import Captured, _by_poses, _middle, _tell_unplaced
+from radiant_app.field_nodes import _placed, _placed_once, run_field, run_positions
 from radiant_app.inbox import _are_one_group
 from radiant_app.nodes import run_node
 from radiant_app.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
@@ -34,10 +34,13 @@ from radiant_app.stages import Progress
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.photos import photograph_positions
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene
 from radiant_core.io.run_store import write_json
 from radiant_core.plan.replan import Situation
+from radiant_core.sfm.given_poses import given_poses
+from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.train.needs import Overrides
 from radiant_viewer.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
@@ -488,15 +491,52 @@ def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, Ru
     assert "with nodes run by local" in page and "planned from a count raster" in page and "no device&#39;s id" in page
 
 
-def test_copies_are_counted_and_neither_planned_nor_named(hamlet: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("owned", [False, True])
+def test_copies_are_counted_once_and_neither_planned_nor_named(owned: bool, hamlet: Path, tmp_path: Path) -> None:
     photographs = sorted((hamlet / "images").iterdir())[:3]
     (tmp_path / "photos").mkdir()
     for path in photographs:
         for name in (path.name, f"z_{path.name}"):
             shutil.copy(path, tmp_path / "photos" / name)
-    (tmp_path / "task.json").write_text(json.dumps({"photographs": str(tmp_path / "photos"), "cell_m": None, "held_out": []}))
+    task = {"photographs": str(tmp_path / "photos"), "cell_m": None, "held_out": [], "owned": owned}
+    (tmp_path / "task.json").write_text(json.dumps(task))
     told: list[Event] = []
     run_positions(tmp_path, "positions", told.append)
     assert list(json.loads((tmp_path / "positions.json").read_text())["photographs"]) == [path.name for path in photographs]
+    warnings = [event.message for event in told if isinstance(event, Warned)]
+    # A device's own are told by its structure from motion, which knows the broken ones, too.
+    assert len(warnings) == (not owned)
+    assert all(warning.startswith("3 of 6 photographs are copies") and "drone" not in warning for warning in warnings)
+
+
+def test_a_frame_counts_the_positions_that_it_is_from(hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photos = tmp_path / "photos"
+    shutil.copytree(hamlet / "images", photos)
+    first = min(photos.iterdir())
+    shutil.copy(first, photos / f"z_{first.name}")
+    (photos / "broken.jpg").write_bytes(first.read_bytes()[:-1000])
+    assert len([place for place in photograph_positions(photos).values() if place is not None]) == 14
+    # Mapping takes half a minute; a known model of the same photographs is a scene as good.
+    monkeypatch.setattr(
+        "radiant_core.sfm.reconstruct.reconstruct",
+        lambda photo_folder, work, config, report: scene_from_colmap(hamlet / "known", photo_folder, work, report),
+    )
+    origin = next(place for place in photograph_positions(photos).values() if place is not None)
+    task = {"source": str(photos), "copy": False, "frames": "gps", "origin": list(origin), "sfm": {"matching": "auto", "seed": 0}}
+    told: list[Event] = []
+    write_json(tmp_path / "task.json", task)
+    _placed(tmp_path, task, "devices/a", told.append)
+    (frame,) = [event.decision for event in told if isinstance(event, Decided) and event.decision.topic == "frame"]
+    assert frame.reason.startswith("from 12 positions;")
+
+
+def test_copies_among_given_poses_are_told(hamlet: Path, tmp_path: Path) -> None:
+    shutil.copytree(hamlet / "images", tmp_path / "images")
+    first, second = sorted(path.name for path in (tmp_path / "images").iterdir())[:2]
+    shutil.copy(tmp_path / "images" / first, tmp_path / "images" / second)
+    poses = given_poses(tmp_path, hamlet / "known")
+    told: list[Event] = []
+    captured = _by_poses(poses, None, tmp_path, cast(Progress, SimpleNamespace(listen=told.append)))
+    assert second not in captured.names and len(captured.names) == 11
     (warning,) = [event.message for event in told if isinstance(event, Warned)]
-    assert warning.startswith("3 of 6 photographs are copies") and "drone" not in warning
+    assert warning.startswith("1 of 12 photographs are copies") and f"{second} (of {first})" in warning

@@ -20,7 +20,7 @@ from radiant_app.progress import ProgressDisplay
 from radiant_app.stages import require_plan
 from radiant_app.system_file import load_system
 from radiant_core.errors import BadInput
-from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
+from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene, save_plan, save_scene
 from radiant_core.io.waypoints import read_waypoints
 from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.footprints import Optics
@@ -165,6 +165,32 @@ def test_lists_of_a_run_hold_heights_above_its_ground_and_absolute_altitudes_bes
     save_edited_plan(tmp_path / "field.json", subject_of(load_plan_view(tmp_path / "plan.json", unseen)), editor.state, setting)
     header = (tmp_path / "field_waypoints" / lists[0].name).read_text().split("\n")[0].strip()
     assert header == "latitude,longitude,altitude_absolute(m),name"
+
+
+def test_lists_of_a_run_without_altitudes_hold_heights_above_its_ground_alone(tmp_path: Path) -> None:
+    town = made_up_town()
+    seen = np.column_stack([np.arange(9000), np.zeros(9000, np.int64)])
+    frame = replace(town.scene.frame, origin_lat_lon_alt=np.array([47.37, 8.54, 0.0]), altitude_known=False)
+    scene = replace(town.scene, observations=seen, frame=frame)
+    save_scene(tmp_path / "scene.safetensors", scene)
+    scene = load_scene(tmp_path / "scene.safetensors")
+    assert not scene.frame.altitude_known
+    save_plan(tmp_path / "plan.json", town.cloud_plan, town.edge_plans)
+    setting = plan_setting(tmp_path / "plan.json", _write_system(tmp_path / "town.toml"))
+    for name, points_seen, header in (
+        ("out", seen, "latitude,longitude,altitude(m),name"),
+        ("field", np.zeros((0, 2), np.int64), "latitude,longitude,name"),
+    ):
+        subject = subject_of(load_plan_view(tmp_path / "plan.json", replace(scene, observations=points_seen)))
+        editor = PlanEditor(subject, setting.system, (town.cloud_plan, town.edge_plans))  # type: ignore[arg-type]
+        save_edited_plan(tmp_path / f"{name}.json", subject, editor.state, setting)
+        lists = sorted((tmp_path / f"{name}_waypoints").iterdir())
+        assert {path.read_text().splitlines()[0] for path in lists} == {header}
+        rows = [row for path in lists for row in csv.DictReader(path.read_text().splitlines())]
+        # The lowest tenth of the points lies at 0.1 m, the cameras 60 m above 0.
+        assert all(float(row["altitude(m)"]) == pytest.approx(59.9, abs=0.05) for row in rows if name == "out")
+        kept = load_plan_waypoints(tmp_path / f"{name}.json")
+        assert kept is not None and not kept.absolute and not kept.altitude_known
 
 
 def test_what_cannot_be_opened_is_one_sentence(tmp_path: Path, planned: Path) -> None:

@@ -21,7 +21,7 @@ from radiant_core.geometry import fusion
 from radiant_core.geometry.fusion import _save_view
 from radiant_core.geometry.open3d_ops import DepthView
 from radiant_core.io.ply import load_ply
-from radiant_core.io.records import save_cameras
+from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.render.trajectories import Lens, looking_at
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -95,6 +95,20 @@ def test_a_surface_model_lies_on_the_ground_of_the_town(tmp_path: Path) -> None:
     assert 0 < np.median(values[values > -9000]) < 3
     with pytest.raises(BadInput, match="exists"):
         radiant("export", run, tmp_path / "a.tif")
+
+
+def test_a_surface_model_without_altitudes_says_where_its_heights_count_from(tmp_path: Path) -> None:
+    town = made_up_town()
+    save_run(tmp_path / "run", replace(town, splats=replace(town.splats, log_scales=town.splats.log_scales + 0.9)))
+    frame = replace(town.scene.frame, altitude_known=False)
+    save_scene(tmp_path / "run" / "sfm" / "scene.safetensors", replace(town.scene, frame=frame))
+    arguments = ["export", str(tmp_path / "run"), str(tmp_path / "a.tif"), "--resolution", "2", "--long-side-px", "96", "--json"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "heights count from the middle of the scene's points, not from the sea" in " ".join(result.stderr.split())
+    radiant("export", tmp_path / "run", tmp_path / "a.geojson")
+    features = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    assert {len(f["geometry"]["coordinates"]) for f in features if f["geometry"]["type"] == "Point"} == {2}
 
 
 @pytest.mark.parametrize(("ending", "sentence"), [("tif", "cells have a height"), ("ply", "of the ground at most")])

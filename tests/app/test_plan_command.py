@@ -29,6 +29,7 @@ from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene
 from radiant_core.io.waypoints import exif_waypoints, read_waypoints
 from radiant_core.plan.comparators import compare
 from radiant_core.plan.edge_sites import place_edges
+from tests.core.sfm.test_gps_of_photographs import hamlet_with, without_altitude
 
 HAMLET = sample_scenes_folder() / "hamlet" / "images"
 SYSTEM = """
@@ -125,6 +126,24 @@ def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) 
     assert headers_of(tmp_path / "out" / "known_waypoints") == {"latitude,longitude,altitude(m),name,altitude_absolute(m)"}
     lists = [read_waypoints(path).waypoints for path in (tmp_path / "out" / "known_waypoints").iterdir()]
     assert min(own.lat_lon_alt[:, 2].min() for own in lists) == pytest.approx(50, abs=1e-3)
+
+
+def test_a_plan_without_altitudes_says_no_height_to_fly_at(tmp_path: Path) -> None:
+    flat = hamlet_with(HAMLET.parent, tmp_path / "flat", without_altitude)
+    result = make_plan(flat, tmp_path / "p.json")
+    lists = sorted((tmp_path / "p_waypoints").iterdir())
+    assert {path.read_text().splitlines()[0] for path in lists} == {"latitude,longitude,name"}
+    assert "hold no height to fly at" in result["warnings"] and result["forecast"] == "not made, for no position has an altitude."
+    assert "sea" not in result["warnings"] + result["forecast"]
+    features = json.loads((tmp_path / "p_regions.geojson").read_text())["features"]
+    assert {len(feature["geometry"]["coordinates"]) for feature in features if feature["geometry"]["type"] == "Point"} == {2}
+    kept = load_plan_waypoints(tmp_path / "p.json")
+    assert kept is not None and kept.heights_m is None and not kept.altitude_known
+    back = [read_waypoints(path) for path in lists if path.read_text().count("\n") > 1]
+    assert all(found.waypoints.heights_m is None and "hold no height" in found.warnings[0] for found in back)
+    with pytest.raises(BadInput, match="leave --ground out"):
+        make_plan(flat, tmp_path / "q.json", content=ContentRequest(ground_m=400))
+    assert not (tmp_path / "q.json").exists()
 
 
 def headers_of(folder: Path) -> set[str]:

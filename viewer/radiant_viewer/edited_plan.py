@@ -31,6 +31,8 @@ class PlanSubject:
     unit: str = "m"
     origin: FloatArray | None = None
     ground: float | None = None
+    altitude_known: bool = True
+    """Whether the origin's altitude is one, as a frame's."""
 
     def __post_init__(self) -> None:
         if not self.names:

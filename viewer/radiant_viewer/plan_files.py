@@ -60,6 +60,7 @@ def subject_of(run: RunView) -> PlanSubject:
         positions=run.scene.cameras.centers[planned],
         unit=run.unit,
         origin=frame.origin_lat_lon_alt if frame.kind == "metric" else None,
+        altitude_known=frame.altitude_known,
         # Sparse points lie on what was seen; a run in the field shows Gaussians instead, which float anywhere.
         ground=ground_height(run.scene) if len(run.scene.observations) else None,
     )
@@ -152,7 +153,8 @@ def _on_the_globe(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoi
     waypoints = Waypoints(
         names=subject.names,
         lat_lon_alt=geodetic_from_enu(subject.positions, subject.origin),
-        absolute=True,
+        absolute=subject.altitude_known,
+        altitude_known=subject.altitude_known,
         ground_m=None if subject.ground is None else _altitude_m(subject.on_map.mean(axis=0), subject.ground, subject.origin),
     )
     return waypoints, enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]

@@ -64,7 +64,7 @@ def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None, op
         points=np.zeros((0, 3)),
         colors=np.zeros((0, 3), np.uint8),
         observations=np.zeros((0, 2), np.int64),
-        frame=Frame(kind="metric", origin_lat_lon_alt=waypoints.origin),
+        frame=Frame(kind="metric", origin_lat_lon_alt=waypoints.origin, altitude_known=waypoints.altitude_known),
     )
 
 

@@ -22,6 +22,8 @@ _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 9: 4, 10: 8}
 _ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
 TIFF_SIGNATURES = tuple(_ORDERS)
 IMAGE_WIDTH, IMAGE_HEIGHT = 0x0100, 0x0101
+BITS_PER_SAMPLE, PHOTOMETRIC, SAMPLES_PER_PIXEL, EXTRA_SAMPLES = 0x0102, 0x0106, 0x0115, 0x0152
+_RGB, _UNSPECIFIED = 2, 0
 MAKE, MODEL, EXIF_POINTER, GPS_POINTER = 0x010F, 0x0110, 0x8769, 0x8825
 FOCAL_LENGTH = 0x920A
 MAX_VALUE_BYTES = 1024
@@ -84,12 +86,29 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 def read_tiff_size(tiff: bytes) -> tuple[int, int] | None:
     """Width and height in px of the first picture in a TIFF file, or None; never raises."""
-    order = _ORDERS.get(tiff[:4])
-    if order is None or len(tiff) < 8:
-        return None
-    main = _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
+    main = _first_directory(tiff)
     width, height = (_number(main.get(tag)) for tag in (IMAGE_WIDTH, IMAGE_HEIGHT))
     return (int(width), int(height)) if width and height and width >= 1 and height >= 1 else None
+
+
+def read_tiff_bits(tiff: bytes) -> int:
+    """Bits per channel of the first picture in a TIFF file, 1 where it does not say; never raises."""
+    return int(_number(_first_directory(tiff).get(BITS_PER_SAMPLE)) or 1)
+
+
+def has_tiff_alpha(tiff: bytes) -> bool:
+    """Whether the first picture in a TIFF file is RGB with an alpha channel; a fourth channel that is said to be something else is none."""
+    main = _first_directory(tiff)
+    is_rgb_and_one = _number(main.get(PHOTOMETRIC)) == _RGB and _number(main.get(SAMPLES_PER_PIXEL)) == 4
+    # Many write RGBA without a word on what the fourth is.
+    return is_rgb_and_one and _number(main.get(EXTRA_SAMPLES)) != _UNSPECIFIED
+
+
+def _first_directory(tiff: bytes) -> dict[int, Value]:
+    order = _ORDERS.get(tiff[:4])
+    if order is None or len(tiff) < 8:
+        return {}
+    return _directory(tiff, order, struct.unpack_from(order + "I", tiff, 4)[0])
 
 
 def read_exif(tiff: bytes) -> ExifFacts:

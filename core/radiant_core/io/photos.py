@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap_records import is_image_name
 from radiant_core.io.copies import file_copies
-from radiant_core.io.jpeg import TIFF_SIGNATURES, ExifFacts, read_exif, read_jpeg_facts, read_tiff_size
+from radiant_core.io.jpeg import TIFF_SIGNATURES, ExifFacts, has_tiff_alpha, read_exif, read_jpeg_facts, read_tiff_bits, read_tiff_size
 from radiant_core.io.run_store import open_without_waiting, read_bounded
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -43,6 +43,7 @@ JPEG_PIXELS_PER_BYTE, DEFLATE_RATIO = 512, 1032
 """A file that promises more is none: a JPEG spends a bit or more on every 64 pixels, and no zlib stream packs better than that."""
 EXIF_HEAD_BYTES = 1 << 18
 """Where EXIF is found: its segment holds at most 64 KiB and comes among the first."""
+_SAVED = f"save photographs as {READ_KINDS}, and frames of films, to use them"
 _PNG_SIGNATURE, _PNG_HEAD = b"\x89PNG\r\n\x1a\n", b"\0\0\0\rIHDR"
 
 
@@ -124,13 +125,10 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
     unread: dict[str, int] = {}
     if names is None:
         names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
-        skipped, unread = _subfolders(folder), _unread(folder)
+        skipped, unread = _subfolders(folder), unread_files(folder)
     names = [name for name in names if (folder / name).is_file()]
     if not names:
-        inner = next((path.parent for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()), None)
-        where = "give the folder that holds the image files" if inner is None else f"there are some in {inner}: give that folder"
-        other = f" but {_listed(unread)} files, which cannot be read" if unread else ""
-        raise BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}){other}: {where}.")
+        raise _no_photographs(folder, unread)
     photographs: list[Photograph] = []
     for done, found in enumerate(_inspected(folder, names), start=1):
         if isinstance(found, Photograph):
@@ -149,14 +147,24 @@ def unread_warning(unread: Mapping[str, int]) -> tuple[str, ...]:
     """What is told of files that cannot be read, by their kinds alone; none where there are none."""
     if not unread:
         return ()
-    return (f"{_listed(unread)} files are not read: save photographs as {READ_KINDS}, and frames of films, to use them.",)
+    return (f"{_listed(unread)} files are not read: {_SAVED}.",)
+
+
+def _no_photographs(folder: Path, unread: Mapping[str, int]) -> BadInput:
+    """What is said of a folder without photographs that can be read, beside files that cannot."""
+    inner = next((path.parent for path in sorted(folder.rglob("*")) if path.suffix.lower() in SUFFIXES and path.is_file()), None)
+    where = _SAVED if unread else "give the folder that holds the image files"
+    if inner is not None:
+        where = f"there are some in {inner}: give that folder"
+    other = f" but {_listed(unread)} files, which cannot be read" if unread else ""
+    return BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}){other}: {where}.")
 
 
 def _listed(unread: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {suffix}" for suffix, count in sorted(unread.items()))
 
 
-def _unread(folder: Path) -> dict[str, int]:
+def unread_files(folder: Path) -> dict[str, int]:
     """How many files of each kind in `folder` hold photographs or films that are not read."""
     return dict(Counter(path.suffix.lower() for path in folder.iterdir() if path.suffix.lower() in UNREAD_SUFFIXES and path.is_file()))
 
@@ -171,7 +179,7 @@ def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | No
         raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
     names = sorted(path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if not names:
-        raise BadInput(f"{folder} itself contains no photographs ({', '.join(SUFFIXES)}): give the folder that holds the image files.")
+        raise _no_photographs(folder, unread_files(folder))
     positions = {}
     for done, name in enumerate(names, start=1):
         with open(folder / name, "rb", opener=open_without_waiting) as file:
@@ -211,9 +219,11 @@ def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
 
 
 def has_alpha(path: Path) -> bool:
-    """Whether a PNG has a channel that says how transparent each pixel is."""
+    """Whether a PNG or TIFF has a channel that says how transparent each pixel is."""
     with open(path, "rb", opener=open_without_waiting) as file:
         head = file.read(26)
+        if head.startswith(TIFF_SIGNATURES):
+            return has_tiff_alpha(head + file.read(MAX_FILE_BYTES))
     return head.startswith(_PNG_SIGNATURE) and len(head) == 26 and head[25] in (4, 6)
 
 
@@ -318,8 +328,9 @@ def _png_is_whole(data: bytes) -> bool:
 
 
 def _is_all_but_black(data: bytes) -> bool:
-    """Whether a PNG of 16 bits a channel holds values of a sensor of 12 bits or fewer: as 8 bits nothing is seen of it."""
-    if not data.startswith(_PNG_SIGNATURE) or data[24] != 16:
+    """Whether a PNG or TIFF of 16 bits a channel holds values of a sensor of 12 bits or fewer: as 8 bits nothing is seen of it."""
+    bits = data[24] if data.startswith(_PNG_SIGNATURE) else read_tiff_bits(data)
+    if bits != 16:
         return False
     image = decoded_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
     return image is not None and int(image.max()) <= (1 << 12 - 8)

@@ -3,7 +3,8 @@
 CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that UgCS, QGIS and `read_waypoints` find by
 their names; QGroundControl takes no CSV. Flight planners fly `altitude(m)` as height above take-off, so that it is one: as it came in, or
 above the ground where that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`, and alone where nobody
-knows the ground: flown as heights above take-off they would be hundreds of metres off. Names are never formulas (`csv_cells`).
+knows the ground: flown as heights above take-off they would be hundreds of metres off. Where no altitude is known there is neither column.
+Names are never formulas (`csv_cells`).
 GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th meridian; straight in longitude and
 latitude, so sides are divided every 500 m, where a straight line of the plan differs by 1 cm at most up to latitude 60°.
 """
@@ -103,8 +104,9 @@ def _device_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\r\n")  # RFC 4180
     angles, heights, altitudes = waypoints.heading_pitch_deg, waypoints.heights_m, waypoints.lat_lon_alt[:, 2]
-    both = heights is not None and (waypoints.absolute or waypoints.ground_m not in (None, 0))
-    header = (*CSV_HEADER[:2], ABSOLUTE if heights is None else HEIGHT, CSV_HEADER[3], *(() if angles is None else ANGLE_HEADER))
+    both = heights is not None and waypoints.altitude_known and (waypoints.absolute or waypoints.ground_m not in (None, 0))
+    column = (HEIGHT,) if heights is not None else (ABSOLUTE,) if waypoints.altitude_known else ()
+    header = (*CSV_HEADER[:2], *column, CSV_HEADER[3], *(() if angles is None else ANGLE_HEADER))
     writer.writerow((*header, *((ABSOLUTE,) if both else ()), *(() if extra is None else ("role",))))
     buffered = set() if extra is None else set(extra.tolist())
     indices = np.sort(own if extra is None else np.concatenate([own, extra]))
@@ -114,7 +116,8 @@ def _device_csv(waypoints: Waypoints, own: NDArray[np.int64], extra: NDArray[np.
         role = () if extra is None else ("buffer" if index in buffered else "own",)
         absolute = (f"{alt:.3f}",) if both else ()
         name = cell_of_text(waypoints.names[index])
-        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", f"{flown[index]:.3f}", name, *looks, *absolute, *role))
+        height = (f"{flown[index]:.3f}",) if column else ()
+        writer.writerow((f"{lat:.9f}", f"{lon:.9f}", *height, name, *looks, *absolute, *role))
     return text.getvalue()
 
 
@@ -128,7 +131,7 @@ def _features(
             about = {"kind": kind, "name": waypoints.names[camera], "edge": plan.edge_id}
             if device >= 0:
                 about["device"] = plan.device_ids[device]
-            yield point_feature(waypoints.lat_lon_alt[camera], about)
+            yield point_feature(waypoints.lat_lon_alt[camera], about, altitude_known=waypoints.altitude_known)
 
 
 def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin: FloatArray) -> Iterator[dict[str, Any]]:
@@ -144,10 +147,11 @@ def land_features(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], origin:
             yield from _polygon_feature(strip, origin, about)
 
 
-def point_feature(lat_lon_alt: ArrayLike, about: dict[str, Any]) -> dict[str, Any]:
-    """A GeoJSON point at (3,) [deg, deg, m] with its properties."""
+def point_feature(lat_lon_alt: ArrayLike, about: dict[str, Any], *, altitude_known: bool = True) -> dict[str, Any]:
+    """A GeoJSON point at (3,) [deg, deg, m] with its properties, without an altitude where none is known."""
     lat, lon, alt = np.asarray(lat_lon_alt, np.float64).tolist()
-    return _feature({"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), round(alt, 3)]}, about)
+    altitude = [round(alt, 3)] if altitude_known else []
+    return _feature({"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), *altitude]}, about)
 
 
 def _feature(geometry: dict[str, Any], about: dict[str, Any]) -> dict[str, Any]:

@@ -73,6 +73,8 @@ def save_scene(path: Path, scene: SfmScene) -> None:
         "origin_lat_lon_alt": scene.frame.origin_lat_lon_alt,
     }
     about = {"names": list(scene.cameras.names), "frame_kind": scene.frame.kind, "frame_residual_m": scene.frame.residual_m}
+    if not scene.frame.altitude_known:
+        about["frame_altitude_known"] = False
     save_arrays(path, "radiant.scene", arrays, about)
 
 
@@ -90,6 +92,7 @@ def load_scene(path: Path) -> SfmScene:
                 kind=about["frame_kind"],
                 origin_lat_lon_alt=arrays["origin_lat_lon_alt"],
                 residual_m=None if residual_m is None else float(residual_m),
+                altitude_known=about.get("frame_altitude_known") is not False,
             ),
         )
 
@@ -118,6 +121,8 @@ def save_plan(  # noqa: PLR0913
             record["waypoints"]["heading_pitch_deg"] = [[None if np.isnan(angle) else angle for angle in pair] for pair in angles]
         if waypoints.absolute:
             record["waypoints"]["absolute"] = True
+        if not waypoints.altitude_known:
+            record["waypoints"]["altitude_known"] = False
         if waypoints.ground_m is not None:
             record[GROUND_KEY] = waypoints.ground_m
     if warnings:
@@ -179,6 +184,7 @@ def load_plan_file(path: Path) -> PlanFile:
             lat_lon_alt=stored["lat_lon_alt"],
             heading_pitch_deg=angles,
             absolute=stored.get("absolute") is True,
+            altitude_known=stored.get("altitude_known") is not False,
             ground_m=ground_m,
         )
         require_plan_of(len(waypoints), cloud, edges)

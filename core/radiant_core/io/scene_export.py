@@ -119,4 +119,5 @@ def _scene_features(
     yield from land_features(cloud_plan, edge_plans, origin)
     places = geodetic_from_enu(scene.cameras.centers, origin)
     for name, place in zip(scene.cameras.names, places, strict=True):
-        yield point_feature(place, {"kind": "camera", "name": name, **about_camera.get(name, {})})
+        about = {"kind": "camera", "name": name, **about_camera.get(name, {})}
+        yield point_feature(place, about, altitude_known=scene.frame.altitude_known)

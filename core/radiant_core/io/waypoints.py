@@ -24,11 +24,11 @@ from radiant_core.io.copies import copies_warning, file_copies
 from radiant_core.io.csv_waypoints import csv_rows
 from radiant_core.io.geojson_waypoints import geojson_rows
 from radiant_core.io.kml_waypoints import kml_rows
-from radiant_core.io.photos import photograph_positions
+from radiant_core.io.photos import photograph_positions, unread_files, unread_warning
 from radiant_core.io.run_store import open_without_waiting
 from radiant_core.io.waypoint_rows import WaypointRows
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.waypoints import Waypoints, cleaned_waypoints
+from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints, cleaned_waypoints
 
 MAX_FILE_BYTES = 256 * 2**20
 WAYPOINT_SUFFIXES = (".csv", ".geojson", ".json", ".kml")
@@ -89,14 +89,15 @@ def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = N
         raise BadInput(f"none of the {len(names)} photographs in {folder} has a GPS position in its EXIF: give a file of waypoints.")
     geodetic = np.array(list(positions.values()), np.float64)
     low = np.isnan(geodetic[:, 2])
-    geodetic[low, 2] = 0.0 if low.all() else np.median(geodetic[~low, 2])
+    known = not low.all()
+    geodetic[low, 2] = np.median(geodetic[~low, 2]) if known else 0.0
     try:
-        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=geodetic, absolute=True)
+        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=geodetic, absolute=known, altitude_known=known)
     except BadInput as error:
         raise BadInput(f"cannot use the positions of the photographs in {folder}: {error}") from error
     return FoundWaypoints(
         waypoints=waypoints,
-        warnings=(*copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low, geodetic)),
+        warnings=(*unread_warning(unread_files(folder)), *copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low, geodetic)),
         without_gps=without,
     )
 
@@ -158,5 +159,7 @@ def _altitude_warnings(low: NDArray[np.bool_], geodetic: FloatArray) -> tuple[st
     """What is told of photographs whose GPS has no altitude (P,), which `geodetic` (P,3) has at one height by now."""
     if not low.any():
         return ()
+    if low.all():
+        return (f"None of {len(low)} photographs with GPS has an altitude: {NO_ALTITUDES}.",)
     taken_m = geodetic[low][0, 2]
     return (f"{low.sum()} of {len(low)} photographs have GPS without altitude: planned by their horizontal positions, at {taken_m:.0f} m.",)

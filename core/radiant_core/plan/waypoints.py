@@ -26,6 +26,7 @@ MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 HIGHEST_FLIGHT_M = 500.0
 """Drones are not allowed so high above the ground anywhere we know of, and flight planners take no more above take-off: larger altitudes
 are absolute."""
+NO_ALTITUDES = "planned by horizontal positions alone, and the lists hold no height to fly at"
 MAX_NAME_CHARACTERS = 255
 SAME_SPOT_SCALE = np.array([1e8, 1e8, 1e3])
 """Degrees, degrees and metres are rounded to these parts, about a millimetre each, before two waypoints are called one."""
@@ -48,6 +49,8 @@ class Waypoints:
     it says nothing at all."""
     absolute: bool = False
     """Whether altitudes count from the sea or the ellipsoid, as those that GPS gives."""
+    altitude_known: bool = True
+    """Whether altitudes count from anything on the globe: without, they are heights among themselves, or all 0."""
     ground_m: float | None = None
     """Altitude of the ground, or of take-off, among them, where it is known."""
 
@@ -87,7 +90,7 @@ class Waypoints:
         altitudes = self.lat_lon_alt[:, 2]
         if self.ground_m is not None:
             return altitudes - self.ground_m
-        return None if self.absolute or altitudes.max() > HIGHEST_FLIGHT_M else altitudes
+        return None if self.absolute or not self.altitude_known or altitudes.max() > HIGHEST_FLIGHT_M else altitudes
 
     def select(self, indices: ArrayLike) -> Waypoints:
         """The waypoints at `indices` (K,) int or where a mask (P,) bool is true, in that order; BadInput when that is none."""
@@ -105,19 +108,21 @@ def cleaned_waypoints(
 
     A position that comes twice is planned once, under its first name; a name that comes twice or is empty gets a number, without a warning
     where nothing has a name, as in a flight planner's file; where `no_altitude` (P,) bool is true the altitude becomes 0, which moves a
-    plan by less than 0.1 % of its size up to 6,000 m.
+    plan by less than 0.1 % of its size up to 6,000 m; where it is true everywhere, altitudes are not known.
     """
     positions = np.array(lat_lon_alt, dtype=np.float64)
     warnings: list[str] = []
     if no_altitude is not None and np.any(no_altitude):
         missing = np.flatnonzero(no_altitude)
         positions[missing, 2] = 0.0
-        warnings.append(f"{_count(len(missing), len(names))} without altitude, {_named(names, missing[0])} first: taken as 0 m.")
+        some = f"{_count(len(missing), len(names))} without altitude, {_named(names, missing[0])} first: taken as 0 m."
+        warnings.append(some if len(missing) < len(names) else f"None of {len(names)} waypoints has an altitude: {NO_ALTITUDES}.")
     given = any(names)
     names, numbered = _unique_names(names)
     if numbered and given:
         warnings.append(f"{numbered[0]} of {len(names)} names are empty or come twice, {numbered[1]!r} first: they were numbered.")
-    waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg)
+    known = no_altitude is None or not np.all(no_altitude)
+    waypoints = Waypoints(names=tuple(names), lat_lon_alt=positions, heading_pitch_deg=heading_pitch_deg, altitude_known=known)
     kept, again = _first_of_each_spot(positions)
     if len(again):
         warnings.append(f"{_count(len(again), len(names))} at a position that came before, {_named(names, again[0])} first: planned once.")

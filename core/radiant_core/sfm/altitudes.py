@@ -8,6 +8,7 @@ count from the middle of the scene's points. What follows then fits three coordi
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,10 +20,22 @@ MIN_ALTITUDES = 3
 MIN_ALTITUDE_SHARE = 0.5
 
 
-def with_heights(
-    centers: FloatArray, points: FloatArray, gps: tuple[FloatArray, FloatArray], up: Callable[[], FloatArray]
-) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
-    """Positions (C,3) [m] without a height that is NaN, their origin (3,), and what the user is told.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Heights:
+    """GPS positions with a height each."""
+
+    positions_m: FloatArray
+    """(C,3), NaN without GPS."""
+    origin: FloatArray
+    """(3,) [deg, deg, m]."""
+    altitude_known: bool = True
+    """Whether the origin's altitude is one; else heights count from the middle of the scene's points."""
+    told: tuple[str, ...] = ()
+    """What the user is told."""
+
+
+def with_heights(centers: FloatArray, points: FloatArray, gps: tuple[FloatArray, FloatArray], up: Callable[[], FloatArray]) -> Heights:
+    """Positions without a height that is NaN.
 
     `gps` are positions (C,3) of camera centres (C,3), all NaN without GPS, and their origin; `up` () → (3,) gives up in the frame of the
     centres and of points (P,3), and is asked only where too few altitudes are known.
@@ -30,13 +43,14 @@ def with_heights(
     positions_m, origin = gps
     placed, high = np.isfinite(positions_m[:, 0]), np.isfinite(positions_m[:, 2])
     if (placed == high).all():
-        return positions_m, origin, ()
+        return Heights(positions_m=positions_m, origin=origin)
     filled = positions_m.copy()
     low = placed & ~high
     if high.sum() >= max(MIN_ALTITUDES, MIN_ALTITUDE_SHARE * placed.sum()):
         fit = robust_sim3(centers[high], positions_m[high]).target_from_source
         filled[low, 2] = np.median(positions_m[high, 2]) if fit is None else fit.apply(centers[low])[:, 2]
-        return filled, origin, (f"{low.sum()} of {placed.sum()} GPS positions have no altitude: their height comes from the others.",)
+        some = f"{low.sum()} of {placed.sum()} GPS positions have no altitude: their height comes from the others."
+        return Heights(positions_m=filled, origin=origin, told=(some,))
     filled[placed, 2] = 0.0
     level = level_fit(centers[placed], filled[placed], up()) if placed.sum() >= MIN_ALTITUDES else None
     if level is not None:
@@ -46,4 +60,4 @@ def with_heights(
         f"{low.sum()} of {placed.sum()} GPS positions have no altitude: up comes from the scene, and heights count from the middle of its "
         "points, not from the sea."
     )
-    return filled, np.array([*origin[:2], 0.0]), (told,)
+    return Heights(positions_m=filled, origin=np.array([*origin[:2], 0.0]), altitude_known=False, told=(told,))

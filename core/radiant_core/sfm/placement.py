@@ -6,7 +6,7 @@ size: the distance of two photographs, or the height of the cameras over the gro
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +75,17 @@ class Placement:
                 )
         elif self.up not in UP_CHOICES and self.up not in known:
             raise BadInput(f"--up {self.up!r} is unknown: expected {UP_EXPECTED}.")
+
+    def check_copies(self, copies: Mapping[str, str]) -> None:
+        """BadInput where a photograph is named that is left out as a copy of another one: `copies`, copy → the one that stays."""
+        if self.up not in UP_CHOICES and self.up in copies:
+            raise BadInput(f"--up {self.up!r} is a copy of {copies[self.up]}: name that one.")
+        if self.distance is not None:
+            names, _ = _split_distance(self.distance)
+            parts = [part.strip() for at, letter in enumerate(names) if letter == "," for part in (names[:at], names[at + 1 :])]
+            copy = next((part for part in parts if part in copies), None)
+            if copy is not None:
+                raise BadInput(f"--distance names {copy!r}, which is a copy of {copies[copy]}: name that one.")
 
     def given_up(self, cameras: Cameras, points: FloatArray, seed: int) -> UpEstimate | None:
         """Up as it was asked for, in the frame of C cameras and P points (P,3); None for auto."""

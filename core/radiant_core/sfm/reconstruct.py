@@ -59,6 +59,7 @@ def reconstruct(
     report = numbered_steps(report, PHASES)
     listing = listed(photo_folder, report)
     photographs = listing.photographs
+    placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
     config, limited = within_memory(config, [photo.size_wh for photo in photographs])
     with kept_database(work_folder, database_key(photographs, config, masks)) as database:
@@ -128,6 +129,7 @@ def scene_from_colmap(
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
     report = numbered_steps(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
     listing = listed(image_folder, report, tuple(image.name for image in model.images))
+    placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
     _require_images(model, listing, image_folder)

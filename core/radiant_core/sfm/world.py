@@ -65,7 +65,8 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     given = placement.given_up(cameras, model.points.xyz, seed)
     forced = given is not None
     up = given or estimate_up(cameras, model.points.xyz, seed)
-    positions_m, origin, heights = with_heights(cameras.centers, model.points.xyz, (positions_m, origin), lambda: up.up)
+    heights = with_heights(cameras.centers, model.points.xyz, (positions_m, origin), lambda: up.up)
+    positions_m = heights.positions_m
     known = np.isfinite(positions_m[:, 0])
     fit = robust_sim3(cameras.centers[known], positions_m[known], seed)
     gps = _judged(fit, cameras, up, forced=forced)
@@ -75,7 +76,12 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     frame = Frame(kind="scaled", origin_lat_lon_alt=np.zeros(3)) if scaled else UNSCALED
     if metric is not None:
         residuals = np.linalg.norm(world_from_model.apply(cameras.centers[known]) - positions_m[known], axis=1)
-        frame = Frame(kind="metric", origin_lat_lon_alt=origin, residual_m=float(np.median(residuals)))
+        frame = Frame(
+            kind="metric",
+            origin_lat_lon_alt=heights.origin,
+            residual_m=float(np.median(residuals)),
+            altitude_known=heights.altitude_known,
+        )
     by_gps = metric is not None and gps.verdict == "ok"
     return PlacedScene(
         scene=moved_scene(model, cameras, world_from_model, frame),
@@ -85,7 +91,7 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
             *scaled,
             _frame_decision(frame, gps, up, int(known.sum()), forced=forced),
         ),
-        warnings=(*heights, *warnings, *(() if by_gps or forced or up.doubt is None else (_doubt_warning(up),))),
+        warnings=(*heights.told, *warnings, *(() if by_gps or forced or up.doubt is None else (_doubt_warning(up),))),
     )
 
 

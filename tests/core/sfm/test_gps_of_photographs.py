@@ -89,6 +89,7 @@ def test_without_altitudes_scale_heading_and_place_come_from_the_horizontal_posi
     result, whole = scene_of(hamlet, flat, tmp_path / "flat"), scene_of(hamlet, hamlet / "images", tmp_path / "whole")
     scene = result.scene
     assert scene.frame.kind == "metric" and scene.frame.origin_lat_lon_alt[2] == 0
+    assert not scene.frame.altitude_known and whole.scene.frame.altitude_known
     known = cameras_of(read_model(hamlet / "known"))
     # GPS is off by at most 1 m over a site of 40 m.
     assert compare_centers(scene.cameras.centers, known.centers).reference_from_scene.scale == pytest.approx(1.0, abs=0.05)
@@ -118,8 +119,8 @@ def test_where_most_have_an_altitude_the_others_take_their_height_from_those(ham
 def test_a_plan_from_photographs_takes_positions_without_altitude(flat: Path, hamlet: Path) -> None:
     found, whole = exif_waypoints(flat), exif_waypoints(hamlet / "images")
     np.testing.assert_array_equal(found.waypoints.lat_lon_alt[:, :2], whole.waypoints.lat_lon_alt[:, :2])
-    assert (found.waypoints.lat_lon_alt[:, 2] == 0).all()
-    assert any("12 of 12 photographs have GPS without altitude" in warning for warning in found.warnings)
+    assert found.waypoints.heights_m is None and not found.waypoints.altitude_known and not found.waypoints.absolute
+    assert any("None of 12 photographs with GPS has an altitude" in warning for warning in found.warnings)
     assert not any("altitude" in warning for warning in whole.warnings)
 
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import tifffile
 
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import read_model, write_model
-from radiant_core.io.masks import pixel_weights
+from radiant_core.io.masks import alpha_mask, pixel_weights
 from radiant_core.io.photos import list_photographs, load_photograph, photograph_positions
+from radiant_core.io.waypoints import exif_waypoints
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.sfm.workspace import listing_warnings
 
@@ -42,6 +46,27 @@ def test_files_that_cannot_be_read_are_counted_by_their_kind(hamlet: Path, tmp_p
     assert told.startswith("1 .dng, 2 .heic, 1 .mp4 files are not read: save photographs as JPEG, PNG or TIFF")
 
 
+def test_a_plan_names_files_that_cannot_be_read(hamlet: Path, tmp_path: Path) -> None:
+    for path in (hamlet / "images").iterdir():
+        shutil.copy(path, tmp_path)
+    for name in ("a.HEIC", "b.dng", "c.mov"):
+        (tmp_path / name).write_bytes(b"unread")
+    (told,) = exif_waypoints(tmp_path).warnings
+    assert told.startswith("1 .dng, 1 .heic, 1 .mov files are not read: save photographs as JPEG, PNG or TIFF")
+
+
+@pytest.mark.parametrize("read", [list_photographs, exif_waypoints])
+def test_a_folder_of_heic_alone_is_told_to_be_saved_as_jpeg(read: Callable[[Path], Any], tmp_path: Path) -> None:
+    for name in ("a.heic", "b.HEIC"):
+        (tmp_path / name).write_bytes(b"unread")
+    with pytest.raises(BadInput, match=r"but 2 \.heic files, which cannot be read: save photographs as JPEG"):
+        read(tmp_path)
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "x.jpg").write_bytes(b"one")
+    with pytest.raises(BadInput, match="give that folder"):
+        read(tmp_path)
+
+
 def write_tiff(path: Path, image: np.ndarray) -> bytes:
     assert cv2.imwrite(str(path), image)
     return path.read_bytes()
@@ -61,6 +86,35 @@ def test_a_tiff_is_read_and_a_truncated_one_skipped(bits: int, tmp_path: Path) -
     assert {photo.size_wh for photo in listing.photographs} == {(96, 64)}
     assert [skipped.name for skipped in listing.skipped] == ["cut.tif"]
     assert set(photograph_positions(tmp_path).values()) == {None}
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_alpha_of_a_tiff_is_a_mask_as_of_a_png(bits: int, tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (64, 96, 4), np.uint8)
+    image[..., 3] = 255
+    image[:, :40, 3] = 0
+    stored = image if bits == 8 else image.astype(np.uint16) * 257
+    write_tiff(tmp_path / "a.tif", stored)
+    assert cv2.imwrite(str(tmp_path / "a.png"), stored)
+    tifffile.imwrite(tmp_path / "b.tif", stored, photometric="rgb", extrasamples=["unassalpha"])
+    wanted = alpha_mask(tmp_path / "a.png")
+    for name in ("a.tif", "b.tif"):
+        np.testing.assert_array_equal(alpha_mask(tmp_path / name), wanted)
+    # A fourth band, near infrared for one, is no alpha.
+    tifffile.imwrite(tmp_path / "nir.tif", stored, photometric="rgb", extrasamples=["unspecified"])
+    write_tiff(tmp_path / "rgb.tif", stored[..., :3])
+    assert wanted is not None and alpha_mask(tmp_path / "nir.tif") is None and alpha_mask(tmp_path / "rgb.tif") is None
+
+
+def test_twelve_bits_in_a_tiff_of_sixteen_are_skipped_with_the_reason(tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 4096, (64, 96, 3)).astype(np.uint16)
+    write_tiff(tmp_path / "dark.tif", image)
+    for name in ("a.tif", "b.tif"):
+        write_tiff(tmp_path / name, image * 16)
+    listing = list_photographs(tmp_path)
+    assert [photo.name for photo in listing.photographs] == ["a.tif", "b.tif"]
+    (skipped,) = listing.skipped
+    assert skipped.name == "dark.tif" and "has 16 bits a channel and uses 12 or fewer" in skipped.reason
 
 
 DISTORTED = "SIMPLE_RADIAL 320 240 {f} {cx} {cy} -0.05"

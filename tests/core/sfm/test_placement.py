@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.placement import Placement
+from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 from radiant_core.sfm.world import scene_in_world
 from tests.core.sfm.test_world import flight, grid, ground, in_any_frame, in_world, metres_of, photographs_at
 
@@ -127,6 +132,24 @@ def test_what_makes_no_sense_by_itself_is_refused(fields: dict, told: str) -> No
 def test_names_that_are_not_there_are_refused_before_hours_of_work(fields: dict, told: str) -> None:
     with pytest.raises(BadInput, match=told):
         Placement(**fields).check_names(NAMES, of_model=False)
+
+
+@pytest.mark.parametrize("fields", [{"up": "z,2.jpg"}, {"distance": "000.jpg,z,2.jpg,3"}, {"distance": "z,2.jpg, 000.jpg,3"}])
+def test_the_name_of_a_copy_is_refused_with_the_one_that_stays(fields: dict, hamlet: Path, tmp_path: Path) -> None:
+    for path in sorted((hamlet / "images").iterdir())[:3]:
+        shutil.copy(path, tmp_path)
+    first = min(path.name for path in tmp_path.iterdir())
+    shutil.copy(tmp_path / first, tmp_path / "z,2.jpg")
+    with pytest.raises(BadInput, match=f"'z,2.jpg'.* is a copy of {first}: name that one"):
+        reconstruct(tmp_path, tmp_path / "work", SfmConfig(), lambda progress: None, placement=Placement(**fields))
+
+
+def test_the_name_of_a_copy_in_a_model_is_refused_with_the_one_that_stays(hamlet: Path, tmp_path: Path) -> None:
+    shutil.copytree(hamlet / "images", tmp_path / "images")
+    first, second = sorted(path.name for path in (tmp_path / "images").iterdir())[:2]
+    shutil.copy(tmp_path / "images" / first, tmp_path / "images" / second)
+    with pytest.raises(BadInput, match=f"is a copy of {first}: name that one"):
+        scene_from_colmap(hamlet / "known", tmp_path / "images", tmp_path / "w", lambda progress: None, placement=Placement(up=second))
 
 
 def test_names_may_hold_commas_and_a_model_takes_a_direction() -> None:
