@@ -64,16 +64,20 @@ class Cluster:
 
     def pids(self, name: str) -> list[int]:
         """The processes of a machine's own session: those that `ray start` made, and what they made in it."""
-        leader = self.processes[name].pid
-        found = []
-        for path in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                fields = path.read_text().rsplit(")", 1)[1].split()
-            except OSError:
-                continue
-            if int(fields[3]) == leader:
-                found.append(int(path.parent.name))
-        return found
+        return pids_of(self.processes[name].pid)
+
+
+def pids_of(session: int) -> list[int]:
+    """The processes of a session."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rsplit(")", 1)[1].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session:
+            found.append(int(path.parent.name))
+    return found
 
 
 RAY = "import sys; from ray.scripts.scripts import main; sys.argv[0] = 'ray'; sys.exit(main())"

@@ -13,24 +13,12 @@ import pytest
 
 from radiant_app.executors.ray_cluster import _Cluster
 from radiant_core.aggregate.tree import Tree
+from tests.contract.ray_machines import pids_of
 
 pytestmark = pytest.mark.stress
 LOOPBACKS = {"0100007F", "0000000000000000FFFF00000100007F", "00000000000000000000000001000000"}
 """127.0.0.1 as the kernel lists it among addresses of IPv4 and of IPv6, and ::1."""
 JOIN = "import sys, ray; ray.init(address=sys.argv[1], logging_level='ERROR')"
-
-
-def pids_of(session: int) -> list[int]:
-    """The processes of a session."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = path.read_text().rsplit(")", 1)[1].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session:
-            found.append(int(path.parent.name))
-    return found
 
 
 def listeners(pids: list[int]) -> list[tuple[str, int]]:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.viewer.made_up_run import made_up_town, save_run
-from tests.viewer.test_window import run_python
+from tests.viewer.test_window import run_python, virtual_display
 
 SIZES_WH = ((1280, 781), (1280, 800), (1920, 1061), (1024, 600))
 DRIVER = """
@@ -61,28 +57,15 @@ print(json.dumps(found))
 """
 
 
-@pytest.fixture
-def large_display() -> Iterator[str]:
-    if shutil.which("Xvfb") is None:
-        pytest.skip("Xvfb is not installed: apt-get install xvfb")
-    read_end, write_end = os.pipe()
-    command = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", "1920x1200x24", "-nolisten", "tcp"]
-    server = subprocess.Popen(command, pass_fds=[write_end], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    os.close(write_end)
-    with os.fdopen(read_end) as pipe:
-        number = pipe.readline().strip()
-    assert number, "Xvfb ended without naming its display"
-    yield f":{number}"
-    server.terminate()
-    server.wait(10)
-
-
 @pytest.mark.stress
-def test_the_picture_is_full_and_nothing_is_asked_for_at_rest(tmp_path: Path, large_display: str) -> None:
+@pytest.mark.parametrize(("scale", "sizes_wh"), [("1", SIZES_WH), ("2", SIZES_WH[-1:])])
+def test_the_picture_is_full_and_nothing_is_asked_for_at_rest(tmp_path: Path, scale: str, sizes_wh: tuple[tuple[int, int], ...]) -> None:
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     save_run(tmp_path / "run", made_up_town(step_levels=40))
-    sizes = json.dumps([list(size) for size in SIZES_WH])
-    result = run_python(DRIVER, str(tmp_path / "run"), sizes, str(tmp_path), DISPLAY=large_display, QT_QPA_PLATFORM="xcb")
+    sizes = json.dumps(sizes_wh)
+    with virtual_display("2560x1600x24") as display:
+        environment = {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb", "QT_SCALE_FACTOR": scale}
+        result = run_python(DRIVER, str(tmp_path / "run"), sizes, str(tmp_path), **environment)
     assert result.returncode == 0, result.stderr[-3000:]
     found = json.loads(result.stdout.splitlines()[-1])
-    assert found == [[list(size), True, 0, True] for size in SIZES_WH]
+    assert found == [[list(size), True, 0, True] for size in sizes_wh]

@@ -32,6 +32,7 @@ from radiant_core.train.views import TrainingViews, concatenate_views
 RATES_END = 0.3
 """Share of the rates that is left at the end of a retraining by `default`; the centres' fall as in training."""
 RATES = ("means_lr", "means_lr_end", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
+"""Of a configuration, the rates that `paper` takes from 3DGS."""
 TOUCHED_SHARE = 0.02
 """A view is shown where at least this share of the Gaussians before it is contested."""
 NUM_COMPARED = 8

@@ -142,11 +142,15 @@ def main(folder: Path, say: IO[str]) -> int:
     settings = FusionSettings(**json.loads((folder / _SETTINGS).read_text()))
     paths = sorted(folder.glob("[0-9]*.safetensors"))
 
+    def tell(line: dict[str, Any]) -> None:
+        say.write(json.dumps(line) + "\n")
+        say.flush()
+
     def views(told: bool = False) -> Iterator[DepthView]:
         for done, path in enumerate(paths, 1):
             yield DepthView(**load_file(path))
             if told:
-                print(json.dumps({"done": done, "total": len(paths)}), file=say, flush=True)
+                tell({"done": done, "total": len(paths)})
 
     def count(voxel: float) -> int:
         return count_blocks(views(), voxel, settings.max_depth)
@@ -158,7 +162,7 @@ def main(folder: Path, say: IO[str]) -> int:
         mesh = fused_mesh(views(told=True), voxel, settings.max_depth, num_blocks)
         save_file({"vertices": mesh.vertices, "triangles": mesh.triangles, "colors": mesh.colors}, folder / _MESH)
         answer = {"num_blocks": num_blocks, "voxel": voxel}
-    print(json.dumps(answer), file=say, flush=True)
+    tell(answer)
     return 0
 
 
