@@ -19,4 +19,4 @@ bench:  ## every benchmark that has a quick form, as JSON in build/bench
 docs:  ## docs/cli.md from the command line itself
 	./setup.sh
 	mkdir -p docs
-	$(PYTHON) -m typer radiant_app.cli utils docs --name radiant --output docs/cli.md
+	$(PYTHON) -m typer radiant_app.cli.app utils docs --name radiant --output docs/cli.md

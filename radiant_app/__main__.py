@@ -2,6 +2,6 @@
 
 import sys
 
-from radiant_app.cli import main
+from radiant_app.cli.app import main
 
 sys.exit(main())

@@ -30,7 +30,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.align import fit_sim3
 from radiant_core.sfm.world import cameras_of
 from radiant_core.splats import Splats
-from radiant_viewer.run_view import load_run_view, required_splats
+from radiant_viewer.runs.run_view import load_run_view, required_splats
 from scenegen.config import SceneConfig
 from scenegen.layout import Layout
 from scenegen.town import build_town

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from radiant_app.events import Decided, Event, Warned
-from radiant_app.nodes import load_images, run_node
+from radiant_app.workers.nodes import load_images, run_node
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr  # pyright: ignore[reportMissingTypeStubs]
 
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db_of_mse

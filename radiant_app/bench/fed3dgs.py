@@ -21,8 +21,8 @@ import numpy as np
 import radiant_app
 from radiant_app.bench.plan import camera_layout
 from radiant_app.bench.plan_scale import replace_aggregation, varied
-from radiant_app.progress import tracked
-from radiant_app.system_file import load_system
+from radiant_app.files.system_file import load_system
+from radiant_app.report.progress import tracked
 from radiant_core.evaluate.metric import Metric
 from radiant_core.plan.deadline import edge_table
 from radiant_core.plan.device_split import split_edges
@@ -65,8 +65,8 @@ def bench_fed3dgs(quick: bool, plot: Path | None = None) -> list[Metric]:
                 value = float(np.percentile([draw[method] for draw in draws], percentile))
                 metrics.append(Metric(key=f"{key}.p{percentile}_s", value=value, unit="s", direction="info"))
     if plot is not None:
-        from radiant_viewer.fleet_chart import fleet_picture
-        from radiant_viewer.images import save_png
+        from radiant_viewer.charts.fleet_chart import fleet_picture
+        from radiant_viewer.pictures.images import save_png
 
         save_png(plot, fleet_picture(lines_of(metrics)))
     return metrics

@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.inbox import VIRTUAL_CAMERAS, VIRTUAL_VIEWS
-from radiant_app.nodes import load_images
+from radiant_app.workers.inbox import VIRTUAL_CAMERAS, VIRTUAL_VIEWS
+from radiant_app.workers.nodes import load_images
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db, ssim

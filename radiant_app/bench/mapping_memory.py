@@ -14,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from radiant_app.memory import peak_bytes, reset_peak_bytes
+from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.errors import BadInput
 from radiant_core.sfm.colmap_calls import pycolmap
 from radiant_core.sfm.config import SfmConfig

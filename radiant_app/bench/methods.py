@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.bench.method_cells import BenchScene, Cell, Layout, ModelCache, Trained, device_rows, load_bench_scene
-from radiant_app.evaluation import region_width
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
+from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
 from radiant_core.aggregate.balance import balanced, exposure_balance
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
@@ -58,7 +58,7 @@ from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import train_preset
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.training_pixels import training_pixels
-from radiant_viewer.curve_chart import CurvePoint
+from radiant_viewer.charts.curve_chart import CurvePoint
 
 NUM_EPOCHS_OF_PHOTOGRAPHS = 10
 """As many as the paper retrains on synthetic views."""

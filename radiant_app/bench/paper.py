@@ -93,7 +93,7 @@ def _plan_part() -> Part:
 
 def _write(bench: PaperBench, arms: Arms, made: Mapping[str, Part]) -> None:
     """The page and the JSON of what is made so far."""
-    from radiant_viewer.images import save_png
+    from radiant_viewer.pictures.images import save_png
 
     lines = [f"# The paper's figures on our own data: {arms.scene.name}", "", *_facts(bench, arms), ""]
     for name in PAGE_ORDER:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from radiant_app.bench.method_cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, load_bench_scene
 from radiant_app.bench.methods import METHODS, OPAQUE, Made, join_cell
-from radiant_app.evaluation import region_width
+from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.errors import BadInput

@@ -17,12 +17,12 @@ from radiant_app.bench.method_cells import Cell, Trained, device_rows
 from radiant_app.bench.methods import Made, join_cell
 from radiant_app.bench.paper_arms import Arm, Arms
 from radiant_app.bench.paper_parts import Part
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
 if TYPE_CHECKING:
-    from radiant_viewer.latency_chart import PlanLatency
+    from radiant_viewer.charts.latency_chart import PlanLatency
 
 Plans = tuple[CloudPlan, tuple[EdgePlan, ...]]
 NAMES = ("even", "balanced")
@@ -66,7 +66,7 @@ class _Side:
 
 def balance_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     """Latency per device and PSNR of both."""
-    from radiant_viewer.latency_chart import latency_picture
+    from radiant_viewer.charts.latency_chart import latency_picture
 
     del quick
     cells = [arms.cell(arms.layout, seed) for seed in seeds]
@@ -120,7 +120,7 @@ def _table(sides: Sequence[_Side], saved: dict[str, float]) -> str:
 
 
 def _drawn(side: _Side) -> PlanLatency:
-    from radiant_viewer.latency_chart import DeviceLatency, PlanLatency
+    from radiant_viewer.charts.latency_chart import DeviceLatency, PlanLatency
 
     devices = [
         DeviceLatency(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from radiant_app.bench.method_cells import DEVICE_SPEEDS, Cell, Layout
 from radiant_app.bench.methods import METHODS
 from radiant_app.bench.paper_arms import Arm, ArmRow, Arms, epochs_arm, method_arm
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.seam_error import MIN_IMAGES
 from radiant_core.numerics import FloatArray
@@ -30,8 +30,8 @@ from radiant_core.plan.borders import shared_borders
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
 if TYPE_CHECKING:
-    from radiant_viewer.images import Image
-    from radiant_viewer.line_chart import Panel
+    from radiant_viewer.charts.line_chart import Panel
+    from radiant_viewer.pictures.images import Image
 
 EPOCHS, QUICK_EPOCHS = (0, 1, 2, 5, 10), (0, 1, 2)
 LAYOUTS = (Layout(num_edges=2, num_devices=1), Layout(num_edges=2, num_devices=2), Layout(num_edges=4, num_devices=2))
@@ -73,7 +73,7 @@ def fed3dgs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Part:
-    from radiant_viewer.curve_chart import CurvePoint, curve_picture
+    from radiant_viewer.charts.curve_chart import CurvePoint, curve_picture
 
     rows = _rows(arms, [(arms.cell(arms.layout, seed), method_arm(name)) for name in methods for seed in seeds], "main")
     lines = ["| method | PSNR dB | SSIM | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|"]
@@ -104,7 +104,7 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
 
 def regions_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     """What joining costs and gives as there are more regions."""
-    from radiant_viewer.line_chart import line_picture
+    from radiant_viewer.charts.line_chart import line_picture
 
     layouts = LAYOUTS[:2] if quick else LAYOUTS
     cells = {layout: [arms.cell(layout, seed) for seed in seeds] for layout in layouts}
@@ -135,7 +135,7 @@ def regions_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def _region_panels(table: Mapping[str, list[tuple[float, float, float, float]]], lengths_m: Sequence[float]) -> list[Panel]:
-    from radiant_viewer.line_chart import Line, Panel
+    from radiant_viewer.charts.line_chart import Line, Panel
 
     columns = {name: np.array(values, float) for name, values in table.items()}
     counts = columns["crop"][:, 0]
@@ -158,7 +158,7 @@ def _region_panels(table: Mapping[str, list[tuple[float, float, float, float]]],
 
 def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     """Quality in the band and in the interior against epochs; whole photographs where the band has too little to say."""
-    from radiant_viewer.line_chart import line_picture
+    from radiant_viewer.charts.line_chart import line_picture
 
     epochs = QUICK_EPOCHS if quick else EPOCHS
     jobs = {(name, count): epochs_arm(name, count) for name in ("ours", "paper") for count in epochs}
@@ -184,7 +184,7 @@ def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def _epoch_panels(of: Mapping[tuple[str, int], list[ArmRow]], epochs: Sequence[int], kinds: Mapping[str, str]) -> list[Panel]:
-    from radiant_viewer.line_chart import Line, Panel
+    from radiant_viewer.charts.line_chart import Line, Panel
 
     values = {kind: {name: np.array([_mean(of[name, count], kind) for count in epochs]) for name in ("ours", "paper")} for kind in kinds}
     span = _around(np.concatenate([line for lines in values.values() for line in lines.values()]))
@@ -229,7 +229,7 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     """The place beside a border where the cut is most behind the centralised model, as each way of joining shows it."""
-    from radiant_viewer.healing_chart import Healed, healing_picture
+    from radiant_viewer.charts.healing_chart import Healed, healing_picture
 
     del quick
     cell, title = arms.cell(arms.layout, seeds[0]), "A border, cut and healed"

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
 from radiant_core.evaluate.metric import Metric
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.cost_curves import CostCurve

@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 
 from radiant_app.bench.plan import camera_layout, unequal_system
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.nodes import load_images
-from radiant_app.progress import tracked
-from radiant_app.sources import reconstruct_source
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.report.progress import tracked
+from radiant_app.run.sources import reconstruct_source
+from radiant_app.workers.nodes import load_images
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
 from radiant_core.io.run_store import read_json, write_atomic, write_json
@@ -56,8 +56,8 @@ def bench_plan_figures(folder: Path, quick: bool) -> list[Metric]:
 
 
 def _costs(folder: Path, quick: bool) -> tuple[FittedCurve, FittedCurve, list[Metric]]:
-    from radiant_viewer.images import save_png
-    from radiant_viewer.line_chart import Line, Panel, line_picture
+    from radiant_viewer.charts.line_chart import Line, Panel, line_picture
+    from radiant_viewer.pictures.images import save_png
 
     counts = QUICK_COUNTS if quick else IMAGE_COUNTS
     path = folder / "costs.json"
@@ -153,8 +153,8 @@ def _balance(folder: Path, time_curve: FittedCurve, size_curve: FittedCurve) -> 
 
 
 def _methods(folder: Path, quick: bool) -> list[Metric]:
-    from radiant_viewer.images import save_png
-    from radiant_viewer.line_chart import Line, Panel, line_picture
+    from radiant_viewer.charts.line_chart import Line, Panel, line_picture
+    from radiant_viewer.pictures.images import save_png
 
     rng = np.random.default_rng(3)
     positions = camera_layout("clustered", 200 if quick else 1600, rng)
@@ -181,8 +181,8 @@ def _methods(folder: Path, quick: bool) -> list[Metric]:
 
 
 def _draw_partitions(path: Path, positions: Any, rows: list[Compared], system: System, title: str) -> None:
-    from radiant_viewer.images import save_png
-    from radiant_viewer.partition_chart import Partition, partitions_picture
+    from radiant_viewer.charts.partition_chart import Partition, partitions_picture
+    from radiant_viewer.pictures.images import save_png
 
     edge_ids = [edge.id for edge in system.edges]
     partitions = [

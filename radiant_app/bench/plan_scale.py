@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 import radiant_app
 from radiant_app.bench.plan import LayoutKind, camera_layout, unequal_system
-from radiant_app.progress import tracked
-from radiant_app.system_file import load_system
+from radiant_app.files.system_file import load_system
+from radiant_app.report.progress import tracked
 from radiant_core.evaluate.metric import Metric
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.constraints import PlanConstraints

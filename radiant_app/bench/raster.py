@@ -22,7 +22,7 @@ import torch
 
 from radiant_app.bench.drone_scene import SIZES, drone_scene
 from radiant_app.bench.raster_accuracy import image_gradient, num_pairs, render, tile_errors
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
 from radiant_core import _native
 from radiant_core.cameras import Cameras
 from radiant_core.evaluate.metric import Direction, Metric

@@ -12,7 +12,7 @@ import torch
 
 from radiant_app.bench.drone_scene import SIZES, drone_camera
 from radiant_app.bench.raster_accuracy import render
-from radiant_app.memory import peak_bytes, reset_peak_bytes
+from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.render.contract import SplatTensors
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from radiant_app.bench.plan import camera_layout, unequal_system
-from radiant_app.system_file import even_system
+from radiant_app.files.system_file import even_system
 from radiant_core.io.colmap import read_model
 from radiant_core.io.waypoints import exif_waypoints
 from radiant_core.numerics import FloatArray

@@ -14,7 +14,7 @@ from importlib import import_module
 import numpy as np
 
 from radiant_app.bench.drone_scene import SceneSize, drone_scene
-from radiant_app.memory import peak_bytes, reset_peak_bytes
+from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.aggregate.cloud_choice import kept_statistics_bytes
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.retrain import retrain_on_synthetic_views
@@ -28,7 +28,7 @@ from radiant_core.train.trainer import FitOptions
 
 def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, memory_bytes: int | None = None) -> None:
     """Print the growth of the peak resident memory in bytes, within a limit the peak itself; every view is shown once."""
-    for name in ("radiant_app.nodes", "radiant_app.task_schema"):
+    for name in ("radiant_app.workers.nodes", "radiant_app.workers.task_schema"):
         # What a worker holds besides.
         import_module(name)
     splats, camera = drone_scene(SceneSize(num_splats=num_splats, width=long_side_px, height=long_side_px * 3 // 4))

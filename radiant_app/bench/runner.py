@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from radiant_app.demo import sample_scenes_folder
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric, metrics_to_json
 from radiant_core.io.run_store import write_json
@@ -144,8 +144,8 @@ def _measure_training(options: BenchOptions) -> Sequence[Metric]:
     bench: TrainBench = bench_of(options)
     rows, metrics = bench_train(bench)
     if options.plot is not None:
-        from radiant_viewer.curve_chart import curve_picture
-        from radiant_viewer.images import save_png
+        from radiant_viewer.charts.curve_chart import curve_picture
+        from radiant_viewer.pictures.images import save_png
 
         seeds = f"{len(bench.seeds)} seed" + "s" * (len(bench.seeds) > 1)
         splits = f", {len(bench.splits)} splits" * (len(bench.splits) > 1)
@@ -165,8 +165,8 @@ def _measure_methods(options: BenchOptions, scene: Path, out: Path) -> Sequence[
     rows, metrics = bench_methods(bench)
     typer.echo(methods_table(rows))
     if options.plot is not None:
-        from radiant_viewer.curve_chart import curve_picture
-        from radiant_viewer.images import save_png
+        from radiant_viewer.charts.curve_chart import curve_picture
+        from radiant_viewer.pictures.images import save_png
 
         detail = f"{rows[0].scene}, {bench.layout}, {bench.long_side_px} px; CPU time after the devices' trainings"
         save_png(options.plot, curve_picture(curves_of(rows), "Joining: quality against time and size", detail))

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric

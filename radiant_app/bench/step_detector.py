@@ -17,7 +17,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.step_detector import MIN_OPACITY, QUANTITIES, Quantity, border_steps
 from radiant_core.io.ply import load_ply

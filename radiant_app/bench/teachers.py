@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from radiant_app.bench.upload import EdgeOfRun, edges_of_run
-from radiant_app.commands import training_part
-from radiant_app.dealing import SharedDealer
+from radiant_app.commands.steps import training_part
 from radiant_app.executors.local import LocalExecutor
-from radiant_app.progress import tracked
+from radiant_app.report.progress import tracked
+from radiant_app.run.dealing import SharedDealer
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import tree_of_plan
 from radiant_core.errors import StageFailed
@@ -107,7 +107,7 @@ def simulated_latency_s(arrival_s: ArrayLike, counts: Sequence[int], views: View
 
 def _dealer(run: Path, edge: EdgeOfRun, quick: bool) -> SharedDealer:
     """One edge with equal devices on the training photographs of `run`; its folder is to be replaced."""
-    from radiant_app.system_file import even_system
+    from radiant_app.files.system_file import even_system
     from radiant_core.plan.device_split import split_edges
     from radiant_core.plan.edge_sites import place_edges
     from radiant_core.plan.plans import CloudPlan

@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike
 from rich.console import Console
 
 from radiant_app.bench.runner import BenchOptions
-from radiant_app.commands import stage_bar
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.nodes import load_images, load_training_views, sfm_progress
-from radiant_app.progress import ProgressDisplay, tracked
-from radiant_app.sources import masks_of_scene, scored_scene_of
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.steps import stage_bar
+from radiant_app.report.progress import ProgressDisplay, tracked
+from radiant_app.run.sources import masks_of_scene, scored_scene_of
+from radiant_app.workers.nodes import load_images, load_training_views, sfm_progress
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
@@ -43,7 +43,7 @@ from radiant_core.render.contract import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend
-from radiant_viewer.curve_chart import CurvePoint
+from radiant_viewer.charts.curve_chart import CurvePoint
 
 BUDGETS_S = (60.0, 180.0, 600.0)
 """CPU seconds; the last is five minutes of two cores."""
@@ -231,7 +231,7 @@ def _config(preset: str, long_side_px: int) -> TrainConfig:
 
 
 def _load(source: Path, work: Path) -> _Source:
-    from radiant_app.sources import reconstruct_source
+    from radiant_app.run.sources import reconstruct_source
 
     try:
         scene, _, images = scored_scene_of(source)

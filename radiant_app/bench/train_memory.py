@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-import radiant_app.train_command  # noqa: F401 - what `radiant train` has loaded by then
+import radiant_app.commands.train  # noqa: F401 - what `radiant train` has loaded by then
 from radiant_app.bench.drone_scene import SceneSize, drone_scene
-from radiant_app.memory import peak_bytes, resident_bytes
+from radiant_app.workers.memory import peak_bytes, resident_bytes
 from radiant_core.cameras import Cameras
 from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.checkpoint import CheckpointFolder

@@ -17,9 +17,9 @@ from typing import Any, get_args
 
 import numpy as np
 
-from radiant_app.commands import require_run
-from radiant_app.nodes import load_images
-from radiant_app.progress import tracked
+from radiant_app.commands.steps import require_run
+from radiant_app.report.progress import tracked
+from radiant_app.workers.nodes import load_images
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric

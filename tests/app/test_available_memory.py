@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.memory import available_bytes
+from radiant_app.workers.memory import available_bytes
 
 GB = 1_000_000_000
 

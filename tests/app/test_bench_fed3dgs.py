@@ -10,7 +10,7 @@ import pytest
 import radiant_app
 from radiant_app.bench.fed3dgs import IMAGES_PER_CLIENT, MERGE_CONSTANT_S, MERGE_S_PER_IMAGE, bench_fed3dgs, methods_s, repeated_system
 from radiant_app.bench.runner import BenchOptions, run_bench
-from radiant_app.system_file import load_system
+from radiant_app.files.system_file import load_system
 from radiant_core.errors import BadInput
 
 SYSTEM = load_system(Path(radiant_app.__file__).parent / "systems" / "paper_1.toml")

@@ -13,9 +13,9 @@ from rich.console import Console
 from radiant_app.bench.method_cells import Layout, layout_of, random_sites
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
 from radiant_app.bench.runner import BenchOptions, run_bench
-from radiant_app.commands import sfm
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.progress import ProgressDisplay
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.steps import sfm
+from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan

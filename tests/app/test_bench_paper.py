@@ -18,9 +18,9 @@ from radiant_app.bench.paper import PAGE_ORDER, PARTS, PaperBench, bench_paper
 from radiant_app.bench.paper_arms import Arms, epochs_arm, method_arm
 from radiant_app.bench.paper_parts import _worst_window, border_length_m
 from radiant_app.bench.runner import BenchOptions, run_bench
-from radiant_app.commands import sfm
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.progress import ProgressDisplay
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.steps import sfm
+from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
 from radiant_core.io.run_store import read_json

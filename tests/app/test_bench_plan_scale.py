@@ -9,7 +9,7 @@ import pytest
 
 import radiant_app
 from radiant_app.bench.plan_scale import regret, simulated_systems, slacks, varied, weight_dragged
-from radiant_app.system_file import load_system
+from radiant_app.files.system_file import load_system
 
 FOLDER = Path(radiant_app.__file__).parent / "systems"
 

@@ -14,7 +14,7 @@ import pytest
 
 from radiant_app.bench.runner import BenchOptions, run_bench
 from radiant_app.bench.train import TrainBench, TrainedRow, _by_seed_and_image, _load, _split, _trained, bench_of, bench_train, curves_of
-from radiant_app.demo import sample_scenes_folder
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
 from radiant_core.train.config import train_preset
 

@@ -12,10 +12,10 @@ import pytest
 
 TELLS = """
 import sys
-from radiant_app import doctor
-from radiant_app.cli import main
+from radiant_app.commands import doctor
+from radiant_app.cli.app import main
 from radiant_app.events import Warned
-from radiant_app.progress import terminal_display
+from radiant_app.report.progress import terminal_display
 
 def examine():
     # As a run tells where it stands: much more than any buffer holds.
@@ -31,8 +31,8 @@ main()
 """
 FAILS = """
 import sys
-from radiant_app import doctor
-from radiant_app.cli import main
+from radiant_app.commands import doctor
+from radiant_app.cli.app import main
 
 def examine():
     raise {error}
@@ -67,7 +67,7 @@ def test_a_reader_that_goes_away_ends_no_command(tmp_path: Path) -> None:
 def test_a_result_that_cannot_be_written_is_an_error() -> None:
     if not Path("/dev/full").exists():
         pytest.skip("no /dev/full")
-    script = "import sys; from radiant_app.cli import main; sys.argv = ['radiant', '--help']; main()"
+    script = "import sys; from radiant_app.cli.app import main; sys.argv = ['radiant', '--help']; main()"
     with Path("/dev/full").open("w") as full:
         process = ended(script, stdout=full)
     assert process.returncode == 2 and "No space left" in process.stderr and "Traceback" not in process.stderr
@@ -80,8 +80,8 @@ def test_a_result_that_cannot_be_printed_says_where_it_lies(option: list[str], t
     script = f"""
 import sys
 from pathlib import Path
-from radiant_app import commands
-from radiant_app.cli import main
+from radiant_app.commands import steps as commands
+from radiant_app.cli.app import main
 
 def sfm(source, out, *others, **options):
     out.mkdir()
@@ -99,7 +99,7 @@ main()
 
 def test_a_working_folder_that_is_gone_gets_one_sentence(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
-    script = "import os, sys; from radiant_app.cli import main; os.rmdir(os.getcwd()); sys.argv = ['radiant', 'doctor']; main()"
+    script = "import os, sys; from radiant_app.cli.app import main; os.rmdir(os.getcwd()); sys.argv = ['radiant', 'doctor']; main()"
     gone.mkdir()
     process = ended(script, cwd=gone)
     assert (process.returncode, process.stderr.count("\n")) == (2, 1) and "does not exist any more" in process.stderr

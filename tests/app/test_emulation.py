@@ -20,8 +20,8 @@ from radiant_app.executors import emulated_node
 from radiant_app.executors.emulated import EmulatedExecutor, emulated_figures, require_emulable
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.run_folder import Manifest
-from radiant_app.system_file import load_system
+from radiant_app.files.run_folder import Manifest
+from radiant_app.files.system_file import load_system
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, seal

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_app.cli import app
-from radiant_app.evaluate_command import EvaluateRequest, evaluate
-from radiant_app.evaluation import png_bytes
-from radiant_app.progress import ProgressDisplay
+from radiant_app.cli.app import app
+from radiant_app.commands.evaluate import EvaluateRequest, evaluate
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.evaluation import png_bytes
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db, ssim

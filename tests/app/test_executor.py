@@ -107,7 +107,7 @@ def test_a_disk_that_is_full_is_no_bad_input_of_a_worker(tmp_path: Path, monkeyp
 
 def test_a_worker_says_whether_the_disk_or_its_input_is_at_fault(tmp_path: Path) -> None:
     for error, cannot_write in (("OSError(28, 'full')", True), ("CannotWrite('full')", True), ("FileNotFoundError(2, 'x')", False)):
-        work = "from radiant_core.errors import CannotWrite; from radiant_app import nodes, task_schema, worker\n"
+        work = "from radiant_core.errors import CannotWrite; from radiant_app.workers import nodes, task_schema, worker\n"
         fails = f"{work}def fail(*_): raise {error}\nnodes.run_node = fail; task_schema.require_task = print\n"
         mend = f"{fails}worker.main(['device', {str(tmp_path)!r}, 'devices/1', 'key'])"
         ended = subprocess.run([sys.executable, "-c", mend], capture_output=True, text=True, check=False)
@@ -123,9 +123,7 @@ def test_a_killed_worker_is_named_and_resuming_finishes(tmp_path: Path) -> None:
 
 
 def test_a_worker_ends_when_its_executor_is_gone(tmp_path: Path) -> None:
-    sleeper = (
-        "import time; from radiant_app import nodes, worker; nodes.run_node = lambda *_: print('here', flush=True) or time.sleep(60)\n"
-    )
+    sleeper = "import time; from radiant_app.workers import nodes, worker; nodes.run_node = lambda *_: print('here', flush=True) or time.sleep(60)\n"
     command = [sys.executable, "-c", sleeper + f"worker.main(['device', {str(tmp_path)!r}, 'devices/1', 'key'])"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None and process.stderr is not None

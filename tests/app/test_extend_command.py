@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.extend_command import _virtual_cameras
-from radiant_app.inbox import VIRTUAL_CAMERAS, sim3_record
+from radiant_app.commands.extend import _virtual_cameras
+from radiant_app.workers.inbox import VIRTUAL_CAMERAS, sim3_record
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.io.records import save_cameras

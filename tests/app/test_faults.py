@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.config import RunConfig
-from radiant_app.dealing import SharedDealer
 from radiant_app.events import Event, StageDone, StageStarted, Warned
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.field_dealing import DeviceShare, FieldDealer
-from radiant_app.promises import promises_of
-from radiant_app.rescue import Rescue, plan_key, replanned
-from radiant_app.system_file import even_system
-from radiant_app.time_left import LATE_FACTOR, LEAST_S, TimeLeftListener
-from radiant_app.uncaptured import deal_uncaptured
+from radiant_app.files.system_file import even_system
+from radiant_app.run.config import RunConfig
+from radiant_app.run.dealing import SharedDealer
+from radiant_app.run.field_dealing import DeviceShare, FieldDealer
+from radiant_app.run.promises import promises_of
+from radiant_app.run.rescue import Rescue, plan_key, replanned
+from radiant_app.run.time_left import LATE_FACTOR, LEAST_S, TimeLeftListener
+from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.frames import Frame, geodetic_from_enu

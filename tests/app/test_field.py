@@ -17,20 +17,20 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.config import RunConfig
-from radiant_app.demo import sample_scenes_folder
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.extend import ExtendRequest, extend
+from radiant_app.commands.replan import ReplanRequest, replan_files
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
-from radiant_app.extend_command import ExtendRequest, extend
-from radiant_app.field import Captured, _by_poses, _middle, _tell_unplaced
-from radiant_app.field_nodes import _placed, _placed_once, run_field, run_positions
-from radiant_app.inbox import _are_one_group
-from radiant_app.nodes import run_node
-from radiant_app.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
-from radiant_app.pipeline import RunResult, run
-from radiant_app.progress import ProgressDisplay
-from radiant_app.replan_command import ReplanRequest, replan_files
-from radiant_app.report import ledger_by_tier
-from radiant_app.stages import Progress
+from radiant_app.report.html import ledger_by_tier
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.config import RunConfig
+from radiant_app.run.field import Captured, _by_poses, _middle, _tell_unplaced
+from radiant_app.run.pipeline import RunResult, run
+from radiant_app.run.stages import Progress
+from radiant_app.workers.field_nodes import _placed, _placed_once, run_field, run_positions
+from radiant_app.workers.inbox import _are_one_group
+from radiant_app.workers.nodes import run_node
+from radiant_app.workers.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
@@ -42,7 +42,7 @@ from radiant_core.plan.replan import Situation
 from radiant_core.sfm.given_poses import given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.train.needs import Overrides
-from radiant_viewer.run_view import load_run_view
+from radiant_viewer.runs.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, add_broken, canaries_of, files_with, watermark
 
@@ -226,7 +226,8 @@ def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path,
         readers = {process for path in photographs for process in opened.get(path, set())}
         assert all(path in opened for path in photographs), "the tracing saw nothing"
         own = (f"devices/{device}", f"positions/{device}")
-        assert readers and all("radiant_app.worker" in process and any(place in process for place in own) for process in readers), readers
+        assert readers
+        assert all("radiant_app.workers.worker" in process and any(place in process for place in own) for process in readers), readers
         # What was made of them stays with the device too.
         others = [process for path, who in opened.items() if f"devices/{device}/" in path for process in who]
         assert all(f"devices/{device}" in process for process in others), others

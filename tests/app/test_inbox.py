@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_app.delivering import introduce
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.inbox import NOTHING, numbered, read_inbox, save_frames, sim3_of, sim3_record
+from radiant_app.workers.delivering import introduce
+from radiant_app.workers.inbox import NOTHING, numbered, read_inbox, save_frames, sim3_of, sim3_record
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry import frame_refinement

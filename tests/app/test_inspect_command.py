@@ -12,25 +12,25 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.constraints_file import dump_constraints, load_constraints
-from radiant_app.inspect_command import plan_file_of, plan_setting, run_setting, save_picture
-from radiant_app.plan_command import PlanRequest, plan
-from radiant_app.plan_content import ContentRequest
-from radiant_app.progress import ProgressDisplay
-from radiant_app.stages import require_plan
-from radiant_app.system_file import load_system
+from radiant_app.commands.inspect import plan_file_of, plan_setting, run_setting, save_picture
+from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.commands.plan_content import ContentRequest
+from radiant_app.files.constraints_file import dump_constraints, load_constraints
+from radiant_app.files.system_file import load_system
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.stages import require_plan
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene, save_plan, save_scene
 from radiant_core.io.waypoints import read_waypoints
 from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.footprints import Optics
 from radiant_core.plan.waypoints import Waypoints
-from radiant_viewer.edited_plan import dragged_weight_m2
-from radiant_viewer.plan_editor import PlanEditor
-from radiant_viewer.plan_edits import FixWeight, LockRegion, PinCameras
-from radiant_viewer.plan_files import load_other_plan, save_edited_plan, subject_of
-from radiant_viewer.plan_view import likely_ground_m, load_plan_view
-from radiant_viewer.subject import subject_of_run
+from radiant_viewer.editing.edited_plan import dragged_weight_m2
+from radiant_viewer.editing.plan_editor import PlanEditor
+from radiant_viewer.editing.plan_edits import FixWeight, LockRegion, PinCameras
+from radiant_viewer.editing.plan_files import load_other_plan, save_edited_plan, subject_of
+from radiant_viewer.runs.plan_view import likely_ground_m, load_plan_view
+from radiant_viewer.runs.subject import subject_of_run
 from tests.app.test_plan_command import grid_csv, make_plan
 from tests.viewer.made_up_run import made_up_town, save_run
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from radiant_app.cli import app
-from radiant_app.job_file import Job, load_jobs
+from radiant_app.cli.app import app
+from radiant_app.files.job_file import Job, load_jobs
 from radiant_core.errors import BadInput
 
 TWO = """

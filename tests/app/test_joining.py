@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app import cloud_task
-from radiant_app.commands import aggregate
-from radiant_app.config import RunConfig
-from radiant_app.demo import sample_scenes_folder
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.steps import aggregate
 from radiant_app.events import Event, StageDone
-from radiant_app.pipeline import run
-from radiant_app.progress import ProgressDisplay
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import run
+from radiant_app.workers import cloud_task
 from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from radiant_app.commands import sfm
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.progress import ProgressDisplay
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.steps import sfm
+from radiant_app.report.progress import ProgressDisplay
 from radiant_core.io.run_store import read_json
 from tests.stress.kill_harness import differing_files, run_killed, run_whole
 
@@ -18,7 +18,7 @@ OPTIONS = ("--steps", "600", "--long-side-px", "160", "--checkpoint-every", "0.0
 SLOW_WRITES = """
 import sys, time
 import radiant_core.io.array_file as array_file
-from radiant_app.cli import main
+from radiant_app.cli.app import main
 write = array_file.save_file
 def slowly(arrays, path, metadata):
     write(arrays, path, metadata)

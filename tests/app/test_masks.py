@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands import sfm
-from radiant_app.config import RunConfig
-from radiant_app.dealing import deal_masks, received
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.evaluation import scored_part
-from radiant_app.progress import ProgressDisplay
-from radiant_app.sources import masks_of_scene
-from radiant_app.train_command import TrainRequest, train
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.steps import sfm
+from radiant_app.commands.train import TrainRequest, train
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.config import RunConfig
+from radiant_app.run.dealing import deal_masks, received
+from radiant_app.run.sources import masks_of_scene
+from radiant_app.workers.evaluation import scored_part
 from radiant_core.errors import BadInput
 from radiant_core.io.masks import mask_name, save_mask
 from radiant_core.io.run_store import write_json

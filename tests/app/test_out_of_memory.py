@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from radiant_app import cli
+from radiant_app.cli import app as cli
 
 
 def test_a_command_that_gets_no_memory_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ import pytest
 import tifffile
 from typer.testing import CliRunner
 
-from radiant_app.cli import app
+from radiant_app.cli.app import app
 from radiant_core.errors import BadInput
 from radiant_core.geometry import fusion
 from radiant_core.geometry.fusion import _save_view

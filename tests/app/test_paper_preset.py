@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.config import RunConfig, run_preset
-from radiant_app.demo import sample_scenes_folder
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Decided, Event, Warned
-from radiant_app.nodes import run_node
-from radiant_app.pipeline import RunResult, run
+from radiant_app.run.config import RunConfig, run_preset
+from radiant_app.run.pipeline import RunResult, run
+from radiant_app.workers.nodes import run_node
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply

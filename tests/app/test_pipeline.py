@@ -18,18 +18,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.config import RunConfig
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.event_file import read_progress
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
-from radiant_app.extend_command import ExtendRequest, extend
-from radiant_app.inbox import read_inbox
-from radiant_app.memory import resident_bytes
-from radiant_app.nodes import run_cloud, run_device, run_edge
-from radiant_app.pipeline import RunResult, run
-from radiant_app.progress import ProgressDisplay
-from radiant_app.report import TIERS
-from radiant_app.sources import all_files
+from radiant_app.files.event_file import read_progress
+from radiant_app.report.html import TIERS
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import RunResult, run
+from radiant_app.run.sources import all_files
+from radiant_app.workers.inbox import read_inbox
+from radiant_app.workers.memory import resident_bytes
+from radiant_app.workers.nodes import run_cloud, run_device, run_edge
 from radiant_core import __version__
 from radiant_core.aggregate.extend import NewRegion
 from radiant_core.cameras import concatenate_cameras

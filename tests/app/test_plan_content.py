@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.plan_command import PlanRequest, plan
-from radiant_app.plan_content import ContentRequest, buffer_rule, content_request
-from radiant_app.plan_tables import plan_tables
-from radiant_app.progress import ProgressDisplay
+from radiant_app.cli.plan_tables import plan_tables
+from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.commands.plan_content import ContentRequest, buffer_rule, content_request
+from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan_waypoints

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from radiant_app.cli import app
-from radiant_app.constraints_file import load_constraints
-from radiant_app.prediction_error import curves_note
-from radiant_app.profile_file import save_profile
-from radiant_app.replan_command import ReplanRequest, replan_files
-from radiant_app.system_file import dump_system, load_system
+from radiant_app.cli.app import app
+from radiant_app.commands.replan import ReplanRequest, replan_files
+from radiant_app.files.constraints_file import load_constraints
+from radiant_app.files.profile_file import save_profile
+from radiant_app.files.system_file import dump_system, load_system
+from radiant_app.run.prediction_error import curves_note
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json
 from radiant_core.plan.slack_curve import SlackPoint
-from radiant_viewer.slack_chart import slack_picture
+from radiant_viewer.charts.slack_chart import slack_picture
 from tests.app.test_plan_command import grid_csv
 from tests.app.test_replan_command import display
 from tests.core.plan.test_profiles import MEASURED

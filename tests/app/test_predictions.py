@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiant_app.predictions import depends_on_training, with_camera_limits
+from radiant_app.run.predictions import depends_on_training, with_camera_limits
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.region_plan import plan_regions

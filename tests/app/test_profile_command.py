@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.cli_profile import profile as profile_cli
-from radiant_app.commands import training_part
-from radiant_app.config import RunConfig
+from radiant_app.cli.profile import profile as profile_cli
+from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.commands.profile import ProfileRequest, check_table, profile, profile_of_run
+from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, chosen_counts, shortened
+from radiant_app.commands.steps import training_part
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted
-from radiant_app.nodes import run_node
-from radiant_app.plan_command import PlanRequest, plan
-from radiant_app.predictions import planned_training
-from radiant_app.profile_command import ProfileRequest, check_table, profile, profile_of_run
-from radiant_app.profile_file import load_profile
-from radiant_app.profiling import MIN_PHOTOGRAPHS, Measuring, chosen_counts, shortened
-from radiant_app.progress import ProgressDisplay
-from radiant_app.run_folder import Manifest, recorded_config
+from radiant_app.files.profile_file import load_profile
+from radiant_app.files.run_folder import Manifest, recorded_config
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.config import RunConfig
+from radiant_app.run.predictions import planned_training
+from radiant_app.workers.nodes import run_node
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
@@ -36,7 +36,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides
-from radiant_viewer.images import save_png
+from radiant_viewer.pictures.images import save_png
 from tests.core.plan.test_profiles import system as system_of
 from tests.core.scenes import cameras_above, ground_splats
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.profile_command import library_table
-from radiant_app.profile_file import library_profiles, load_profile, save_profile
-from radiant_app.system_file import load_system
+from radiant_app.commands.profile import library_table
+from radiant_app.files.profile_file import library_profiles, load_profile, save_profile
+from radiant_app.files.system_file import load_system
 from radiant_core.errors import BadInput
 from tests.core.plan.test_profiles import MEASURED
 

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.event_file import EventFile, read_progress
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import (
     Decided,
     Event,
@@ -31,10 +30,11 @@ from radiant_app.events import (
     decode,
     encode,
 )
-from radiant_app.nodes import sfm_progress
-from radiant_app.pace import Pace, clock_text
-from radiant_app.progress import ProgressDisplay
-from radiant_app.tables import print_figures
+from radiant_app.files.event_file import EventFile, read_progress
+from radiant_app.report.pace import Pace, clock_text
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.report.tables import print_figures
+from radiant_app.workers.nodes import sfm_progress
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import write_json
 from radiant_core.sfm.config import SfmProgress, numbered_steps
@@ -251,14 +251,14 @@ def test_a_run_says_how_many_of_its_stages_are_finished(tmp_path: Path) -> None:
     seen = read_progress(tmp_path)
     assert seen.expected == ("sfm", "devices/a", "cloud") and seen.stages[-1].note == "matching, step 3 of 6, loss 0.5"
     pytest.importorskip("PySide6")
-    from radiant_viewer.progress_dock import _summary
+    from radiant_viewer.docks.progress_dock import _summary
 
     assert "2 of 3 stages finished" in _summary(seen)
 
 
 def test_libraries_write_to_a_file_and_python_is_heard(tmp_path: Path) -> None:
     script = (
-        "import os, sys; from pathlib import Path; from radiant_app.commands import libraries_log_to\n"
+        "import os, sys; from pathlib import Path; from radiant_app.commands.steps import libraries_log_to\n"
         "with libraries_log_to(Path(sys.argv[1])):\n"
         "    os.write(2, b'I2026 undistorters.cc:208]\\n'); print('a bar', file=sys.stderr)\n"
         "os.write(2, b'afterwards\\n'); print('at the end', file=sys.stderr)"

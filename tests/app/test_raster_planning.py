@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.cloud_planning import cloud_task, placed_by_raster, planned_at_cloud, planned_from_raster, run_regions
-from radiant_app.config import RunConfig
-from radiant_app.field_nodes import told_raster
-from radiant_app.plan_command import PlanRequest, plan
-from radiant_app.progress import ProgressDisplay
-from radiant_app.system_file import even_system
+from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.files.system_file import even_system
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.cloud_planning import cloud_task, placed_by_raster, planned_at_cloud, planned_from_raster, run_regions
+from radiant_app.run.config import RunConfig
+from radiant_app.workers.field_nodes import told_raster
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.records import load_plan

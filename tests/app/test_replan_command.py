@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.plan_command import PlanRequest, plan
-from radiant_app.progress import ProgressDisplay
-from radiant_app.replan_command import ReplanRequest, parsed_values, replan_files, replan_table
-from radiant_app.system_file import load_system
+from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.commands.replan import ReplanRequest, parsed_values, replan_files, replan_table
+from radiant_app.files.system_file import load_system
+from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan, load_plan_waypoints

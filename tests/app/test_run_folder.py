@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from radiant_app import run_folder
-from radiant_app.cli import app
-from radiant_app.config import RunConfig
+from radiant_app.cli.app import app
+from radiant_app.commands.train import TrainRequest
 from radiant_app.events import StageDone, StageStarted, Warned
-from radiant_app.run_folder import Manifest, differing_options, new_folder, opened_run, recorded_config, sfm_folder
-from radiant_app.train_command import TrainRequest
+from radiant_app.files import run_folder
+from radiant_app.files.run_folder import Manifest, differing_options, new_folder, opened_run, recorded_config, sfm_folder
+from radiant_app.run.config import RunConfig
 from radiant_core.errors import BadInput, CannotWrite
 from radiant_core.io.run_store import RunLock, atomic_path, write_atomic
 from radiant_core.train.needs import Overrides

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from radiant_app.settings import settings_of
+from radiant_app.cli.settings import settings_of
 from radiant_core.errors import BadInput
 from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer import desktop, web
+from radiant_viewer.web import server as web
+from radiant_viewer.window import desktop
 
 ROOT = Path(__file__).parents[2]
 EVERYDAY = "-m pip install --editable .[desktop,web]"

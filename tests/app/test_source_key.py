@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
-from radiant_app.config import RunConfig
-from radiant_app.demo import sample_scenes_folder
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Event, Warned
-from radiant_app.source_key import source_key, used_files
+from radiant_app.run.config import RunConfig
+from radiant_app.run.source_key import source_key, used_files
 from radiant_core.io.run_store import seal, write_json
 
 SFM = {"matching": "auto", "seed": 0}

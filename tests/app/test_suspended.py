@@ -18,7 +18,7 @@ from radiant_app.executors.fold import Ended, Faults, Fold
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.executors.ray_cluster import _Cluster
-from radiant_app.time_left import TimeLeftListener
+from radiant_app.run.time_left import TimeLeftListener
 from radiant_core.aggregate.tree import Tree
 from radiant_core.io.run_store import seal
 from tests.app.test_faults import planned

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app import system_file
-from radiant_app.system_file import dump_system, even_system, load_system
-from radiant_app.toml_file import MAX_FILE_BYTES
+from radiant_app.files import system_file
+from radiant_app.files.system_file import dump_system, even_system, load_system
+from radiant_app.files.toml_file import MAX_FILE_BYTES
 from radiant_core.errors import BadInput
 from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.plans import CloudPlan

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from radiant_app.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, give_task, introduce, introduce_scoring, take_task
-from radiant_app.task_schema import SCHEMAS, require_schema, require_task
+from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, give_task, introduce, introduce_scoring, take_task
+from radiant_app.workers.task_schema import SCHEMAS, require_schema, require_task
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
 from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
@@ -271,7 +271,7 @@ def test_a_worker_refuses_a_changed_task_before_it_works(tmp_path: Path) -> None
     folder = given(run_with(tmp_path, DEVICE))
     text = (folder / "task.json").read_text()
     (folder / "task.json").write_text(text.replace('"seed": 0', '"seed": 7'))
-    command = [sys.executable, "-m", "radiant_app.worker", "device", str(folder), DEVICE, "key"]
+    command = [sys.executable, "-m", "radiant_app.workers.worker", "device", str(folder), DEVICE, "key"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, stdin=subprocess.DEVNULL)
     assert done.returncode == BadInput.exit_code and "has other bytes than its sender signed" in done.stdout
     assert not (folder / "done.json").exists()

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.commands import sfm
-from radiant_app.dealing import deal_files
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.evaluate_command import EvaluateRequest, evaluate
+from radiant_app.cli.quantities import bytes_of, seconds_of
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.commands.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.steps import sfm
+from radiant_app.commands.train import TrainRequest, train
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
-from radiant_app.nodes import run_node
-from radiant_app.progress import ProgressDisplay
-from radiant_app.quantities import bytes_of, seconds_of
-from radiant_app.train_command import TrainRequest, train
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.dealing import deal_files
+from radiant_app.workers.nodes import run_node
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from radiant_app.bench.teachers import ViewTimes, simulated_latency_s
-from radiant_app.dealing import SharedDealer
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.nodes import run_node
-from radiant_app.system_file import even_system
+from radiant_app.files.system_file import even_system
+from radiant_app.run.dealing import SharedDealer
+from radiant_app.workers.nodes import run_node
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput

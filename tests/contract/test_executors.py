@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.config import RunConfig
-from radiant_app.demo import sample_scenes_folder
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, Warned, encode
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor, _environment, place_of
-from radiant_app.pipeline import run
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import run
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
 

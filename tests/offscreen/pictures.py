@@ -12,8 +12,8 @@ from typing import get_args
 import cv2
 import numpy as np
 
-from radiant_viewer.images import Image, load_image, save_png
-from radiant_viewer.views import View, screenshot
+from radiant_viewer.pictures.images import Image, load_image, save_png
+from radiant_viewer.pictures.views import View, screenshot
 from tests.viewer.made_up_run import made_up_town, save_run
 
 FOLDER = Path(__file__).parent / "baselines"

@@ -22,10 +22,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from radiant_app.constraints_file import load_constraints
-from radiant_app.memory import peak_bytes, reset_peak_bytes
-from radiant_app.profile_file import load_profile
-from radiant_app.system_file import load_system
+from radiant_app.files.constraints_file import load_constraints
+from radiant_app.files.profile_file import load_profile
+from radiant_app.files.system_file import load_system
+from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.colmap import read_model

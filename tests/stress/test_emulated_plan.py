@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.config import RunConfig
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.pipeline import run
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import run
 from radiant_core.train.needs import Overrides
 
 SIZE = Overrides(long_side_px=160, num_steps=100, max_num_splats=1500)

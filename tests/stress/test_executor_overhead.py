@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import radiant_app.pipeline
-from radiant_app.config import RunConfig
+import radiant_app.run.pipeline
 from radiant_app.executors.local import LocalExecutor, worker_command
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor
+from radiant_app.run.config import RunConfig
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import SEAL_NAME, read_json
@@ -40,7 +40,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Tree, dict[str, NodeT
     hamlet_in(folder)
     overrides = Overrides(long_side_px=160, num_steps=2000, max_num_splats=3000)
     config = RunConfig(source=folder / "hamlet", out=folder / "run", overrides=overrides, teachers="late", max_workers=1)
-    radiant_app.pipeline.run(config)
+    radiant_app.run.pipeline.run(config)
     tree = tree_of_plan(*load_plan(config.out / "plan.json"))
     tasks = {}
     for node in tree:

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
-from radiant_app.config import RunConfig
-from radiant_app.demo import DEMO_SIZE, sample_scenes_folder
-from radiant_app.inbox import moved_cameras, sim3_of
-from radiant_app.pipeline import run
+from radiant_app.commands.demo import DEMO_SIZE, sample_scenes_folder
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import run
+from radiant_app.workers.inbox import moved_cameras, sim3_of
 from radiant_core.cameras import Cameras
 from radiant_core.errors import StageFailed
 from radiant_core.frames import Sim3, geodetic_from_enu

@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import radiant_app.pipeline
-import radiant_app.report
-import radiant_app.stages
-from radiant_app.config import RunConfig
-from radiant_app.demo import sample_scenes_folder
+import radiant_app.report.html
+import radiant_app.run.pipeline
+import radiant_app.run.stages
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageStarted, Warned
+from radiant_app.run.config import RunConfig
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json
 from radiant_core.train.needs import Overrides
@@ -95,7 +95,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, flo
             seconds[event.stage] = used.ru_utime + used.ru_stime - before_s
             before_s += seconds[event.stage]
 
-    radiant_app.pipeline.run(config_of(folder / "whole"), note)
+    radiant_app.run.pipeline.run(config_of(folder / "whole"), note)
     return folder / "whole", seconds
 
 
@@ -144,7 +144,7 @@ def worker_in(folder: Path) -> int | None:
             words = path.read_bytes().split(b"\0")
         except OSError:
             continue
-        if b"radiant_app.worker" in words and str(folder).encode() in words:
+        if b"radiant_app.workers.worker" in words and str(folder).encode() in words:
             return int(path.parent.name)
     return None
 
@@ -154,8 +154,8 @@ def test_fifty_kills_of_a_stage_are_survived_with_the_same_bytes(
     stage: str, whole: tuple[Path, dict[str, float]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     undisturbed, seconds = whole
-    monkeypatch.setattr(radiant_app.stages, "ATTEMPTS", KILLS_PER_STORY + 1)
-    monkeypatch.setattr(radiant_app.report, "write_report", lambda *arguments: None)
+    monkeypatch.setattr(radiant_app.run.stages, "ATTEMPTS", KILLS_PER_STORY + 1)
+    monkeypatch.setattr(radiant_app.report.html, "write_report", lambda *arguments: None)
     num_kills, story = 0, 0
     while num_kills < NUM_KILLS:
         out = undisturbed.parent / f"{stage.replace('/', '-')}-{story}"
@@ -164,7 +164,7 @@ def test_fifty_kills_of_a_stage_are_survived_with_the_same_bytes(
             shutil.rmtree(out / node)
         moments = random_moments(1000 * list(AFTER).index(stage) + story, min(KILLS_PER_STORY, NUM_KILLS - num_kills), seconds[stage])
         killer = Killer(stage, out / stage, moments)
-        radiant_app.pipeline.run(config_of(out), killer, resume=True)
+        radiant_app.run.pipeline.run(config_of(out), killer, resume=True)
         assert differing_files(undisturbed, out, RESULTS) == [], (stage, story, moments)
         assert not (out / stage / "checkpoints").exists()
         num_kills, story = num_kills + killer.num_kills, story + 1
@@ -217,8 +217,8 @@ def test_the_photographs_of_a_device_that_always_dies_go_to_one_that_has_not_beg
     shutil.copytree(undisturbed, out)
     for node in ("devices", "edges", "cloud"):
         shutil.rmtree(out / node)
-    killer = Killer("devices/a-1", out / "devices/a-1", [0.3 * seconds["devices/a-1"]] * radiant_app.stages.ATTEMPTS)
-    result = radiant_app.pipeline.run(config_of(out), killer, resume=True)
+    killer = Killer("devices/a-1", out / "devices/a-1", [0.3 * seconds["devices/a-1"]] * radiant_app.run.stages.ATTEMPTS)
+    result = radiant_app.run.pipeline.run(config_of(out), killer, resume=True)
     manifest = read_json(out / "manifest.json")
     (decision,) = (row for row in manifest["decisions"] if row["topic"] == "lost device")
     _, before = load_plan(undisturbed / "plan.json")
@@ -233,5 +233,5 @@ def test_the_photographs_of_a_device_that_always_dies_go_to_one_that_has_not_beg
         if isinstance(event, StageStarted):
             begun.append(event.stage)
 
-    radiant_app.pipeline.run(config_of(out), note, resume=True)
+    radiant_app.run.pipeline.run(config_of(out), note, resume=True)
     assert begun == [], "what others trained in its place is not trained again"

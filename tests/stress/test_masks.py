@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from radiant_app.config import RunConfig
-from radiant_app.dealing import received
-from radiant_app.evaluate_command import EvaluateRequest, evaluate
+from radiant_app.commands.evaluate import EvaluateRequest, evaluate
+from radiant_app.commands.train import TrainRequest, train
 from radiant_app.events import Event, StageSkipped
-from radiant_app.pipeline import RunResult, run
-from radiant_app.progress import ProgressDisplay
-from radiant_app.train_command import TrainRequest, train
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.config import RunConfig
+from radiant_app.run.dealing import received
+from radiant_app.run.pipeline import RunResult, run
 from radiant_core.errors import BadInput
 from radiant_core.io.masks import mask_name, save_mask
 from radiant_core.io.run_store import read_json

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.config import RunConfig
 from radiant_app.events import Event, Warned
-from radiant_app.pipeline import run
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_scene
 from radiant_core.train.needs import Overrides

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.dealing import SharedDealer
+from radiant_app.run.dealing import SharedDealer
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import tree_of_plan
 from radiant_core.evaluate.split import held_out_mask

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.config import RunConfig
-from radiant_app.pipeline import run
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import run
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.config import RunConfig
-from radiant_app.demo import sample_scenes_folder
-from radiant_app.pipeline import run
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import run
 from radiant_core.train.needs import Overrides
 
 pytestmark = pytest.mark.stress

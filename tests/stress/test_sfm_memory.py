@@ -13,14 +13,14 @@ from pathlib import Path
 import cv2
 import pytest
 
-from radiant_app.demo import sample_scenes_folder
+from radiant_app.commands.demo import sample_scenes_folder
 
 pytestmark = pytest.mark.stress
 
 SCRIPT = """
 import sys
 from pathlib import Path
-from radiant_app.memory import peak_bytes
+from radiant_app.workers.memory import peak_bytes
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.reconstruct import reconstruct
 

@@ -17,9 +17,9 @@ from pathlib import Path
 from PySide6.QtCore import QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
-from radiant_viewer import splat_process
-from radiant_viewer.inspector import open_window
-from radiant_viewer.window import InspectorWindow
+from radiant_viewer.splats import splat_process
+from radiant_viewer.window.inspector import open_window
+from radiant_viewer.window.window import InspectorWindow
 
 run, sizes, out = Path(sys.argv[1]), json.loads(sys.argv[2]), Path(sys.argv[3])
 failures, asked, found = [], [], []

@@ -15,15 +15,15 @@ from pathlib import Path
 from PySide6.QtCore import QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
-from radiant_app.event_file import EventFile
+from radiant_app.files.event_file import EventFile
 from radiant_app.events import StageProgress, StageStarted
-from radiant_app.inspect_command import run_setting
-from radiant_app.inspect_feeds import feeds_of
+from radiant_app.commands.inspect import run_setting
+from radiant_app.commands.inspect_feeds import feeds_of
 from radiant_core.io.run_store import RunLock, write_json
-from radiant_viewer.inspector import open_window
-from radiant_viewer.plan_edits import LockRegion, MoveEdge
-from radiant_viewer.subject import load_subject
-from radiant_viewer.window import InspectorWindow
+from radiant_viewer.window.inspector import open_window
+from radiant_viewer.editing.plan_edits import LockRegion, MoveEdge
+from radiant_viewer.runs.subject import load_subject
+from radiant_viewer.window.window import InspectorWindow
 
 run, out = Path(sys.argv[1]), Path(sys.argv[2])
 failures = []

@@ -21,14 +21,14 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 from shapely.geometry import Polygon
 
-from radiant_app.system_file import dump_system, even_system
+from radiant_app.files.system_file import dump_system, even_system
 from radiant_core.plan.borders import shared_borders
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.region_plan import plan_regions
-from radiant_viewer.edited_plan import EditedPlan
-from radiant_viewer.window import InspectorWindow
+from radiant_viewer.editing.edited_plan import EditedPlan
+from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.window_user import LEFT, PATIENCE_S, pixel, use_window
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from radiant_core.evaluate.border_strip import BorderStrip
 from radiant_core.evaluate.step_detector import PARALLELS_M, QUANTITIES, THRESHOLDS, BorderSteps
-from radiant_viewer.border_chart import border_picture
+from radiant_viewer.charts.border_chart import border_picture
 
 
 def made_up_steps(height_response: float) -> BorderSteps:

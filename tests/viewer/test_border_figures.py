@@ -14,9 +14,9 @@ from radiant_core.evaluate.observed_ground import observed_coverage
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats
-from radiant_viewer.border_figures import BorderFigures, border_figures
-from radiant_viewer.seam_findings import seam_findings, verdict_text
-from radiant_viewer.seam_tour import seam_stops
+from radiant_viewer.runs.border_figures import BorderFigures, border_figures
+from radiant_viewer.runs.seam_findings import seam_findings, verdict_text
+from radiant_viewer.runs.seam_tour import seam_stops
 from tests.viewer.made_up_run import Town, made_up_town
 
 TRUE_LEVELS, FALSE_LEVELS = 20.0, 120.0

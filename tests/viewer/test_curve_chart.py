@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.curve_chart import CurvePoint, _apart, curve_picture
+from radiant_viewer.charts.curve_chart import CurvePoint, _apart, curve_picture
 
 
 def points(offset_db: float) -> list[CurvePoint]:

@@ -9,11 +9,11 @@ import pytest
 import pyvista as pv
 
 from radiant_core.errors import BadInput
-from radiant_viewer.detail import MOVING_POINTS, even_subset, is_thinned, moving_note, visible_subset
-from radiant_viewer.drawing import add_layer
-from radiant_viewer.layers import Layer
-from radiant_viewer.offscreen import draw_map, draw_view, egl_window
-from radiant_viewer.point_detail import REST_S, PointDetail
+from radiant_viewer.layers.detail import MOVING_POINTS, even_subset, is_thinned, moving_note, visible_subset
+from radiant_viewer.layers.drawing import add_layer
+from radiant_viewer.layers.layer import Layer
+from radiant_viewer.layers.point_detail import REST_S, PointDetail
+from radiant_viewer.pictures.offscreen import draw_map, draw_view, egl_window
 
 
 def ground_with_a_dense_spot(count: int, seed: int = 0) -> np.ndarray:
@@ -101,7 +101,7 @@ def test_a_picture_at_rest_is_that_of_all_points(monkeypatch: pytest.MonkeyPatch
     for draw in (draw_map, draw_view):
         whole = draw(layers, (160, 100)).image
         with monkeypatch.context() as patch:
-            patch.setattr("radiant_viewer.point_detail.WHOLE_POINTS", 1000)
+            patch.setattr("radiant_viewer.layers.point_detail.WHOLE_POINTS", 1000)
             thinned, far = draw(layers, (160, 100)).image, draw(moved, (160, 100)).image
         # 3 levels on average: of two points in one cell the farther one may have peeped out beside the nearer. A map drew the last
         # instead of the highest of all, whose shades differ by their height alone.

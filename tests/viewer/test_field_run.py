@@ -15,11 +15,11 @@ from radiant_core.errors import BadInput
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_cameras, save_plan, save_scene
 from radiant_core.io.run_store import write_json
-from radiant_viewer.photo_access import find_photograph
-from radiant_viewer.run_figures import image_figures
-from radiant_viewer.run_view import RunView, load_run_view
-from radiant_viewer.subject import subject_of_run
-from radiant_viewer.views import comparisons, screenshot
+from radiant_viewer.pictures.views import comparisons, screenshot
+from radiant_viewer.runs.photo_access import find_photograph
+from radiant_viewer.runs.run_figures import image_figures
+from radiant_viewer.runs.run_view import RunView, load_run_view
+from radiant_viewer.runs.subject import subject_of_run
 from tests.viewer.made_up_run import made_up_town
 from tests.viewer.test_window import run_python
 
@@ -113,7 +113,7 @@ def test_collected_pictures_are_compared_from_the_worst_on(tmp_path: Path) -> No
 
 def test_the_table_has_a_row_for_each_figure(run: RunView, tmp_path: Path) -> None:
     pytest.importorskip("PySide6", reason="the extra 'desktop' is not installed")
-    from radiant_viewer.camera_table import CameraTable
+    from radiant_viewer.docks.camera_table import CameraTable
 
     table = CameraTable(run, image_figures(run.folder))
     assert len(table.rows) == len(run.photographs)
@@ -135,9 +135,9 @@ DOCK = """
 import sys
 from pathlib import Path
 from PySide6.QtWidgets import QApplication, QMainWindow
-from radiant_viewer.photo_dock import PhotoDock
-from radiant_viewer.run_figures import image_figures
-from radiant_viewer.run_view import load_run_view
+from radiant_viewer.docks.photo_dock import PhotoDock
+from radiant_viewer.runs.run_figures import image_figures
+from radiant_viewer.runs.run_view import load_run_view
 
 class Window(QMainWindow):
     def tell(self, sentence):

@@ -7,11 +7,11 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.border_forecast import BorderForecast, Risk
-from radiant_viewer.forecast_layer import RISK_COLORS, forecast_layers
-from radiant_viewer.line_chart import Line, Panel, line_picture
-from radiant_viewer.offscreen import draw_map
-from radiant_viewer.palette import category_colors
-from radiant_viewer.partition_chart import Partition, partitions_picture
+from radiant_viewer.charts.line_chart import Line, Panel, line_picture
+from radiant_viewer.charts.partition_chart import Partition, partitions_picture
+from radiant_viewer.layers.forecast_layer import RISK_COLORS, forecast_layers
+from radiant_viewer.layers.palette import category_colors
+from radiant_viewer.pictures.offscreen import draw_map
 
 
 def forecast(x_m: float, risk: Risk) -> BorderForecast:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.frame_chart import frame_picture
+from radiant_viewer.charts.frame_chart import frame_picture
 
 GPS_M = np.array([[0.0, 0, 50], [20, 0, 50], [40, 10, 51], [0, 20, 50], [20, 20, 52]])
 

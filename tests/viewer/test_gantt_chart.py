@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.charts import STAGE_COLORS, TimelineSpan
-from radiant_viewer.fleet_chart import fleet_picture
-from radiant_viewer.gantt_chart import FOOT_PX, MAX_ROWS, PALE, ROW_PX, TOP_PX, GanttRow, gantt_picture
+from radiant_viewer.charts.charts import STAGE_COLORS, TimelineSpan
+from radiant_viewer.charts.fleet_chart import fleet_picture
+from radiant_viewer.charts.gantt_chart import FOOT_PX, MAX_ROWS, PALE, ROW_PX, TOP_PX, GanttRow, gantt_picture
 
 
 def span(stage: str, start_s: float, stop_s: float) -> TimelineSpan:

@@ -12,22 +12,22 @@ from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.ply import save_ply
-from radiant_viewer.measure import area_text, length_text, path_length, polygon_area
-from radiant_viewer.palette import GREY, INK, heat_table
-from radiant_viewer.photo_access import find_photograph
-from radiant_viewer.run_feeds import StageState
-from radiant_viewer.run_figures import image_figures
-from radiant_viewer.run_view import load_run_view
-from radiant_viewer.seam_tour import seam_stops
-from radiant_viewer.subject import load_subject
-from radiant_viewer.themes import DARK, LIGHT, themed
+from radiant_viewer.layers.palette import GREY, INK, heat_table
+from radiant_viewer.layers.themes import DARK, LIGHT, themed
+from radiant_viewer.pictures.measure import area_text, length_text, path_length, polygon_area
+from radiant_viewer.runs.photo_access import find_photograph
+from radiant_viewer.runs.run_feeds import StageState
+from radiant_viewer.runs.run_figures import image_figures
+from radiant_viewer.runs.run_view import load_run_view
+from radiant_viewer.runs.seam_tour import seam_stops
+from radiant_viewer.runs.subject import load_subject
 from tests.viewer.made_up_run import made_up_town, save_run
 
 SQUARE = np.array([[0.0, 0], [30, 0], [30, 40], [0, 40]])
 
 
 def test_the_table_of_cameras_is_saved_without_formulas(tmp_path: Path) -> None:
-    table = pytest.importorskip("radiant_viewer.camera_table", reason="needs PySide6")
+    table = pytest.importorskip("radiant_viewer.docks.camera_table", reason="needs PySide6")
     town = made_up_town()
     held_out, _, *others = town.scene.cameras.names
     names = (held_out, "=cmd|' /C calc'!A0.jpg", *others)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pyvista as pv
 
-from radiant_viewer.layers import Label
-from radiant_viewer.map_labels import LIFT_PX, add_map_labels
-from radiant_viewer.offscreen import egl_window
-from radiant_viewer.themes import LIGHT
+from radiant_viewer.layers.layer import Label
+from radiant_viewer.layers.map_labels import LIFT_PX, add_map_labels
+from radiant_viewer.layers.themes import LIGHT
+from radiant_viewer.pictures.offscreen import egl_window
 
 SIZE = 200
 

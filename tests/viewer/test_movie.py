@@ -10,7 +10,7 @@ import pytest
 from PIL import Image as Pictures
 
 from radiant_core.errors import BadInput
-from radiant_viewer.movie import MovieWriter
+from radiant_viewer.pictures.movie import MovieWriter
 
 SIZE_WH = (64, 48)
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.curve_chart import CurvePoint, curve_picture
-from radiant_viewer.healing_chart import CAPTION_PX, CELL_PX, FOOT_PX, GAP_PX, TOP_PX, Healed, healing_picture
-from radiant_viewer.latency_chart import DeviceLatency, PlanLatency, latency_picture
-from radiant_viewer.line_chart import Line, Panel, line_picture
-from radiant_viewer.palette import BLUE, CURVE_COLORS, ORANGE, curve_style
+from radiant_viewer.charts.curve_chart import CurvePoint, curve_picture
+from radiant_viewer.charts.healing_chart import CAPTION_PX, CELL_PX, FOOT_PX, GAP_PX, TOP_PX, Healed, healing_picture
+from radiant_viewer.charts.latency_chart import DeviceLatency, PlanLatency, latency_picture
+from radiant_viewer.charts.line_chart import Line, Panel, line_picture
+from radiant_viewer.layers.palette import BLUE, CURVE_COLORS, ORANGE, curve_style
 
 
 def of_color(picture: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:

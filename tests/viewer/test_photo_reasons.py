@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.photo_reasons import reason_text, tilts_deg
-from radiant_viewer.plan_files import save_plan_geojson, subject_of
-from radiant_viewer.run_view import load_run_view
+from radiant_viewer.editing.plan_files import save_plan_geojson, subject_of
+from radiant_viewer.runs.photo_reasons import reason_text, tilts_deg
+from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run
 
 

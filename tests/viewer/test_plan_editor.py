@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon
 
-from radiant_app.system_file import even_system
+from radiant_app.files.system_file import even_system
 from radiant_core.errors import BadInput
 from radiant_core.plan.device_split import split_edges
 from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.region_plan import plan_regions
 from radiant_core.plan.system import System
-from radiant_viewer.edit_log import KeptEdits, edit_of_record, edit_record, load_edits, plan_key, save_edits
-from radiant_viewer.edited_plan import PlanSubject, dragged_weight_m2
-from radiant_viewer.plan_difference import plan_difference
-from radiant_viewer.plan_editor import PlanEditor
-from radiant_viewer.plan_edits import (
+from radiant_viewer.editing.edit_log import KeptEdits, edit_of_record, edit_record, load_edits, plan_key, save_edits
+from radiant_viewer.editing.edited_plan import PlanSubject, dragged_weight_m2
+from radiant_viewer.editing.plan_difference import plan_difference
+from radiant_viewer.editing.plan_editor import PlanEditor
+from radiant_viewer.editing.plan_edits import (
     AddDevice,
     AddEdge,
     AdoptPlan,

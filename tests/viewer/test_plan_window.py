@@ -9,10 +9,10 @@ import pytest
 
 from radiant_core.plan.borders import shared_borders
 from radiant_core.plan.constraints import PlanConstraints
-from radiant_viewer.plan_editor import PlanEditor
-from radiant_viewer.plan_edits import FixWeight, MoveEdge, PinCameras
-from radiant_viewer.plan_files import subject_of
-from radiant_viewer.run_view import load_run_view
+from radiant_viewer.editing.plan_editor import PlanEditor
+from radiant_viewer.editing.plan_edits import FixWeight, MoveEdge, PinCameras
+from radiant_viewer.editing.plan_files import subject_of
+from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.test_plan_editor import editor_of
 from tests.viewer.test_window import display, run_python  # noqa: F401 (a fixture)
@@ -25,12 +25,12 @@ from PySide6.QtCore import QPoint, QTimer, Qt
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
-from radiant_app.inspect_command import run_setting
+from radiant_app.commands.inspect import run_setting
 from radiant_core.plan.borders import shared_borders
-from radiant_viewer import plan_session
-from radiant_viewer.plan_edits import FixWeight, MoveEdge
-from radiant_viewer.inspector import open_window
-from radiant_viewer.window import InspectorWindow
+from radiant_viewer.editing import plan_session
+from radiant_viewer.editing.plan_edits import FixWeight, MoveEdge
+from radiant_viewer.window.inspector import open_window
+from radiant_viewer.window.window import InspectorWindow
 
 run, out = Path(sys.argv[1]), Path(sys.argv[2])
 failures = []
@@ -127,7 +127,7 @@ sys.exit(code)
 
 def test_the_window_drags_pins_undoes_saves_and_loses_nothing(tmp_path: Path, display: str) -> None:  # noqa: F811 (the fixture)
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
-    from radiant_app.inspect_command import run_setting
+    from radiant_app.commands.inspect import run_setting
 
     save_run(tmp_path / "run", made_up_town())
     lines = [
@@ -149,7 +149,7 @@ def test_the_window_drags_pins_undoes_saves_and_loses_nothing(tmp_path: Path, di
 
 def test_a_press_finds_edges_then_borders_and_never_a_locked_rim() -> None:
     pytest.importorskip("PySide6", reason="the extra 'desktop' is not installed")
-    from radiant_viewer.map_tools import BorderGrip, EdgeGrip, grip_at
+    from radiant_viewer.editing.map_tools import BorderGrip, EdgeGrip, grip_at
 
     cloud = editor_of(num_edges=4).state.cloud
     borders = shared_borders(cloud)

@@ -21,10 +21,10 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMainWindow, QWidget
 from radiant_core.decisions import Decision
 from radiant_core.io.ply import load_ply
-from radiant_viewer.splat_dock import SplatDock
-from radiant_viewer.splat_process import SplatProcess
-from radiant_viewer.themes import LIGHT, style_sheet
-from radiant_viewer.view_pose import ViewPose
+from radiant_viewer.splats.splat_dock import SplatDock
+from radiant_viewer.splats.splat_process import SplatProcess
+from radiant_viewer.layers.themes import LIGHT, style_sheet
+from radiant_viewer.pictures.view_pose import ViewPose
 
 # A renderer that answers at once: what is asked for is the matter here, and how long the note becomes.
 class Renderer(SplatProcess):
@@ -34,7 +34,7 @@ class Renderer(SplatProcess):
         self.kind, self.is_ready, self.is_busy = kind, True, False
     def ask(self, request, camera, background, box):
         from PySide6.QtCore import QTimer
-        from radiant_viewer.splat_process import Frame
+        from radiant_viewer.splats.splat_process import Frame
         self.is_busy = True
         width, height = camera.sizes_wh[0].tolist()
         asked.append((width, height))
@@ -45,7 +45,7 @@ class Renderer(SplatProcess):
     def end(self):
         pass
 
-import radiant_viewer.splat_dock as module
+import radiant_viewer.splats.splat_dock as module
 module.SplatProcess = Renderer
 
 class Window(QMainWindow):

@@ -16,7 +16,7 @@ import pytest
 from shapely import get_coordinates
 from shapely.geometry import Point, Polygon, shape
 
-from radiant_app.system_file import load_system
+from radiant_app.files.system_file import load_system
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, save_plan
 from radiant_core.plan.device_split import split_edges

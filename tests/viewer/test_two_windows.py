@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from radiant_viewer.edit_log import load_edits, plan_key
-from radiant_viewer.plan_editor import PlanEditor
-from radiant_viewer.plan_edits import Edit, LockRegion, MoveEdge, PinCameras
+from radiant_viewer.editing.edit_log import load_edits, plan_key
+from radiant_viewer.editing.plan_editor import PlanEditor
+from radiant_viewer.editing.plan_edits import Edit, LockRegion, MoveEdge, PinCameras
 from tests.viewer.test_plan_editor import editor_of
 from tests.viewer.test_window import run_python
 
@@ -91,8 +91,8 @@ import sys
 from pathlib import Path
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
-from radiant_viewer.run_feeds import RunFeeds, RunProgress, StageState
-from radiant_viewer.waiting_window import WaitingWindow
+from radiant_viewer.runs.run_feeds import RunFeeds, RunProgress, StageState
+from radiant_viewer.window.waiting_window import WaitingWindow
 
 now = ["interrupted"]
 def progress():

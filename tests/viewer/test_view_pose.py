@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.fly_through import flight
-from radiant_viewer.view_pose import ViewPose, pose_of_camera, pose_toward
+from radiant_viewer.pictures.fly_through import flight
+from radiant_viewer.pictures.view_pose import ViewPose, pose_of_camera, pose_toward
 from tests.viewer.made_up_run import made_up_town
 
 UTM = np.array([612_345.678, 5_411_234.567, 312.25])

@@ -7,8 +7,8 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan
-from radiant_viewer.palette import category_colors
-from radiant_viewer.waypoint_layer import MAX_DOTS, waypoint_layer
+from radiant_viewer.layers.palette import category_colors
+from radiant_viewer.layers.waypoint_layer import MAX_DOTS, waypoint_layer
 
 
 def two_regions(count: int) -> CloudPlan:

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.palette import VERMILLION
-from radiant_viewer.run_view import load_run_view
-from radiant_viewer.web import address_text, open_page, require_web
-from radiant_viewer.web_rows import camera_headers, camera_rows, layer_row, pictures_of, run_camera_figures, run_layers
+from radiant_viewer.layers.palette import VERMILLION
+from radiant_viewer.runs.run_view import load_run_view
+from radiant_viewer.web.rows import camera_headers, camera_rows, layer_row, pictures_of, run_camera_figures, run_layers
+from radiant_viewer.web.server import address_text, open_page, require_web
 from tests.viewer.made_up_run import made_up_town, save_run
 
 CHROMIUM = shutil.which("chromium")

@@ -19,7 +19,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.render.rendered_view import render_views
-from radiant_viewer.desktop import require_desktop
+from radiant_viewer.window.desktop import require_desktop
 from tests.viewer.made_up_run import made_up_town, save_run
 
 ROOT = Path(__file__).parents[2]
@@ -32,13 +32,13 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox, QTabBar
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
-from radiant_viewer import inspector
-from radiant_viewer.images import load_image
-from radiant_viewer.run_feeds import RunFeeds, RunProgress, StageState
-from radiant_viewer.charts import TimelineSpan
-from radiant_viewer.gantt_chart import GanttRow
-from radiant_viewer.waiting_window import WaitingWindow
-from radiant_viewer.window import InspectorWindow
+from radiant_viewer.window import inspector
+from radiant_viewer.pictures.images import load_image
+from radiant_viewer.runs.run_feeds import RunFeeds, RunProgress, StageState
+from radiant_viewer.charts.charts import TimelineSpan
+from radiant_viewer.charts.gantt_chart import GanttRow
+from radiant_viewer.window.waiting_window import WaitingWindow
+from radiant_viewer.window.window import InspectorWindow
 
 out, tasks = Path(sys.argv[1]), [task.split("=", 1) for task in sys.argv[2:]]
 failures = []
@@ -449,7 +449,7 @@ def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_pat
 
 
 def test_without_a_display_there_is_one_sentence_and_no_crash(tmp_path: Path) -> None:
-    code = "import sys; from pathlib import Path; from radiant_viewer.inspector import open_window\n"
+    code = "import sys; from pathlib import Path; from radiant_viewer.window.inspector import open_window\n"
     code += "try: open_window(Path(sys.argv[1]))\nexcept ValueError as error: print(error); sys.exit(error.exit_code)"
     result = run_python(code, str(tmp_path))
     assert result.returncode == 2, result.stderr

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from radiant_viewer.window import InspectorWindow
+from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.window_user import User, until, use_window
 
 MOVED = 20

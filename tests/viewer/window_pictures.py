@@ -18,8 +18,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.images import load_image
-from radiant_viewer.window import SIZE_WH, InspectorWindow
+from radiant_viewer.pictures.images import load_image
+from radiant_viewer.window.window import SIZE_WH, InspectorWindow
 from tests.viewer.timed_tasks import MOVED, compare_plans, export_regions, find_worst_seam
 from tests.viewer.window_user import User, until, use_window
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_app.system_file import even_system
+from radiant_app.files.system_file import even_system
 from radiant_core.errors import BadInput
 from radiant_core.plan.assigned import assigned_plan
 from radiant_core.plan.power_diagram import assign

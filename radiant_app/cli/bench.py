@@ -1,0 +1,55 @@
+"""`radiant bench`: its options."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from radiant_app.cli.option_types import BenchPlot, BenchScene, LongSide
+
+
+def bench(
+    name: Annotated[
+        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "paper", "upload", "teachers", "viewer"],
+        typer.Argument(help="What to measure."),
+    ],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
+    scene: BenchScene = None,
+    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of the rasterizer; all cores without it.")] = None,
+    preset: Annotated[list[str] | None, typer.Option(help="train: presets to compare, else default and standard.")] = None,
+    budget: Annotated[list[float] | None, typer.Option(min=0.1, help="train: CPU seconds, else 60, 180 and 600.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, max=100, help="train, methods, paper: models of each kind.")] = None,
+    splits: Annotated[int, typer.Option(min=1, max=8, help="train: eighths of the photographs held out in turn.")] = 1,
+    long_side_px: LongSide = None,
+    ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
+    plot: BenchPlot = None,
+    method: Annotated[list[str] | None, typer.Option(help="methods: those to compare; paper: parts; train: ablations; else all.")] = None,
+    layout: Annotated[str, typer.Option(help="methods: edges x devices per edge.")] = "2x2",
+    placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
+    max_gaussians: Annotated[int | None, typer.Option(min=1, help="methods: reduce every method's model to as many.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train: folder of what is made; a later call goes on.")] = None,
+) -> None:
+    """Run time beside error."""
+    from radiant_app.bench.runner import BenchOptions, run_bench
+
+    options = BenchOptions(
+        quick=quick,
+        scene=scene,
+        threads=threads,
+        presets=tuple(preset or ()),
+        budgets_s=tuple(budget or ()),
+        num_seeds=seeds,
+        num_splits=splits,
+        long_side_px=long_side_px,
+        ablations=ablations,
+        plot=plot,
+        methods=tuple(method or ()),
+        layout=layout,
+        num_placements=placements,
+        max_gaussians=max_gaussians,
+        out=out,
+    )
+    run_bench(name, json_file, options)

@@ -1,0 +1,79 @@
+"""The options of `radiant render` and `radiant export`: what leaves a run as pictures, films and files of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from radiant_app.cli.option_types import AsJson, SizeOption
+from radiant_app.report.tables import finish
+
+
+def render(
+    model: Annotated[Path, typer.Argument(help="A run, the folder of `radiant train`, or a PLY.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", help="New folder of PNG frames, or a film: .webm, .gif, .mp4 (no browser).", show_default=False)
+    ],
+    cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without any path the held-out cameras.")] = None,
+    trajectory: Annotated[
+        Literal["orbit", "border"] | None, typer.Option(help="orbit: once around the scene; border: along one, the worst seam by default.")
+    ] = None,
+    border: Annotated[str | None, typer.Option(help="Two edges, as EAST,WEST: fly along their border.", show_default=False)] = None,
+    keyframes: Annotated[
+        Path | None, typer.Option(help='JSON: {"keyframes": [{"time_s": 0, "position": [x, y, z], "target": [x, y, z]}, …]}.')
+    ] = None,
+    frames: Annotated[int, typer.Option(min=1, max=100_000, help="Frames of an orbit or a flight along a border.")] = 120,
+    fps: Annotated[float, typer.Option(min=1, max=120, help="Frames a second of a film, and between keyframes.")] = 24.0,
+    size: SizeOption = "960x540",
+    long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the pictures, at most as given.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Pictures or a film of a model: from given cameras, around the scene, along a border, or through keyframes."""
+    from radiant_app.cli.quantities import size_wh_of
+    from radiant_app.commands.render import RenderRequest
+    from radiant_app.commands.render import render as render_pictures
+    from radiant_app.report.progress import terminal_display
+
+    request = RenderRequest(
+        model=model,
+        out=out,
+        cameras=cameras,
+        trajectory="border" if border is not None and trajectory is None else trajectory,
+        border=None if border is None else tuple(border.split(",")),
+        keyframes=keyframes,
+        num_frames=frames,
+        fps=fps,
+        size_wh=size_wh_of(size),
+        long_side_px=long_side_px,
+    )
+    finish(render_pictures(request, terminal_display()), as_json)
+
+
+def export(
+    model: Annotated[
+        Path,
+        typer.Argument(help="Folder of `radiant run`, `train` or `sfm`, or a model alone.", show_default=False),
+    ],
+    out: Annotated[Path, typer.Argument(help="File to write; a folder for COLMAP. Its ending says what.", show_default=False)],
+    format: Annotated[  # noqa: A002
+        Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"] | None,
+        typer.Option(help="Model: ply, spz, sog. Scene: geojson (regions, cameras), colmap. Surface: mesh (PLY), dsm (GeoTIFF)."),
+    ] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-6, help="Metres of a cell of mesh or dsm; else two pixels of the photographs, or what fits.", show_default=False
+        ),
+    ] = None,
+    long_side_px: Annotated[int, typer.Option("--long-side-px", min=32, help="Long side of the depth pictures of mesh and dsm.")] = 640,
+    as_json: AsJson = False,
+) -> None:
+    """A model, its plan, its cameras or its surface in the files of other programs; says what a format rounds or cannot hold."""
+    from radiant_app.commands.export import ExportRequest
+    from radiant_app.commands.export import export as write_export
+    from radiant_app.report.progress import terminal_display
+
+    request = ExportRequest(model=model, out=out, format=format, resolution=resolution, long_side_px=long_side_px)
+    finish(write_export(request, terminal_display()), as_json)

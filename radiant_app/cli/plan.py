@@ -1,0 +1,70 @@
+"""The options of `radiant plan`; heavy libraries are imported inside, as in `cli`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from radiant_app.cli.option_types import BufferOption, DeadlineOption, FieldOfViewOption, GroundOption, RasterCellOption
+from radiant_app.report.tables import finish
+
+
+def plan(
+    source: Annotated[
+        Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, or a run.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
+    system: Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; else two edges with two each.")] = None,
+    plan_method: Annotated[
+        Literal["exact", "paper", "voronoi", "even"], typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")
+    ] = "exact",
+    compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
+    slack: Annotated[float | None, typer.Option(min=1, help="Makespan may be so many times the shortest for shorter ways: 1.1.")] = None,
+    slack_curve: Annotated[bool, typer.Option("--slack-curve", help="Table and picture of what several slacks buy.")] = False,
+    constraints: Annotated[Path | None, typer.Option(help="TOML of fixed weights, locked regions, pinned cameras.")] = None,
+    raster_cell_m: RasterCellOption = None,
+    ground: GroundOption = None,
+    field_of_view: FieldOfViewOption = 73.7,
+    buffer: BufferOption = None,
+    deadline: DeadlineOption = None,
+    train_preset: Annotated[
+        Literal["draft", "default", "standard", "paper"],
+        typer.Option(help="What will be trained: how many photographs memory holds, and whether measured curves are of it."),
+    ] = "default",
+    long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")] = None,
+    steps: Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")] = None,
+    max_splats: Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of every random choice.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")] = False,
+) -> None:
+    """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
+    from rich.console import Console
+
+    from radiant_app.cli.plan_tables import plan_tables
+    from radiant_app.commands.plan import PlanRequest
+    from radiant_app.commands.plan import plan as make_plan
+    from radiant_app.commands.plan_content import content_request
+    from radiant_app.report.progress import ProgressDisplay
+    from radiant_core.train.needs import Overrides
+
+    request = PlanRequest(
+        source=source,
+        out=out,
+        system=system,
+        method=plan_method,
+        seed=seed,
+        compare=compare,
+        slack=slack,
+        slack_curve=slack_curve,
+        constraints=constraints,
+        raster_cell_m=raster_cell_m or None,
+        content=content_request(ground, field_of_view, buffer, deadline),
+        train_preset=train_preset,
+        overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
+    )
+    result = make_plan(request, ProgressDisplay(Console(stderr=True)))
+    for table in [] if as_json else plan_tables(result):
+        typer.echo(table)
+    finish(result, as_json)

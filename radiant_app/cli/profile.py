@@ -1,0 +1,71 @@
+"""The options of `radiant profile`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from radiant_core.errors import BadInput
+
+
+def profile(
+    source: Annotated[
+        Path | None,
+        typer.Argument(help="Photographs, a COLMAP project, a folder of `radiant sfm`, a run; without: the town.", show_default=False),
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Curve file to write, .toml or .json.", show_default=False)] = None,
+    from_run: Annotated[
+        Path | None, typer.Option("--from", help="Take the stage times of this finished run instead of measuring.", show_default=False)
+    ] = None,
+    list_known: Annotated[bool, typer.Option("--list", help="Show the library's machines, each with its source.")] = False,
+    time: Annotated[str, typer.Option(help="Time of measuring; structure from motion comes on top.")] = "4m",
+    threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of a training; all cores without it.")] = None,
+    machine: Annotated[str | None, typer.Option(help="Name of this machine; else processor and threads.", show_default=False)] = None,
+    train_preset: Annotated[
+        Literal["draft", "default", "standard", "paper"], typer.Option(help="Training that the curves are to hold for.")
+    ] = "default",
+    long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")] = None,
+    steps: Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")] = None,
+    max_splats: Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")] = False,
+) -> None:
+    """Cost curves of this machine for the planner, by a short real run: times and sizes against photographs, and how well they predict."""
+    from radiant_app.commands import profile as profile_command
+
+    if list_known:
+        typer.echo(profile_command.library_table())
+        return
+    if out is None:
+        raise BadInput("--out is missing: name the curve file, or give --list.")
+    if from_run is not None:
+        if source is not None:
+            raise BadInput("--from takes the times of a run that is done: leave out the photographs.")
+        result = profile_command.profile_of_run(from_run, out, machine)
+    else:
+        from rich.console import Console
+
+        from radiant_app.cli.quantities import seconds_of
+        from radiant_app.report.progress import ProgressDisplay
+        from radiant_core.train.needs import Overrides
+
+        request = profile_command.ProfileRequest(
+            out=out,
+            source=source,
+            preset=train_preset,
+            overrides=Overrides(long_side_px=long_side_px, num_steps=steps, max_num_splats=max_splats),
+            time_s=seconds_of(time),
+            num_threads=threads,
+            machine=machine,
+        )
+        with ProgressDisplay(Console(stderr=True)) as display:
+            result = profile_command.profile(request, display)
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    if result["check"]:
+        typer.echo(profile_command.check_table(result["check"]))
+    for name in ("machine", "training", "measured_steps", "largest_count", "warnings", "profile"):
+        typer.echo(f"{name}: {result[name]}")

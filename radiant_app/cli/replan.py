@@ -1,0 +1,49 @@
+"""The command `radiant replan`: its options; heavy libraries are imported inside, as in `cli`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def replan_plan(
+    source: Annotated[Path, typer.Argument(help="A plan of waypoints, or the folder of a run.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", help="File of the new plan; picture and exports go beside.", show_default=False)],
+    system: Annotated[Path | None, typer.Option(help="TOML the plan was made for; else two edges with two devices each.")] = None,
+    dead: Annotated[list[str] | None, typer.Option(help="Device or edge that is gone; repeatable.")] = None,
+    slow: Annotated[list[str] | None, typer.Option(help="ID=FACTOR: takes so many times longer; repeatable.")] = None,
+    busy: Annotated[list[str] | None, typer.Option(help="ID=SECONDS: begins only then; repeatable.")] = None,
+    done: Annotated[list[str] | None, typer.Option(help="Device or edge that has finished; repeatable.")] = None,
+    join: Annotated[Path | None, typer.Option(help="System file of edges, or of devices at edges that are there, that join.")] = None,
+    captured: Annotated[Path | None, typer.Option(help="What was captured: waypoint file or folder of photographs; it stays.")] = None,
+    tolerance: Annotated[float, typer.Option(min=0, help="Share by which the makespan may exceed the least, to move fewer.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of every random choice.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")] = False,
+) -> None:
+    """A plan after a device died, became slow or finished, or others joined: least makespan, then fewest positions that move."""
+    from rich.console import Console
+
+    from radiant_app.commands.replan import ReplanRequest, parsed_values, replan_files, replan_table
+    from radiant_app.report.progress import ProgressDisplay
+    from radiant_core.plan.replan import Situation
+
+    situation = Situation(
+        dead=frozenset(dead or ()),
+        done=frozenset(done or ()),
+        slow=parsed_values(slow or (), "--slow"),
+        busy_s=parsed_values(busy or (), "--busy"),
+    )
+    request = ReplanRequest(
+        source=source, out=out, system=system, situation=situation, join=join, captured=captured, tolerance=tolerance, seed=seed
+    )
+    result = replan_files(request, ProgressDisplay(Console(stderr=True)))
+    if as_json:
+        typer.echo(json.dumps(result))
+        return
+    typer.echo(replan_table(result))
+    for key, value in result.items():
+        if not isinstance(value, list):
+            typer.echo(f"{key}: {value}")

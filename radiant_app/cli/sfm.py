@@ -1,0 +1,35 @@
+"""The options of `radiant sfm`; heavy libraries are imported inside, as in `cli`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, Matching, Out, UpOption
+from radiant_app.report.tables import finish
+
+MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
+
+
+def sfm(
+    source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
+    out: Out,
+    matching: Annotated[Matching, typer.Option(help=MATCHING_HELP)] = "auto",
+    masks: MaskFolder = None,
+    up: UpOption = None,
+    distance: DistanceOption = None,
+    height: HeightOption = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what was interrupted in --out: features and matches are kept.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Structure from motion alone: cameras and sparse points, undistorted photographs."""
+    from radiant_app.commands import steps as commands
+    from radiant_app.report.progress import terminal_display
+
+    placement = {"up": up or "auto", "distance": distance, "height_m": height}
+    result = commands.sfm(source, out, matching, terminal_display(), masks, placement, resume=resume)
+    finish(result if as_json else {**result, "unregistered": ", ".join(result["unregistered"]) or "none"}, as_json)

@@ -1,0 +1,1 @@
+"""What each command does, as a function; the command line parses, calls one and prints."""

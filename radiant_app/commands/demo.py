@@ -1,0 +1,26 @@
+"""The demo: the sample town that comes with the project's source, at a size that ends in minutes on two cores."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import radiant_app
+from radiant_app.run.config import RunConfig
+from radiant_core.errors import BadInput
+from radiant_core.train.needs import Overrides
+
+DEMO_SIZE = Overrides(long_side_px=400, num_steps=800, max_num_splats=20_000)
+
+
+def sample_scenes_folder() -> Path:
+    """The folder `sample_scenes` of the project's source; BadInput when the package was installed without it."""
+    folder = Path(radiant_app.__file__).resolve().parents[1] / "sample_scenes"
+    if not folder.is_dir():
+        raise BadInput("the sample scenes come with the project's source, not with the installed package: clone the repository.")
+    return folder
+
+
+def demo_config(out: Path) -> RunConfig:
+    """Two edges with two devices each on the sample town."""
+    town = sample_scenes_folder() / "town"
+    return RunConfig(source=town / "images", system=town / "system.toml", out=out, train_preset="draft", overrides=DEMO_SIZE)

@@ -1,0 +1,176 @@
+"""`radiant evaluate MODEL [SCENE]`: any model of a scene on the photographs that the scene holds out.
+
+MODEL: the folder of a run, a 3DGS PLY, or a model.safetensors. SCENE, by default MODEL itself where that is a run:
+    a run          its held-out cameras and photographs at the size it was scored at
+    an sfm folder  (`radiant sfm`, or a run that was not scored) every 8th photograph by name
+    a COLMAP project, undistorted: every 8th by name, in the project's own frame, where other trainers leave their models
+One photograph is in memory at a time.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.commands.steps import require_file_to_be, stage_bar
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.sources import detect_source, masks_of_scene, scored_scene_of
+from radiant_app.workers.evaluation import image_row, scored_part, summary_of
+from radiant_app.workers.nodes import MASKS
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.photos import list_photographs, load_photograph
+from radiant_core.io.ply import load_ply
+from radiant_core.io.records import load_cameras, load_splats
+from radiant_core.io.run_store import write_json
+from radiant_core.io.upload import load_upload
+from radiant_core.splats import Splats
+
+DEFAULT_LONG_SIDE_PX = 1_600
+"""Where no run says a size: larger photographs are reduced to it, as 3DGS and its successors do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateRequest:
+    """What to score and where; `radiant evaluate --help` says what each may be."""
+
+    model: Path
+    scene: Path | None = None
+    long_side_px: int | None = None
+    lpips_weights: Path | None = None
+    lpips_network: LpipsNetwork = "vgg"
+    out: Path | None = None
+    """JSON file for the figures; must not exist."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _HeldOut:
+    """Held-out cameras with the folder of their photographs, and the scene's untrained Gaussians where a run kept them."""
+
+    cameras: Cameras
+    photographs: Path
+    masks: Path | None = None
+    untrained: Splats | None = None
+    copies: tuple[str, ...] = ()
+    """What is told of photographs that repeat others and are neither held out nor trained on."""
+
+
+def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """The figures as in a run's metrics.json, with the size and number of images they stand for. Raises BadInput with one sentence."""
+    from radiant_core.render.rendered_view import render_views
+
+    if request.out is not None:
+        require_file_to_be(request.out)
+    lpips = None if request.lpips_weights is None else load_lpips(request.lpips_weights, request.lpips_network)
+    splats = _load_model(request.model)
+    held_out = _held_out_of(request)
+    _require_sizes(held_out.cameras, lpips)
+    cameras, used = scored_part(held_out.cameras, held_out.masks, warn=lambda message: None)
+    started_s = time.monotonic()
+    rows = []
+    with stage_bar(display, "evaluate") as report:
+        untrained = iter(()) if held_out.untrained is None else render_views(held_out.untrained, cameras)
+        for done, view in enumerate(render_views(splats, cameras)):
+            width, height = cameras.sizes_wh[done]
+            photograph = load_photograph(held_out.photographs / view.name, (int(width), int(height)))
+            rows.append(image_row(view, photograph, before=next(untrained, None), lpips=lpips, used=used[done]))
+            report(done + 1, len(cameras), view.name)
+    result = {
+        **summary_of(rows, lpips_network=lpips.network if lpips else None),
+        "num_gaussians": len(splats),
+        "num_images": len(cameras),
+        "long_side_px": int(cameras.sizes_wh.max()),
+        "seconds": round(time.monotonic() - started_s, 2),
+    }
+    if held_out.copies:
+        result["copies"] = " ".join((*held_out.copies, "A model that another program trained on them has seen what is scored."))
+    if result["psnr_db"] < np.mean([row["mean_color_psnr_db"] for row in rows]):
+        result["warning"] = "worse than one flat colour per photograph: is the model in the frame of this scene?"
+    if request.out is not None:
+        write_json(request.out, result)
+    return result
+
+
+def _load_model(model: Path) -> Splats:
+    if model.is_dir():
+        if not (model / "scene.ply").is_file():
+            raise BadInput(f"{model} holds no scene.ply: give the folder of a finished run, a 3DGS PLY or a model.safetensors.")
+        return load_ply(model / "scene.ply")
+    if model.suffix.lower() not in (".ply", ".safetensors"):
+        raise BadInput(f"{model} is neither a run nor a .ply or .safetensors: convert it to a 3DGS PLY first.")
+    return load_upload(model) if model.suffix.lower() == ".safetensors" else load_ply(model)
+
+
+def _held_out_of(request: EvaluateRequest) -> _HeldOut:
+    folder = request.scene or request.model
+    if not folder.is_dir():
+        raise BadInput(
+            f"{folder} holds no photographs to score on: name a run, a folder of 'radiant sfm' or a COLMAP project after the model."
+        )
+    scored = folder / "evaluation"
+    if (scored / "cameras.safetensors").is_file():
+        cameras = load_cameras(scored / "cameras.safetensors")
+        cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
+        return _HeldOut(
+            cameras=cameras, photographs=scored / "photos", masks=scored / MASKS, untrained=load_splats(scored / "initial.safetensors")
+        )
+    if (folder / "delivered").is_dir():
+        raise BadInput(f"the photographs of {folder} stayed on its devices, which scored it: its metrics.json has the figures.")
+    kind, images, model = detect_source(folder)
+    if kind == "colmap" and model is not None:
+        everything, copies = _colmap_cameras(model, folder, images)
+    else:
+        scene, copies, images = scored_scene_of(folder)
+        everything = scene.cameras
+    masks = None if kind == "colmap" else masks_of_scene(folder)
+    cameras = everything.select(held_out_mask(everything.names))
+    if kind == "colmap":
+        _require_shapes(cameras, everything, images)
+    cameras = cameras.scaled(request.long_side_px or DEFAULT_LONG_SIDE_PX)
+    return _HeldOut(cameras=cameras, photographs=images, masks=masks, copies=copies)
+
+
+def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras of a project without copies, and what is told of those: the split is that of `radiant train` on the same project."""
+    from radiant_core.io.colmap import read_model
+    from radiant_core.sfm.copies import cameras_without_repeats
+    from radiant_core.sfm.known_poses import without_copies
+    from radiant_core.sfm.world import cameras_of
+
+    model = read_model(model_folder)
+    if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):
+        raise BadInput(
+            f"the photographs of {project} are distorted: run 'radiant sfm' or COLMAP's undistorter, and train and score on that."
+        )
+    cameras, copied = without_copies(cameras_of(model), images)
+    cameras, repeated = cameras_without_repeats(cameras, model.points.xyz, images)
+    return cameras, (*copied, *repeated)
+
+
+def _require_shapes(cameras: Cameras, everything: Cameras, images: Path) -> None:
+    """Photographs of another shape than their cameras would be squeezed and score a good model as bad."""
+    names = cameras.names if len(cameras) > 1 else everything.names[:2]
+    found = {photo.name: photo.size_wh for photo in list_photographs(images, names=names).photographs}
+    for name, size_wh in zip(cameras.names, cameras.sizes_wh.tolist(), strict=True):
+        if name not in found:
+            raise BadInput(f"the held-out photograph {name!r} is missing or damaged in {images}: put the images of the model there.")
+        ratios = [side / of_camera for side, of_camera in zip(found[name], size_wh, strict=True)]
+        if abs(ratios[0] - ratios[1]) > 0.01 * max(ratios):
+            raise BadInput(f"photograph {name!r} has {found[name]} px and its camera {tuple(size_wh)}: give the images of the model.")
+
+
+def _require_sizes(cameras: Cameras, lpips: Lpips | None) -> None:
+    from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
+
+    if not len(cameras):
+        raise BadInput("this scene holds no photograph out: it has none, and nothing can be scored.")
+    least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (lpips.min_side_px, "LPIPS") if lpips else (0, ""))
+    shortest = int(cameras.sizes_wh.min())
+    if shortest < least_px:
+        raise BadInput(f"a photograph is {shortest} px on its short side, {figure} needs {least_px}: raise --long-side-px.")

@@ -1,0 +1,261 @@
+"""`radiant export`: a run or a model in the files of other programs, and its surface for surveyors. Once per call.
+
+What a format cannot hold or rounds is said with its figure: nobody should learn from a measurement on site that SOG keeps 16 bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from radiant_app.events import Decided, Warned
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.memory import available_bytes
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.io.records import load_splats
+from radiant_core.splats import Splats
+
+if TYPE_CHECKING:
+    from radiant_core.geometry.surface import Surface
+    from radiant_core.scene import SfmScene
+    from radiant_viewer.runs.run_view import RunView
+
+ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"]
+ENDINGS: dict[str, ExportFormat] = {
+    ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".tif": "dsm", ".tiff": "dsm", "": "colmap",
+}  # fmt: skip
+_WANTED = {
+    "ply": (".ply",),
+    "spz": (".spz",),
+    "sog": (".sog",),
+    "geojson": (".geojson", ".json"),
+    "mesh": (".ply",),
+    "dsm": (".tif", ".tiff"),
+}
+
+MIN_KNOWN = 1 / 9
+"""Share of a surface model's cells from which on a cell has one neighbour with a height, or its own, on the average: with fewer no gap
+can be told from what was seen."""
+
+_LEVEL = "the middle of the scene's points, not from the sea"
+
+_ADVICE = "what was seen lies scattered: look at it before anything is measured, and try a coarser --resolution, which closes gaps."
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportRequest:
+    """What `radiant export` was asked for; resolution in the model's unit and long_side_px are of mesh and surface model."""
+
+    model: Path
+    out: Path
+    format: ExportFormat | None = None
+    resolution: float | None = None
+    long_side_px: int = 640
+
+
+def export(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """Write what was asked for and return figures of it; BadInput names what is missing, and an existing file is not overwritten."""
+    kind = _format_of(request)
+    if request.out.exists():
+        raise BadInput(f"{request.out} exists: choose another name.")
+    if not request.out.parent.is_dir():
+        raise BadInput(f"there is no folder {request.out.parent} to write {request.out.name} into: make it first.")
+    if (request.resolution is not None) and kind not in ("mesh", "dsm"):
+        raise BadInput(f"--resolution is of a mesh or surface model, and {kind} has none: leave it out, or add --format mesh or dsm.")
+    figures = _WRITERS[kind](request, display)
+    return {"written": str(request.out), "format": kind, **figures}
+
+
+def _format_of(request: ExportRequest) -> ExportFormat:
+    suffix = request.out.suffix.lower()
+    kind = request.format or ENDINGS.get(suffix)
+    if kind is None:
+        raise BadInput(f"what {request.out.name} is to be is not clear: add --format, one of {', '.join(get_args(ExportFormat))}.")
+    wanted = _WANTED.get(kind)
+    if wanted is not None and suffix not in wanted:
+        raise BadInput(f"{request.out.name} is no name for {kind}: let it end in {' or '.join(wanted)}.")
+    return kind
+
+
+def _splats_of(model: Path) -> Splats:
+    from radiant_app.commands.steps import require_model
+
+    if model.is_dir():
+        require_model(model)
+        return load_ply(model / "scene.ply")
+    if model.suffix == ".safetensors":
+        return load_splats(model)
+    if model.suffix == ".ply":
+        return load_ply(model)
+    raise BadInput(f"{model} is neither a run folder nor a model.safetensors or .ply: give one of these.")
+
+
+def _run_of(request: ExportRequest) -> RunView:
+    from radiant_viewer.runs.run_view import load_run_view
+
+    if not request.model.is_dir():
+        raise BadInput(f"{request.model} is a model alone: this format needs the cameras of a run, give its folder.")
+    return load_run_view(request.model)
+
+
+def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    splats = _splats_of(request.model)
+    save_ply(request.out, splats)
+    return {"gaussians": len(splats)}
+
+
+def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
+    from radiant_core.io.scene_export import save_spz
+
+    splats = _splats_of(request.model)
+    cuts = save_spz(request.out, splats)
+    return {"gaussians": len(splats) - cuts.num_left_out, **asdict(cuts), "position_max_error": SPZ_MEAN_STEP}
+
+
+def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.io.sog import save_sog
+
+    splats = _splats_of(request.model)
+    return {"gaussians": len(splats), **{name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}}
+
+
+def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.io.scene_export import save_scene_geojson
+
+    run = _run_of(request)
+    roles, psnr_db = run.roles, run.psnr_db or {}
+    about: dict[str, dict[str, Any]] = {}
+    for index, name in enumerate(run.scene.cameras.names):
+        edge, device = int(roles.edge_of_camera[index]), int(roles.device_of_camera[index])
+        known = {
+            "held_out": bool(roles.held_out[index]),
+            "edge": None if edge < 0 else roles.edge_ids[edge],
+            "device": None if device < 0 else roles.device_ids[device],
+            "psnr_db": psnr_db.get(name),
+        }
+        about[name] = {key: value for key, value in known.items() if value is not None}
+    save_scene_geojson(request.out, run.scene, run.cloud_plan, run.edge_plans, about)
+    return {"regions": sum(len(border) >= 3 for border in run.cloud_plan.borders), "cameras": len(run.scene.cameras)}
+
+
+def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_app.files.run_folder import new_folder
+    from radiant_core.io.scene_export import save_colmap
+
+    scene = _unrepeated_scene(_run_of(request), display)
+    with new_folder(request.out):
+        save_colmap(request.out, scene)
+    return {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
+
+
+def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
+    """The scene, of a training or of structure from motion without copies of photographs, as training takes it."""
+    from radiant_core.sfm.copies import without_repeats
+    from radiant_viewer.runs.unplanned import unplanned_photographs
+
+    photographs = None if run.kind == "run" else unplanned_photographs(run.folder)
+    if photographs is None or not photographs.is_dir():
+        return run.scene
+    scene, told = without_repeats(run.scene, photographs)
+    for message in told:
+        display(Warned(stage="export", message=message))
+    return scene
+
+
+def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.io.mesh_ply import save_mesh
+
+    surface, run = _surface(request, display)
+    if surface.most_covered < MIN_KNOWN:
+        text = f"its triangles could cover {_percent(surface.most_covered)} of the ground at most; {_ADVICE}"
+        display(Warned(stage="surface", message=text))
+    save_mesh(request.out, surface.mesh.vertices, surface.mesh.triangles, surface.mesh.colors)
+    return {
+        "vertices": len(surface.mesh.vertices),
+        "triangles": len(surface.mesh.triangles),
+        "resolution": round(surface.voxel, 4),
+        "unit": run.unit,
+        **_origin_of(run),
+    }
+
+
+def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.geometry.surface import surface_grid
+    from radiant_core.io.geotiff import NO_DATA, save_geotiff
+
+    surface, run = _surface(request, display)
+    grid = surface_grid(surface, run.scene.frame)
+    if grid.known < MIN_KNOWN:
+        text = f"only {_percent(grid.known)} of {grid.heights.size:,} cells have a height; {_ADVICE}"
+        display(Warned(stage="surface", message=text))
+    save_geotiff(request.out, grid)
+    if not run.scene.frame.altitude_known:
+        display(Warned(stage="surface", message=f"GPS has no altitude: heights count from {_LEVEL}."))
+    height, width = grid.heights.shape
+    return {
+        "crs": "none, the model's own coordinates" if grid.epsg is None else f"EPSG:{grid.epsg}",
+        "cells": f"{width} x {height}",
+        "resolution": round(grid.cell, 4),
+        "unit": run.unit,
+        "known": float(f"{grid.known:.4g}"),
+        "no_data": NO_DATA,
+        "lowest": round(float(np.nanmin(grid.heights)), 3),
+        "highest": round(float(np.nanmax(grid.heights)), 3),
+    }
+
+
+def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface, RunView]:
+    from radiant_app.commands.steps import stage_bar
+    from radiant_core.geometry.surface import extract_surface
+    from radiant_viewer.runs.run_view import required_splats
+
+    run = _run_of(request)
+    splats = required_splats(run)
+    with stage_bar(display, "surface") as report:
+        surface = extract_surface(
+            splats,
+            run.scene.cameras,
+            resolution=request.resolution,
+            long_side_px=request.long_side_px,
+            memory_bytes=available_bytes(),
+            scratch=request.out.parent,
+            report=lambda done, total: report(done, total, "views"),
+        )
+    if surface.voxel > surface.finest_voxel:
+        display(Decided(decision=_coarser(surface, run.unit)))
+    return surface, run
+
+
+def _coarser(surface: Surface, unit: str) -> Decision:
+    return Decision(
+        stage="surface",
+        topic="resolution",
+        choice=f"cells of {surface.voxel:.3g} {unit}",
+        figure=surface.finest_voxel,
+        unit=unit,
+        reason=f"two pixels of the photographs are {surface.finest_voxel:.3g} {unit}, which takes more memory than is free",
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
+
+
+def _origin_of(run: RunView) -> dict[str, Any]:
+    if run.scene.frame.kind != "metric":
+        return {}
+    lat, lon, alt = run.scene.frame.origin_lat_lon_alt.tolist()
+    height = f"{alt:.3f} m" if run.scene.frame.altitude_known else f"heights from {_LEVEL}"
+    return {"origin": f"{lat:.9f}, {lon:.9f}, {height}", "axes": "east, north, up"}
+
+
+_WRITERS: dict[str, Callable[[ExportRequest, ProgressDisplay], dict[str, Any]]] = {
+    "ply": _ply, "spz": _spz, "sog": _sog, "geojson": _geojson, "colmap": _colmap, "mesh": _mesh, "dsm": _dsm,
+}  # fmt: skip

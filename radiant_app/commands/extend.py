@@ -1,0 +1,140 @@
+"""`radiant extend`: a finished scene and the run of a new region become one scene; beyond a margin the old one keeps its bits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.sources import DELIVERED, has_scene, load_scene_of
+from radiant_app.workers.inbox import moved_cameras, sim3_of
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.errors import BadInput
+from radiant_core.frames import Sim3, enu_change
+from radiant_core.io.geojson_region import load_region
+from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.io.records import load_cameras, load_plan_waypoints
+from radiant_core.io.run_store import read_json
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.power_diagram import polygon_area_m2
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig
+
+MARGIN = 0.05
+"""Half width of the strip that is fitted, as a share of the side of a square as large as the region."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtendRequest:
+    """What `radiant extend` was asked for."""
+
+    old: Path
+    """A run, or a PLY in the frame of `new`."""
+    new: Path
+    """A run."""
+    out: Path
+    region: Path | None = None
+    """GeoJSON; None: the convex hull of the new run's virtual cameras."""
+    margin_m: float | None = None
+    num_epochs: int | None = None
+
+
+def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """Write the extended scene as a PLY and return its figures; BadInput where the two runs have no frame in common."""
+    from radiant_core.aggregate.extend import NewRegion, extend_scene
+    from radiant_core.aggregate.synthetic_views import Teacher
+    from radiant_core.train.trainer import FitOptions
+
+    require_file_to_be(request.out)
+    require_run(request.new, "scene.ply")
+    task = read_json(request.new / "cloud" / "task.json", ("train",))
+    old = load_ply(request.old if request.old.is_file() else _scene_of(request.old))
+    move, origin, frames = _common_frame(request)
+    new, cameras = _moved(load_ply(request.new / "scene.ply"), _virtual_cameras(request.new), move)
+    if request.region is not None and origin is None:
+        raise BadInput("a region in latitude and longitude needs scenes with GPS: leave --region out.")
+    polygon = _hull(cameras.centers[:, :2]) if request.region is None or origin is None else load_region(request.region, origin)
+    side_m = float(np.sqrt(abs(polygon_area_m2(polygon))))
+    region = NewRegion(polygon=polygon, margin_m=MARGIN * side_m if request.margin_m is None else request.margin_m)
+    aggregate = AggregateConfig() if request.num_epochs is None else AggregateConfig(num_epochs=request.num_epochs)
+    with stage_bar(display, "extend") as report:
+        options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
+        made = extend_scene(old, Teacher(splats=new, cameras=cameras), region, TrainConfig(**task["train"]), aggregate, options)
+    save_ply(request.out, made.splats)
+    return {
+        "gaussians": len(made.splats),
+        "unchanged": made.num_kept,
+        "replaced": made.num_replaced,
+        "filled": made.num_filled,
+        "new": made.num_added,
+        "fitted": made.num_fitted,
+        "views": made.num_shown,
+        "margin_m": round(region.margin_m, 3),
+        "frames": frames,
+        "model": str(request.out),
+    }
+
+
+def _scene_of(run: Path) -> Path:
+    require_run(run, "scene.ply")
+    return run / "scene.ply"
+
+
+def _common_frame(request: ExtendRequest) -> tuple[Sim3 | None, FloatArray | None, str]:
+    """How the new run moves into the old one's frame (None: not at all), that frame's origin where it is known, and a sentence."""
+    new = _origin(request.new)
+    if request.old.is_file():
+        return None, new, "a PLY names no frame: taken to be that of the new run"
+    old = _origin(request.old)
+    if old is None or new is None:
+        lost = request.old if old is None else request.new
+        raise BadInput(
+            f"{lost} has no GPS, so the two runs have no frame in common: run it with GPS, or give the old scene as a PLY in the new frame."
+        )
+    if np.array_equal(old, new):
+        return None, old, "both runs have one origin"
+    apart_m = float(np.linalg.norm(enu_change(new, old).translation))
+    return enu_change(new, old), old, f"the new run was moved by {apart_m:.2f} m to the origin of the old one"
+
+
+def _origin(run: Path) -> FloatArray | None:
+    """Latitude, longitude and altitude of a run's origin; None without GPS."""
+    place = run / DELIVERED if (run / DELIVERED).is_dir() else run
+    if has_scene(place):
+        frame = load_scene_of(place).frame
+        return frame.origin_lat_lon_alt if frame.kind == "metric" else None
+    require_run(run)
+    waypoints = load_plan_waypoints(run / "plan.json")
+    return None if waypoints is None else waypoints.origin
+
+
+def _virtual_cameras(run: Path) -> Cameras:
+    inbox = run / "cloud" / "inbox"
+    # Where frames come from GPS the cloud moved what its edges sent, and left some out.
+    moves = read_json(run / "cloud" / "corrections.json") if inbox.is_dir() else {}
+    found = [path for path in sorted(inbox.glob("*/virtual_cameras.safetensors")) if moves.get(path.parent.name) is not None]
+    if not found:
+        raise BadInput(f"{inbox} holds no virtual cameras to ask the new model at: run it with a cloud that retrains, the default.")
+    return concatenate_cameras([moved_cameras(load_cameras(path), sim3_of(moves[path.parent.name])) for path in found])
+
+
+def _moved(splats: Splats, cameras: Cameras, move: Sim3 | None) -> tuple[Splats, Cameras]:
+    if move is None:
+        return splats, cameras
+    from radiant_core.geometry.similarity import move_splats
+
+    poses = move.apply_to_poses(cameras.cam_from_world)
+    return move_splats(splats, move), Cameras(names=cameras.names, Ks=cameras.Ks, cam_from_world=poses, sizes_wh=cameras.sizes_wh)
+
+
+def _hull(places: FloatArray) -> FloatArray:
+    try:
+        return places[ConvexHull(places).vertices]
+    except (QhullError, ValueError):
+        raise BadInput(f"the {len(places)} cameras of the new run span no land: give its region with --region.") from None

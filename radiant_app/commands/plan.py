@@ -1,0 +1,327 @@
+"""`radiant plan`: regions and quotas from positions alone, of a scene, of waypoints before capture, or of photographs' GPS.
+
+Beside plan.json stand its picture, the system it is for and, where the positions are on the globe, `<stem>_waypoints/<device>.csv` and
+`<stem>_regions.geojson`. All are written into a hidden folder first and moved when the last is whole.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from radiant_app.cli.plan_tables import method_row
+from radiant_app.commands.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
+from radiant_app.commands.plan_pictures import (
+    ENDINGS,
+    GANTT,
+    LISTS,
+    MAP,
+    METHODS,
+    REGIONS,
+    SLACKS,
+    SYSTEM,
+    beside,
+    plan_gantt,
+    side_pictures,
+)
+from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
+from radiant_app.files.constraints_file import load_constraints
+from radiant_app.files.system_file import dump_system, even_system, load_system
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.cloud_planning import placed_by_raster, planned_from_raster, raster_decision
+from radiant_app.run.config import PlanMethod
+from radiant_app.run.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
+from radiant_app.run.sources import load_scene_of
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.plan_export import ABSOLUTE, save_device_waypoints, save_regions_geojson
+from radiant_core.io.records import save_plan
+from radiant_core.io.run_store import write_atomic
+from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypoints
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.comparators import Compared, compare
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.slack_curve import SlackPoint, slack_curve
+from radiant_core.plan.system import System
+from radiant_core.plan.waypoints import Waypoints
+from radiant_core.scene import SfmScene
+from radiant_core.train.config import Preset
+from radiant_core.train.needs import Overrides
+
+if TYPE_CHECKING:
+    from radiant_viewer.pictures.images import Image
+
+Report = Callable[[float, float, str], None]
+NO_HEIGHTS = (
+    f"Altitudes are above the sea and stand in the lists as {ABSOLUTE}, which flight planners do not fly: give the ground's with --ground "
+    "for heights above it."
+)
+NO_CONTENT = "content: nobody knows before capture how much each image will show; compare the methods on a scene"
+PHASES = ("reading positions", "planning", "drawing", "writing")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanRequest:
+    """What `radiant plan` was asked for."""
+
+    source: Path
+    """Folder of a scene or run, waypoint file, or folder of photographs."""
+    out: Path
+    """The plan file to write, .json."""
+    system: Path | None
+    method: PlanMethod
+    seed: int
+    compare: bool = False
+    """Whether all other methods are measured on the same positions."""
+    train_preset: Preset = "default"
+    """What will be trained: it decides how many photographs memory holds, and whether the machines' curves are of that training."""
+    overrides: Overrides = Overrides()
+    """Sizes and steps of that training."""
+    raster_cell_m: float | None = None
+    """Side of the cells of a count raster that the cloud plans from; None: it plans from positions."""
+    slack: float | None = None
+    """Factor on the shortest makespan that the plan may take where that brings cameras nearer to their edges."""
+    slack_curve: bool = False
+    """Whether several slacks are planned, too, for a table and a picture of what each buys."""
+    constraints: Path | None = None
+    """File of what is fixed, locked or pinned."""
+    content: ContentRequest = field(default_factory=ContentRequest)
+    """What is known of cameras and ground, and which buffer captures are wanted."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _ToPlan:
+    """What is planned: positions (C,2) m about `origin`, names (C), and how much each camera sees (C,) where that is known."""
+
+    positions: FloatArray
+    origin: FloatArray | None
+    names: Sequence[str]
+    content: FloatArray | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Plan:
+    cloud: CloudPlan
+    edges: tuple[EdgePlan, ...]
+    system: System
+    """As planned, its edges placed."""
+    compared: tuple[Compared, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """What its predictions are to be taken with."""
+    curve: tuple[SlackPoint, ...] = ()
+
+
+def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """Write the plan and what goes beside it; returns what the command line prints.
+
+    Raises BadInput with one sentence when the input, the system or the place to write to cannot be used; nothing stays behind.
+    """
+    _require_places(request.out)
+    system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)
+    with stage_bar(display, "plan") as report:
+        report(0, len(PHASES), PHASES[0])
+        if _is_scene(request.source):
+            return _plan_scene(request, system, report)
+        found = _positions_of(request.source, report)
+        return _plan_waypoints(request, system, found, report)
+
+
+def _is_scene(source: Path) -> bool:
+    return any((source / name).is_file() for name in ("scene.safetensors", "sfm/scene.safetensors", "manifest.json"))
+
+
+def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[str, Any]:
+    """Plan the training cameras of a scene; the plan and its picture."""
+    from radiant_viewer.pictures.views import plan_picture
+
+    scene = training_part(load_scene_of(request.source))
+    origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
+    positions = scene.cameras.centers[:, :2]
+    cameras = _ToPlan(positions=positions, origin=origin, names=scene.cameras.names, content=_points_seen(scene))
+    made = _made_plan(cameras, system, request, report)
+    content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
+    report(2, len(PHASES), PHASES[2])
+    pictures = side_pictures(positions, scene.frame.unit, made.cloud, made.compared, made.curve)
+    pictures[GANTT] = plan_gantt(made.system, made.edges)
+    pictures[MAP] = plan_picture(scene, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
+    report(3, len(PHASES), PHASES[3])
+    _write(request.out, made, content, pictures)
+    return {**_summary(request.out, made, ()), **content.summary()}
+
+
+def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
+    """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
+    from radiant_viewer.pictures.views import waypoint_plan_picture
+
+    waypoints = _above_ground(found.waypoints, request)
+    positions = waypoints.positions_m
+    made = _made_plan(_ToPlan(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
+    content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
+    report(2, len(PHASES), PHASES[2])
+    pictures = side_pictures(positions[:, :2], "m", made.cloud, made.compared, made.curve)
+    pictures[GANTT] = plan_gantt(made.system, made.edges)
+    pictures[MAP] = waypoint_plan_picture(positions, made.cloud, made.edges, forecasts=content.forecasts, buffers=content.buffers)
+    report(3, len(PHASES), PHASES[3])
+    _write(request.out, made, content, pictures, waypoints)
+    written = {"waypoints": str(beside(request.out, LISTS)), "regions": str(beside(request.out, REGIONS))}
+    above_sea = waypoints.altitude_known and waypoints.heights_m is None
+    warnings = (*found.warnings, NO_HEIGHTS) if above_sea else found.warnings
+    return {"planned": len(waypoints), **_summary(request.out, made, warnings), **content.summary(), **written}
+
+
+def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
+    ground_m = request.content.ground_m
+    if ground_m is not None and not waypoints.altitude_known:
+        raise BadInput(f"--ground is {ground_m:g} m, and no position in {request.source} has an altitude: leave --ground out.")
+    return replace(waypoints, ground_m=ground_m)
+
+
+def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:
+    from radiant_viewer.pictures.images import save_png
+
+    with moved_when_whole(out.parent) as folder:
+        for ending, picture in pictures.items():
+            save_png(beside(folder / out.name, ending), picture)
+        write_atomic(beside(folder / out.name, SYSTEM), dump_system(made.system).encode())
+        if waypoints is not None:
+            lists = beside(folder / out.name, LISTS)
+            lists.mkdir()
+            save_device_waypoints(lists, made.cloud, made.edges, waypoints, content.buffers)
+            save_regions_geojson(beside(folder / out.name, REGIONS), made.cloud, made.edges, waypoints, content.buffers)
+        save_plan(
+            folder / out.name,
+            made.cloud,
+            made.edges,
+            waypoints,
+            slack_curve=made.curve,
+            warnings=made.warnings,
+            content=content.record(),
+        )
+
+
+def _positions_of(source: Path, report: Report) -> FoundWaypoints:
+    """The waypoints of a file, all of them, or the positions of a folder's photographs without every 8th by name, as a run holds out."""
+    if not source.exists():
+        raise BadInput(f"{source} does not exist: give a scene folder, a waypoint file (.csv, .geojson, .kml) or a folder of photographs.")
+    if not source.is_dir():
+        return read_waypoints(source)
+    folder = source / "images" if (source / "images").is_dir() else source
+    found = exif_waypoints(folder, lambda done, total: report(done / total, len(PHASES), PHASES[0]))
+    names = (*found.waypoints.names, *found.without_gps)
+    held_out = held_out_mask(names)
+    if held_out[: len(found.waypoints)].all():
+        raise BadInput(
+            f"all {len(found.waypoints)} photographs with GPS in {folder} are held out for scoring (every 8th by name): give more of them."
+        )
+    kept = found.waypoints.select(np.flatnonzero(~held_out[: len(found.waypoints)]))
+    note = f"{int(held_out.sum())} of {len(names)} photographs, every 8th by name, are held out for scoring and not planned."
+    return replace(found, waypoints=kept, warnings=(*found.warnings, note))
+
+
+def _points_seen(scene: SfmScene) -> FloatArray | None:
+    """How many sparse points each camera sees, the content of its image; None where nobody knows."""
+    if not len(scene.observations):
+        return None
+    return np.bincount(scene.observations[:, 1], minlength=len(scene.cameras)).astype(np.float64)
+
+
+def _made_plan(cameras: _ToPlan, system: System, request: PlanRequest, report: Report) -> _Plan:
+    report(1, len(PHASES), PHASES[1])
+    positions = cameras.positions
+    system = placed_by_raster(system, positions, cameras.origin, request.raster_cell_m, request.seed)
+    training, warnings = None, ()
+    if depends_on_training(system):
+        train = planned_training(request.train_preset, request.overrides)
+        training = training_key_of(train, request.train_preset)
+        system, _, warnings = with_camera_limits(system, train, len(positions))
+    given = None if request.constraints is None else load_constraints(request.constraints, cameras.names)
+    start, constraints = (None, None) if given is None else (given.start, given.constraints)
+    if request.raster_cell_m is not None:
+        if request.slack is not None or constraints is not None:
+            raise BadInput("--slack and --constraints need positions and --raster-cell-m plans without them: choose one.")
+        cloud = planned_from_raster(system, positions, request.raster_cell_m, request.method)
+        warnings = (*warnings, _raster_note(request.raster_cell_m, cloud))
+    else:
+        cloud = plan_regions(positions, system, method=request.method, slack=request.slack, constraints=constraints, start=start)
+    if isinstance(cloud, PlanInfeasible):
+        raise BadInput(f"plan: {cloud.reason}")
+    compared = compare(positions, system, content=cameras.content) if request.compare else ()
+    curve: tuple[SlackPoint, ...] = ()
+    if request.slack_curve:
+        curve = slack_curve(positions, system, progress=lambda share: report(1 + share, len(PHASES), PHASES[1]))
+    edges = split_edges(positions, cloud, system)
+    if training is not None:
+        warnings = (*warnings, *prediction_warnings(system, edges, training))
+    return _Plan(cloud=cloud, edges=edges, system=system, compared=compared, warnings=warnings, curve=curve)
+
+
+def _raster_note(cell_m: float, plan: CloudPlan) -> str:
+    decision = raster_decision(cell_m, plan)
+    return f"Planned from {decision.choice}, {decision.figure:.1f} {decision.unit}: {decision.reason}."
+
+
+def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any]:
+    cloud = made.cloud
+    warnings = (*warnings, *made.warnings)
+    idle = [name for plan in made.edges for name in plan.device_ids if not len(plan.cameras_of(name))]
+    later = [plan.edge_id for plan in made.edges if not plan.dealt]
+    if later:
+        warnings = (*warnings, f"Dealt by the edge itself, later: {', '.join(later)}.")
+    if cloud.constrained:
+        outside = f"{cloud.num_outside} cameras lie outside their region as drawn" if cloud.num_outside else "all cameras in their regions"
+        warnings = (*warnings, f"Planned around constraints: {'; '.join(cloud.constrained)}; {outside}.")
+    if idle:
+        warnings = (*warnings, f"Devices without anything to capture: {', '.join(idle)}.")
+    return {
+        "makespan_s": cloud.makespan_s,
+        "lower_bound_s": cloud.lower_bound_s,
+        "status": cloud.status,
+        "method": cloud.method,
+        "counts": ", ".join(f"{name} {count}" for name, count in zip(cloud.edge_ids, cloud.counts, strict=True)),
+        "warnings": " ".join(warnings) or "none",
+        "plan": str(out),
+        "picture": str(beside(out, MAP)),
+        "gantt": str(beside(out, GANTT)),
+        **(_comparison(out, made.compared) if made.compared else {}),
+        **({"slack_curve": [asdict(point) for point in made.curve], "slack_picture": str(beside(out, SLACKS))} if made.curve else {}),
+    }
+
+
+def _comparison(out: Path, compared: Sequence[Compared]) -> dict[str, Any]:
+    without = {} if any(row.method == "content" for row in compared) else {"methods_left_out": NO_CONTENT}
+    return {"methods": [method_row(row) for row in compared], **without, "comparison": str(beside(out, METHODS))}
+
+
+def _require_places(out: Path) -> None:
+    if out.suffix != ".json":
+        raise BadInput(f"{out} is no name for a plan: choose one that ends in .json; the picture goes beside it as .png.")
+    for path in (out, *(beside(out, ending) for ending in ENDINGS)):
+        require_file_to_be(path)
+
+
+@contextmanager
+def moved_when_whole(target: Path) -> Iterator[Path]:
+    """A hidden folder inside `target` whose content moves there when the block ends well, and vanishes when it does not."""
+    folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
+    try:
+        yield folder
+        # The plan itself last: where it stands, everything else does.
+        ordered = sorted(folder.iterdir(), key=lambda path: path.suffix == ".json")
+        try:
+            for path in ordered:
+                path.rename(target / path.name)
+        except BaseException:
+            for path in (target / path.name for path in ordered):
+                shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+            raise
+    finally:
+        shutil.rmtree(folder)

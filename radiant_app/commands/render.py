@@ -1,0 +1,230 @@
+"""`radiant render`: pictures or a film of a model from given cameras, around it, along a border, or through keyframes. Once per call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from radiant_app.commands.evaluate import DEFAULT_LONG_SIDE_PX
+from radiant_app.commands.steps import require_file_to_be, require_model, require_run, stage_bar
+from radiant_app.events import Warned
+from radiant_app.files.run_folder import new_folder
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.evaluation import png_bytes
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.geometry.open3d_ops import surface_points
+from radiant_core.io.ply import load_ply
+from radiant_core.io.records import load_cameras
+from radiant_core.io.run_store import read_bounded, write_atomic
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.borders import Border, shared_borders
+from radiant_core.render.trajectories import Lens, along_border, looking_at, middle_box, orbit, through_keyframes
+from radiant_core.splats import Splats
+from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
+from radiant_viewer.runs.run_view import RunView, load_run_view
+from radiant_viewer.runs.unplanned import kind_of, seen_box
+
+OTHER_FILMS = (".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".wmv", ".apng", ".webp")
+"""Endings that no one means for a folder of frames."""
+MAX_KEYFRAME_BYTES = 1 << 24
+MIN_OPAQUE = 0.1
+"""Share of a model's Gaussians from which on the opaque ones alone say where it is."""
+ORBIT_ELEVATION_DEG, ORBIT_RADII = 35.0, 0.9
+"""Distance of an orbit, in diagonals of the regions."""
+FLIGHT_HEIGHTS = 0.5
+"""Height of a flight along a border, as a share of the cameras' own above the ground; never under a twentieth of the border."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderRequest:
+    """What `radiant render` was asked for; at most one of cameras, trajectory and keyframes."""
+
+    model: Path
+    out: Path
+    cameras: Path | None = None
+    trajectory: Literal["orbit", "border"] | None = None
+    border: tuple[str, ...] | None = None
+    keyframes: Path | None = None
+    num_frames: int = 120
+    fps: float = 24.0
+    size_wh: tuple[int, int] = (960, 540)
+    long_side_px: int | None = None
+
+
+def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
+    """Write PNG pictures into the new folder `out`, or a film; returns what was written. BadInput before anything is rendered, and where a
+    picture does not fit into memory."""
+    is_film = request.out.suffix.lower() in ENDINGS
+    if request.out.suffix.lower() in OTHER_FILMS:
+        raise BadInput(f"{request.out.name} is a film of a kind that is not written here: let its name end in {', '.join(ENDINGS)}.")
+    if is_film:
+        require_file_to_be(request.out)
+        if request.cameras is None and request.trajectory is None and request.keyframes is None:
+            raise BadInput("a film needs a path: add --trajectory orbit, --trajectory border, --keyframes or --cameras.")
+    cameras = _cameras(request)
+    cameras = cameras if request.long_side_px is None else cameras.scaled(request.long_side_px)
+    splats = _model(request.model)
+    if is_film:
+        if request.out.suffix.lower() == ".mp4":
+            display(Warned(stage="render", message=f"{request.out.name} will hold {NOT_FOR_BROWSERS}."))
+        if len(np.unique(cameras.sizes_wh, axis=0)) > 1:
+            raise BadInput("the cameras are of different sizes, which no film can show: render single pictures into a folder.")
+        size_wh = tuple(int(side) for side in cameras.sizes_wh[0] // 2 * 2)
+        with MovieWriter(request.out, (size_wh[0], size_wh[1]), request.fps) as film, stage_bar(display, "render") as report:
+            for done, (name, image) in enumerate(_pictures(splats, cameras), 1):
+                film.add(np.ascontiguousarray(image[: size_wh[1], : size_wh[0]]))
+                report(done, len(cameras), name)
+        return {"film": str(request.out), "frames": len(cameras), "seconds": round(len(cameras) / request.fps, 2)}
+    with new_folder(request.out), stage_bar(display, "render") as report:
+        for done, (name, image) in enumerate(_pictures(splats, cameras), 1):
+            path = request.out / f"{name}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, png_bytes(image))
+            report(done, len(cameras), name)
+    return {"pictures": len(cameras), "folder": str(request.out)}
+
+
+def _pictures(splats: Splats, cameras: Cameras) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Name and picture (H,W,3) of each camera; BadInput where one does not fit into memory."""
+    from radiant_core.render.rendered_view import render_views
+
+    views = render_views(splats, cameras)
+    for width, height in cameras.sizes_wh:
+        try:
+            view = next(views)
+            image = view.image_bytes
+        except MemoryError:
+            told = f"a picture of {width} × {height} px does not fit into the free memory"
+            raise BadInput(f"{told}: add --long-side-px 4000, or less.") from None
+        yield view.name, image
+
+
+def _model(model: Path) -> Splats:
+    require_model(model)
+    return load_ply(model / "scene.ply" if model.is_dir() else model)
+
+
+def _cameras(request: RenderRequest) -> Cameras:
+    chosen = [name for name in ("cameras", "trajectory", "keyframes") if getattr(request, name) is not None]
+    if len(chosen) > 1:
+        raise BadInput(f"--{chosen[0]} and --{chosen[1]} both say from where to look: keep one of them.")
+    if request.border is not None and request.trajectory != "border":
+        raise BadInput("--border is of --trajectory border: leave one of them out.")
+    require_model(request.model)
+    lens = Lens(size_wh=request.size_wh)
+    if request.keyframes is not None:
+        return keyframe_cameras(request.keyframes, request.fps, request.size_wh)
+    if request.trajectory is not None:
+        return _flight(request, lens)
+    if request.cameras is None and not request.model.is_dir():
+        raise BadInput(f"{request.model} is a model alone: say from where to look by --trajectory orbit, --cameras or --keyframes.")
+    if request.cameras is not None:
+        return load_cameras(request.cameras)
+    if kind_of(request.model) == "training":
+        return held_out_of_training(load_run_view(request.model))
+    require_run(request.model, "evaluation/cameras.safetensors")
+    return load_cameras(request.model / "evaluation" / "cameras.safetensors")
+
+
+def held_out_of_training(run: RunView) -> Cameras:
+    """The cameras whose photographs a training held out, as evaluating scores them: at most 1600 px long."""
+    held_out = [index for index, name in enumerate(run.scene.cameras.names) if name in run.held_out]
+    return run.scene.cameras.select(held_out).scaled(DEFAULT_LONG_SIDE_PX)
+
+
+def _flight(request: RenderRequest, lens: Lens) -> Cameras:
+    from radiant_viewer.pictures.views import ground_height
+
+    if not request.model.is_dir():
+        _require_orbit(request, "is a model alone")
+        # Haze and sky are thin or far: neither moves the middle of what is opaque.
+        return _orbit_around(middle_box(_opaque(load_ply(request.model))), request.num_frames, lens)
+    run = load_run_view(request.model)
+    if run.kind != "run":
+        _require_orbit(request, "was made without a plan")
+        return _orbit_around(seen_box(run.scene), request.num_frames, lens)
+    ground = ground_height(run.scene)
+    corners = np.concatenate([border for border in run.cloud_plan.borders if len(border)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if request.trajectory == "orbit":
+        center = np.append((low + high) / 2, ground)
+        return orbit(center, ORBIT_RADII * float(np.linalg.norm(high - low)), ORBIT_ELEVATION_DEG, request.num_frames, lens)
+    border = _border(run, request.border)
+    above = float(np.median(run.scene.cameras.centers[:, 2])) - ground
+    return along_border(border.ends, ground, max(FLIGHT_HEIGHTS * above, border.length_m / 20), request.num_frames, lens)
+
+
+def _require_orbit(request: RenderRequest, what: str) -> None:
+    if request.trajectory != "orbit":
+        raise BadInput(f"{request.model} {what} and has no borders to fly along: use --trajectory orbit, --keyframes or --cameras.")
+
+
+def _opaque(splats: Splats) -> FloatArray:
+    """Centres of the Gaussians that make surfaces; of all where few do."""
+    centers, chosen = surface_points(splats, np.inf)
+    return centers if chosen.mean() > MIN_OPAQUE else splats.means.astype(np.float64)
+
+
+def _orbit_around(box: FloatArray, num_frames: int, lens: Lens) -> Cameras:
+    """Once around the middle of a box (2,3), z up."""
+    side = float(np.linalg.norm(box[1] - box[0]))
+    return orbit(box.mean(axis=0), ORBIT_RADII * max(side, 1e-6), ORBIT_ELEVATION_DEG, num_frames, lens)
+
+
+def _border(run: Any, names: tuple[str, ...] | None) -> Border:
+    """The border of two edges, or without names that with the largest colour step."""
+    from radiant_viewer.pictures.views import worst_border
+
+    edge_ids = run.cloud_plan.edge_ids
+    if names is None:
+        return worst_border(run)
+    pairs = {frozenset((edge_ids[border.first], edge_ids[border.second])): border for border in shared_borders(run.cloud_plan)}
+    found = pairs.get(frozenset(name.strip() for name in names))
+    if found is None or len(names) != 2:
+        known = "; ".join(",".join(sorted(pair)) for pair in pairs) or "there is none"
+        raise BadInput(f"{','.join(names)} is no border of two regions: name one of {known}.")
+    return found
+
+
+Triple = Annotated[tuple[float, float, float], Field()]
+
+
+class _Keyframe(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    time_s: float
+    position: Triple
+    target: Triple
+
+
+class _Keyframes(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    field_of_view_deg: float = 60.0
+    keyframes: list[_Keyframe]
+
+
+def keyframe_cameras(path: Path, fps: float, size_wh: tuple[int, int]) -> Cameras:
+    """The frames of a flight written down as JSON: field_of_view_deg (60) and keyframes with time_s, position and target in the world.
+
+    BadInput names the first place in the file that is not so.
+    """
+    try:
+        record = _Keyframes.model_validate_json(read_bounded(path, MAX_KEYFRAME_BYTES))
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "the whole"
+        raise BadInput(f"{path} is no list of keyframes ({place}: {first['msg']}): see `radiant render --help`.") from error
+    lens = Lens(size_wh=size_wh, field_of_view_deg=record.field_of_view_deg)
+    rows = record.keyframes
+    positions, targets = np.array([row.position for row in rows]).reshape(-1, 3), np.array([row.target for row in rows]).reshape(-1, 3)
+    if len(rows) == 1:
+        return looking_at(positions, targets, lens)
+    return through_keyframes([row.time_s for row in rows], positions, targets, fps, lens)

@@ -1,0 +1,367 @@
+"""`radiant train`: one model of one machine from all training photographs of a scene, without tiers: the centralised baseline.
+
+    OUT/manifest.json metrics.json scene.ply        settings and decisions; figures of the held-out photographs; the model
+    OUT/pictures/{photographs,renders,differences}/ the held-out photographs beside what the model shows there
+    OUT/sfm/                                        structure from motion, where the source is no scene yet
+    OUT/checkpoints/ done.json                      while it trains; once the model is whole
+
+With --out MODEL.ply the model alone is written, of a source that has a scene: nothing is scored, and a kill starts again from nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.commands.steps import require_file_to_be
+from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
+from radiant_app.files.run_folder import Manifest, opened_folder
+from radiant_app.run.config import RunConfig
+from radiant_app.run.pipeline import require_size, sfm_stage
+from radiant_app.run.sources import detect_source, has_scene, masks_of_scene, scored_scene_of
+from radiant_app.run.stages import Progress
+from radiant_app.workers.evaluation import image_row, save_comparison, scored_part, summary_of
+from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
+from radiant_app.workers.nodes import (
+    CHECKPOINTS,
+    first_model,
+    fit,
+    fit_options,
+    load_training_views,
+    needed,
+    training_summary,
+    without_useless,
+)
+from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.split import held_out_mask, validation_mask
+from radiant_core.io.photos import DECODED_BYTES_PER_PX, load_photograph
+from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
+from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rendered_view import render_views
+from radiant_core.scene import SfmScene
+from radiant_core.sfm.placement import AUTO, Placement
+from radiant_core.splats import Splats
+from radiant_core.train.checkpoint import CheckpointFolder, training_key
+from radiant_core.train.config import Preset, TrainConfig, train_preset
+from radiant_core.train.memory import memory_plan, within_memory
+from radiant_core.train.needs import Overrides, fit_to_backend
+from radiant_core.train.trainer import FitOptions, TrainResult
+from radiant_core.train.views import TrainingViews
+
+STAGE = "train"
+MIN_PHOTOGRAPHS = 3
+MIN_VALIDATED = 100
+"""Of fewer training photographs an eighth is worth more in training than for choosing a model (docs/experiments/training.md)."""
+STEPS_OF_A_TIME = 10_000_000
+"""Limit of steps where a time ends the training."""
+KEPT = ("sfm/done.json", f"{CHECKPOINTS}/*.json", "done.json")
+"""What is worth resuming after an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainRequest:
+    """What `radiant train` was asked for."""
+
+    source: Path
+    """A finished run, the folder of `radiant sfm`, a COLMAP project with its images, or photographs."""
+    out: Path
+    """A folder, new or empty; or the name of a PLY."""
+    preset: Preset = "default"
+    overrides: Overrides = Overrides()
+    time_s: float | None = None
+    """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
+    masks: Path | None = None
+    """Folder of masks of the photographs, see `radiant_core.io.masks`; not with a scene, which has its own."""
+    up: str | None = None
+    """Which way is up, as distance and height see `radiant_core.sfm.placement.Placement`; not with a scene, which has its frame."""
+    distance: str | None = None
+    height_m: float | None = None
+    memory_bytes: int | None = None
+    """What the process may hold; None: as much as the preset's Gaussians take."""
+    validate: bool | None = None
+    """Whether an eighth of the training photographs only chooses the best model; None: from `MIN_VALIDATED` photographs on."""
+    seed: int = 0
+    checkpoint_every_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (("--time", self.time_s, "seconds"), ("--checkpoint-every", self.checkpoint_every_s, "seconds")):
+            if value is not None and not 0 < value < np.inf:
+                raise BadInput(f"{name} is {value}, expected a positive number of {unit}.")
+        Placement(up=self.up or AUTO, distance=self.distance, height_m=self.height_m)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All that decides the result, as the manifest keeps it."""
+        masks = None if self.masks is None else str(self.masks.resolve())
+        fields = {**asdict(self), "source": str(self.source.resolve()), "masks": masks}
+        return {name: value for name, value in fields.items() if name not in ("out", "checkpoint_every_s")}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Training:
+    """One training that is ready to begin."""
+
+    config: TrainConfig
+    views: TrainingViews
+    initial: Splats
+    options: FitOptions
+
+    @property
+    def key(self) -> str:
+        return training_key(self.initial, self.views, self.config, self.options)
+
+
+def train(
+    request: TrainRequest, listen: Listener = lambda event: None, *, resume: bool = False, clock: Callable[[], float] = time.monotonic
+) -> dict[str, Any]:
+    """Train and score as `request` says; returns the content of metrics.json, or figures of the training for a single PLY.
+
+    Raises BadInput with one sentence for unusable input (nothing stays behind), StageFailed when training diverges.
+    """
+    if request.out.suffix.lower() == ".ply":
+        return _single_ply(request, listen, resume, clock)
+    with opened_folder(request.out, request.settings, resume, KEPT) as manifest:
+        progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
+        listen(Outlined(stages=(*(() if has_scene(request.source) else ("sfm",)), STAGE, "evaluation")))
+        scene, photos = _scene_and_photos(request, progress)
+
+        def tell(event: Event) -> None:
+            manifest.note(event, clock() - progress.started_s)
+            listen(event)
+
+        with _Stage(STAGE, tell, clock) as stage:
+            training = _prepared(request, scene, photos, stage)
+            model, summary = _trained(training, request, stage)
+        with _Stage("evaluation", tell, clock) as stage:
+            held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
+            figures = _scored(request.out, (model, training.initial), held_out, photos, stage)
+        metrics = {**figures, "training": summary, **_totals(manifest, len(model))}
+        write_json(request.out / "metrics.json", metrics)
+        return metrics
+
+
+class _Stage:
+    """One stage of this process: tells when it begins and ends."""
+
+    def __init__(self, name: str, tell: Listener, clock: Callable[[], float]) -> None:
+        self.name, self.tell, self._clock = name, tell, clock
+        self._begun_s = clock()
+
+    def __enter__(self) -> _Stage:
+        self.tell(StageStarted(stage=self.name))
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.tell(StageDone(stage=self.name, seconds=self._clock() - self._begun_s))
+
+    @property
+    def running(self) -> tuple[str, Listener]:
+        """Its name and who listens."""
+        return self.name, self.tell
+
+
+_Photos = tuple[Path, Path | None]
+"""The folders of a scene's photographs and of their masks."""
+
+
+def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmScene, _Photos]:
+    """The scene of the source and its photographs; structure from motion in sfm/ where there is none yet."""
+    if has_scene(request.source):
+        return _loaded_scene(request, progress.listen)
+    detect_source(request.source)
+    config = RunConfig(
+        source=request.source,
+        out=request.out,
+        seed=request.seed,
+        masks=request.masks,
+        up=request.up,
+        distance=request.distance,
+        height_m=request.height_m,
+    )
+    scene, images = sfm_stage(config, progress, request.memory_bytes)
+    return scene, (images, masks_of_scene(request.out))
+
+
+def _loaded_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Photos]:
+    if (request.up, request.distance, request.height_m) != (None, None, None):
+        raise BadInput(
+            f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
+            "it is made, or train from the photographs."
+        )
+    if request.masks is not None:
+        raise BadInput(
+            f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
+            "`radiant run` when it is made, or train from the photographs."
+        )
+    scene, told, images = scored_scene_of(request.source)
+    for message in told:
+        listen(Warned(stage=STAGE, message=message))
+    return scene, (images, masks_of_scene(request.source))
+
+
+def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> _Training:
+    """Settings, photographs and first model; tells what was decided."""
+    base_bytes = resident_bytes()
+    if len(scene.cameras) < MIN_PHOTOGRAPHS:
+        raise BadInput(f"the scene has {len(scene.cameras)} photographs, expected at least {MIN_PHOTOGRAPHS}: take more that overlap.")
+    backend = resolve_backend("auto")
+    config, decisions = _settings(request, backend)
+    require_size(scene, config.long_side_px)
+    names = scene.cameras.names
+    num_training = len(names) - int(held_out_mask(names).sum())
+    validate = num_training >= MIN_VALIDATED if request.validate is None else request.validate
+    validated = validation_mask(names) & validate
+    if validate and validated.sum() + held_out_mask(names).sum() >= len(names):
+        raise BadInput(f"of {len(names)} photographs none is left to train on: leave out --validate.")
+    training = scene.restricted_to(np.flatnonzero(~held_out_mask(names) & ~validated))
+    cameras = training.cameras.scaled(config.long_side_px)
+    options = fit_options(STAGE, backend, stage.tell)
+    if request.memory_bytes is not None:
+        kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
+        base_bytes = base_bytes_in(request.out, base_bytes) if request.out.is_dir() else base_bytes
+        # Held-out photographs are decoded one by one beside the finished model.
+        base_bytes += DECODED_BYTES_PER_PX * int(scene.cameras.sizes_wh.prod(axis=1).max())
+        plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate, masked=photos[1] is not None)
+        config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
+        options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)
+    for decision in (*decisions, _validation_decision(request, num_training, int(validated.sum()))):
+        stage.tell(Decided(decision=decision))
+    images, masks = photos
+    views = load_training_views(images, cameras, masks)
+    if validate:
+        looked_at = scene.cameras.select(np.flatnonzero(validated)).scaled(config.long_side_px)
+        options = replace(options, validation=load_training_views(images, looked_at, masks))
+    training, views = without_useless(training, views, config, stage.running)
+    config = needed(training, views, config, backend, stage.running)
+    initial = first_model(training, views, config, stage.running)
+    return _Training(config=config, views=views, initial=initial, options=options)
+
+
+def _validation_decision(request: TrainRequest, num_training: int, num_validated: int) -> Decision:
+    return Decision(
+        stage=STAGE,
+        topic="validation",
+        choice=f"{num_validated} photographs only choose the best model" if num_validated else "the last model is returned",
+        figure=float(num_training),
+        unit="training photographs",
+        reason=f"from {MIN_VALIDATED} on an eighth of them is spared for it; of fewer it is worth more in training",
+        forced=request.validate is not None,
+    )
+
+
+def _settings(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
+    """The configuration that was asked for, as far as this machine can carry it."""
+    config, decisions = fit_to_backend(replace(train_preset(request.preset), seed=request.seed), backend, request.overrides)
+    if request.time_s is None:
+        return config, decisions
+    config = replace(config, budget_s=request.time_s, num_steps=request.overrides.num_steps or STEPS_OF_A_TIME)
+    budget = Decision(
+        stage=STAGE,
+        topic="budget",
+        choice="time ends the training" + (", or steps if they come first" if request.overrides.num_steps else ""),
+        figure=request.time_s,
+        unit="s",
+        reason="asked for on the command line",
+        forced=True,
+    )
+    # What the preset's steps were cut to says nothing where a time ends the training.
+    return config, (budget, *(decision for decision in decisions if decision.topic != "num_steps" or request.overrides.num_steps))
+
+
+def _trained(training: _Training, request: TrainRequest, stage: _Stage) -> tuple[Splats, dict[str, Any]]:
+    """The model and a summary of its training: those that lie in the folder where they are whole, else trained on from the checkpoint."""
+    out = request.out
+    checkpoints = CheckpointFolder(
+        out / CHECKPOINTS,
+        training.key,
+        every_s=request.checkpoint_every_s,
+        warn=lambda message: stage.tell(Warned(stage=STAGE, message=message)),
+    )
+    if is_sealed(out, training.key):
+        record = read_json(out / "training.json")
+        for decision in record["decisions"]:
+            stage.tell(Decided(decision=Decision(**decision)))
+        for message in record["warnings"]:
+            stage.tell(Warned(stage=STAGE, message=message))
+        stage.tell(StageSkipped(stage=STAGE))
+        checkpoints.remove()
+        return load_ply(out / "scene.ply"), record["summary"]
+    told: list[Event] = []
+
+    def tell(event: Event) -> None:
+        told.append(event)
+        stage.tell(event)
+
+    options = replace(training.options, checkpoints=checkpoints)
+    result = fit(training.initial, training.views, training.config, options, (STAGE, tell))
+    summary = {**training_summary(result), "num_photographs": len(training.views), **_validation_figures(result)}
+    save_ply(out / "scene.ply", result.splats)
+    record = {
+        "summary": summary,
+        "decisions": [asdict(event.decision) for event in told if isinstance(event, Decided)],
+        "warnings": [event.message for event in told if isinstance(event, Warned)],
+    }
+    write_json(out / "training.json", record)
+    seal(out, training.key, ["scene.ply", "training.json"])
+    checkpoints.remove()
+    return result.splats, summary
+
+
+def _validation_figures(result: TrainResult) -> dict[str, Any]:
+    if result.best_step is None:
+        return {}
+    return {"best_step": result.best_step, "validation": [{"step": step, "psnr_db": figure} for step, figure in result.validation]}
+
+
+def _scored(out: Path, models: tuple[Splats, Splats], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
+    """Figures of the trained and the first model on the held-out photographs; writes the pictures."""
+    images, masks = photos
+    cameras, used = scored_part(cameras, masks, lambda message: stage.tell(Warned(stage=stage.name, message=message)))
+    trained, first = (render_views(model, cameras) for model in models)
+    rows = []
+    for view, before, (width, height), pixels in zip(trained, first, cameras.sizes_wh, used, strict=True):
+        photograph = load_photograph(images / view.name, (int(width), int(height)))
+        save_comparison(out / "pictures", view, photograph, pixels)
+        rows.append(image_row(view, photograph, before=before, used=pixels))
+        stage.tell(StageProgress(stage=stage.name, done=len(rows), total=len(cameras), note=view.name))
+    return summary_of(rows, lpips_network=None)
+
+
+def _totals(manifest: Manifest, num_splats: int) -> dict[str, Any]:
+    seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in manifest.stages.items()}
+    return {"num_gaussians": num_splats, "seconds": seconds, "peak_bytes": {**manifest.peak_bytes, STAGE: peak_bytes()}}
+
+
+def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Callable[[], float]) -> dict[str, Any]:
+    """The model alone, of a source that has a scene."""
+    if resume:
+        raise BadInput(f"{request.out} is a file and keeps no checkpoints: give a folder as --out to resume.")
+    require_file_to_be(request.out)
+    if not has_scene(request.source):
+        detect_source(request.source)
+        raise BadInput(
+            f"{request.source} holds no scene yet, which a training into the single file {request.out.name} needs: give a folder as --out, "
+            "which gets scene and model, or the folder that 'radiant sfm' made of it."
+        )
+    scene, photos = _loaded_scene(request, listen)
+    decisions: list[Decision] = []
+
+    def tell(event: Event) -> None:
+        if isinstance(event, Decided):
+            decisions.append(event.decision)
+        listen(event)
+
+    with _Stage(STAGE, tell, clock) as stage:
+        training = _prepared(request, scene, photos, stage)
+        result = fit(training.initial, training.views, training.config, training.options, stage.running)
+    save_ply(request.out, result.splats)
+    return {**training_summary(result), "decisions": [asdict(decision) for decision in decisions], "model": str(request.out)}

@@ -1,0 +1,1 @@
+"""Files that users write or keep: run folders, events, systems, profiles, constraints, batches."""

@@ -1,0 +1,176 @@
+"""The event stream of a run as events.jsonl in its folder, for whoever watches from another process: written as it goes, read anew.
+
+One event per line, as `events.encode` writes it. Of progress, at most two lines a second and stage, and the first of every phase, which
+begins anew: else a long phase would show the end of the one before. A run that is resumed begins anew.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Self
+
+from radiant_app.events import (
+    Event,
+    Failed,
+    Listener,
+    Outlined,
+    StageDone,
+    StageProgress,
+    StageSkipped,
+    StageStarted,
+    TimeLeft,
+    Warned,
+    decode,
+    encode,
+)
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.io.run_store import LOCK_NAME
+
+if TYPE_CHECKING:
+    from radiant_viewer.runs.run_feeds import RunProgress, StageState, State
+
+EVENTS_NAME = "events.jsonl"
+SECONDS_BETWEEN = 0.5
+SECONDS_TO_A_PHASE = 0.05
+"""A phase that begins sooner after a line than this is not told of at once: totals that change with every event are no phases."""
+
+
+class EventFile:
+    """A listener that writes and passes on, used as a context manager. A full disk ends the file, never the run."""
+
+    def __init__(self, run: Path, listen: Listener, clock: Callable[[], float] = time.monotonic) -> None:
+        self._path, self._listen, self._clock = run / EVENTS_NAME, listen, clock
+        self._file: IO[str] | None = None
+        self._told_s: dict[str, float] = {}
+        self._seen: dict[str, StageProgress] = {}
+
+    def __enter__(self) -> Self:
+        with suppress(OSError):
+            self._file = self._path.open("w", encoding="utf-8", buffering=1)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+
+    def __call__(self, event: Event) -> None:
+        """See `Listener`."""
+        if self._file is not None and not self._is_too_soon(event):
+            try:
+                self._file.write(encode(event) + "\n")
+            except OSError:
+                self._file = None
+        self._listen(event)
+
+    def _is_too_soon(self, event: Event) -> bool:
+        if not isinstance(event, StageProgress):
+            return False
+        last, now_s = self._seen.get(event.stage), self._clock()
+        self._seen[event.stage] = event
+        begins = last is not None and (event.phase != last.phase or event.done < last.done or event.total != last.total)
+        if now_s - self._told_s.get(event.stage, float("-inf")) < (SECONDS_TO_A_PHASE if begins else SECONDS_BETWEEN):
+            return True
+        self._told_s[event.stage] = now_s
+        return False
+
+
+def read_progress(run: Path) -> RunProgress:
+    """How a run stands by its events and its manifest; BadInput for a file that is no stream of events."""
+    from radiant_viewer.runs.run_feeds import RunProgress
+
+    path = run / EVENTS_NAME
+    stages: dict[str, StageState] = {}
+    warnings: list[str] = []
+    seconds_left, outline = None, Outlined(stages=())
+    for event in _events(path):
+        if isinstance(event, Warned):
+            warnings.append(f"{event.stage}: {event.message}")
+        elif isinstance(event, TimeLeft):
+            seconds_left = event.seconds
+        elif isinstance(event, Outlined):
+            outline = event
+        elif (state := _after(event, stages)) is not None:
+            stages[state.stage] = state
+    status = _status(run)
+    is_running = status == "running" and _is_locked(run)
+    if status == "running" and not is_running:
+        status = "interrupted"
+    if not is_running:
+        # Whoever was at work then is not any more: stopped with the run, or at fault.
+        ended: State = "interrupted" if status == "interrupted" else "failed"
+        stages = {name: replace(state, state=ended) if state.state == "running" else state for name, state in stages.items()}
+    return RunProgress(
+        stages=tuple(stages.values()),
+        expected=outline.stages,
+        warnings=tuple(warnings),
+        seconds_left=seconds_left,
+        is_running=is_running,
+        status=status,
+    )
+
+
+def progress_stamps(run: Path) -> tuple[object, ...]:
+    """What tells whether `read_progress` would read something new, without reading the events."""
+    stamps: list[object] = [_is_locked(run)]
+    for name in (EVENTS_NAME, "manifest.json"):
+        with suppress(OSError):
+            status = (run / name).stat()
+            stamps.append((name, status.st_ino, status.st_mtime_ns, status.st_size))
+    return tuple(stamps)
+
+
+def _after(event: Event, stages: dict[str, StageState]) -> StageState | None:
+    from radiant_viewer.runs.run_feeds import StageState
+
+    if isinstance(event, StageStarted):
+        return StageState(stage=event.stage, state="running")
+    if isinstance(event, StageProgress):
+        note = ", ".join(text for text in (event.doing, event.note) if text)
+        return StageState(stage=event.stage, state="running", done=event.done, total=event.total, note=note)
+    if isinstance(event, StageDone):
+        return StageState(stage=event.stage, state="done", seconds=event.seconds)
+    if isinstance(event, StageSkipped):
+        return StageState(stage=event.stage, state="skipped", note="finished before")
+    if isinstance(event, Failed):
+        return StageState(stage=event.stage, state="failed", note=event.message)
+    return None
+
+
+def _events(path: Path) -> list[Event]:
+    if not path.is_file():
+        return []
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+        # The last line may be half written.
+        return [decode(line) for line in text[: text.rfind("\n") + 1].splitlines()]
+    except (OSError, StageFailed) as error:
+        raise BadInput(f"{path} cannot be read as a stream of events ({error}): the run itself is not touched by that.") from error
+
+
+def _status(run: Path) -> str:
+    try:
+        record = json.loads((run / "manifest.json").read_bytes())
+    except (OSError, ValueError):
+        return ""
+    status = record.get("status") if isinstance(record, dict) else None
+    return status if isinstance(status, str) else ""
+
+
+def _is_locked(run: Path) -> bool:
+    """Whether a process holds the run's lock; the kernel frees it when that ends, however it ends."""
+    try:
+        with (run / LOCK_NAME).open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False

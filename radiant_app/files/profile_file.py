@@ -1,0 +1,202 @@
+"""Curve files: the profile of one machine, as TOML or JSON, written by `radiant profile` and named by system files.
+
+    kind = "measured"                    # or "estimate", which every plan says
+    machine = "workstation, 8 threads"
+    source = "radiant profile on 53 photographs"
+    memory_gb = 12.0                     # what training may hold; left out: unknown
+
+    [key]                                # the training that the curves hold for
+    preset = "default"
+    num_steps = 1500
+    long_side_px = 576
+    max_num_splats = 200000              # left out: not known
+
+    [init_s]                             # G; also [train_s], [model_bytes] and, for edges, [aggregate_s], [aggregate_alone_s]
+    constant = 4.0
+    linear = 0.1
+    range = [7, 53]                      # the camera counts it was fitted on: beyond twice the largest it is extrapolated
+    rmse = 0.0                           # root mean square and largest relative error at the samples
+    worst_error = 0.0
+    samples = [[7, 4.7], [53, 9.3]]      # camera count, measured value
+
+A curve is constant + linear · c + power_coefficient · c ** exponent, as in a system file. What is read is checked: samples that rise, and
+errors that are those of the samples. The library's files lie in `profiles/` beside this module.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from radiant_app.files.toml_file import MAX_FILE_BYTES, Strict, load_toml, sentence
+from radiant_core.errors import BadInput
+from radiant_core.io.run_store import parse_json, write_atomic
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.curve_fit import FittedCurve
+from radiant_core.plan.profiles import Profile, ProfileKey
+
+KIND = "curve file"
+SUFFIXES = (".toml", ".json")
+LIBRARY = Path(__file__).parents[1] / "profiles"
+_BYTES_PER_GB = 1e9
+_CURVES = ("init_s", "train_s", "model_bytes", "aggregate_s", "aggregate_alone_s")
+
+_NonNegative = Annotated[float, Field(ge=0, le=1e15)]
+_Count = Annotated[int, Field(ge=1, le=10**9)]
+_Name = Annotated[str, Field(min_length=1, max_length=500)]
+
+
+class _Fitted(Strict):
+    constant: _NonNegative = 0.0
+    linear: _NonNegative = 0.0
+    power_coefficient: _NonNegative = 0.0
+    exponent: Annotated[float, Field(ge=0, le=4)] = 1.0
+    range: Annotated[list[_Count], Field(min_length=2, max_length=2)]
+    rmse: _NonNegative | None = None
+    worst_error: _NonNegative | None = None
+    samples: list[Annotated[list[_NonNegative], Field(min_length=2, max_length=2)]] = Field(default=[])
+
+    def built(self) -> FittedCurve:
+        if any(count != int(count) for count, _ in self.samples):
+            raise BadInput("a sample's camera count is no whole number: the first of each pair is a count.")
+        return FittedCurve(
+            curve=CostCurve(constant=self.constant, linear=self.linear, power_coefficient=self.power_coefficient, exponent=self.exponent),
+            smallest_count=self.range[0],
+            largest_count=self.range[1],
+            samples=tuple((int(count), value) for count, value in self.samples),
+            rmse=self.rmse,
+            worst_error=self.worst_error,
+        )
+
+
+class _Key(Strict):
+    preset: _Name
+    num_steps: _Count
+    long_side_px: _Count
+    max_num_splats: _Count | None = None
+    aggregate_preset: _Name = "default"
+
+
+class _File(Strict):
+    kind: Literal["measured", "estimate"]
+    machine: _Name
+    source: Annotated[str, Field(min_length=1, max_length=2000)]
+    memory_gb: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    measured_steps: _Count | None = None
+    key: _Key
+    init_s: _Fitted
+    train_s: _Fitted
+    model_bytes: _Fitted
+    aggregate_s: _Fitted | None = None
+    aggregate_alone_s: _Fitted | None = None
+
+    def built(self, name: str) -> Profile:
+        given: dict[str, _Fitted | None] = {curve: getattr(self, curve) for curve in _CURVES}
+        curves: dict[str, Any] = {}
+        for curve, fitted in given.items():
+            try:
+                curves[curve] = None if fitted is None else fitted.built()
+            except BadInput as error:
+                raise BadInput(f"{curve}: {error}") from error
+        return Profile(
+            name=name,
+            kind=self.kind,
+            machine=self.machine,
+            source=self.source,
+            key=ProfileKey(**self.key.model_dump()),
+            memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
+            measured_steps=self.measured_steps,
+            **curves,
+        )
+
+
+def load_profile(path: Path, name: str | None = None) -> Profile:
+    """The profile in a TOML or JSON file; BadInput names the file, the key, what came and what is expected."""
+    tables = _load_json(path) if path.suffix == ".json" else load_toml(path, KIND)
+    try:
+        return _File.model_validate(tables).built(name or path.name)
+    except ValidationError as error:
+        raise BadInput(f"{path}: {sentence(error, KIND)}") from error
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+
+
+def save_profile(path: Path, profile: Profile) -> None:
+    """Write the profile as TOML or JSON by the name's ending, atomically; BadInput for another ending."""
+    if path.suffix not in SUFFIXES:
+        raise BadInput(f"{path} is no name for a {KIND}: choose one that ends in {' or '.join(SUFFIXES)}.")
+    record = _record(profile)
+    text = json.dumps(record, indent=1, ensure_ascii=False) + "\n" if path.suffix == ".json" else _toml(record)
+    write_atomic(path, text.encode())
+
+
+def library_profiles() -> dict[str, Path]:
+    """Name → curve file of every machine in the library."""
+    return {path.stem: path for path in sorted(LIBRARY.glob("*.toml"))}
+
+
+def find_profile(name: str, beside: Path) -> Profile:
+    """The profile that a system file in the folder `beside` names: one of the library, or a curve file relative to it."""
+    if name.endswith(SUFFIXES):
+        return load_profile(beside / name, name)
+    known = library_profiles()
+    if name not in known:
+        raise BadInput(f"profile {name!r} is not in the library: use one of {', '.join(known)}, or a curve file ending in .toml or .json.")
+    return load_profile(known[name], name)
+
+
+def _load_json(path: Path) -> Any:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}): give a {KIND} in TOML or JSON.") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise BadInput(f"{path}: larger than {MAX_FILE_BYTES} bytes, which no {KIND} is: check the path.")
+    try:
+        return parse_json(data)
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{path}: not a JSON file ({error}): correct it there.") from error
+
+
+def _record(profile: Profile) -> dict[str, Any]:
+    key = profile.key
+    tables = {name: _fitted_record(getattr(profile, name)) for name in _CURVES if getattr(profile, name) is not None}
+    record = {
+        "kind": profile.kind,
+        "machine": profile.machine,
+        "source": profile.source,
+        "memory_gb": None if profile.memory_bytes is None else profile.memory_bytes / _BYTES_PER_GB,
+        "measured_steps": profile.measured_steps,
+        "key": _present(vars(key)),
+        **tables,
+    }
+    return _present(record)
+
+
+def _fitted_record(fitted: FittedCurve) -> dict[str, Any]:
+    record = {
+        **{name: float(value) for name, value in vars(fitted.curve).items()},
+        "range": [fitted.smallest_count, fitted.largest_count],
+        "rmse": fitted.rmse,
+        "worst_error": fitted.worst_error,
+        "samples": [[count, value] for count, value in fitted.samples] or None,
+    }
+    return _present(record)
+
+
+def _present(record: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in record.items() if value is not None}
+
+
+def _toml(record: dict[str, Any]) -> str:
+    """Tables of text, numbers and lists, which JSON writes as TOML does; TOML knows 1e-05 but no bare control characters."""
+    lines = ["# Cost curves of one machine, for `profile` in a system file; written by `radiant profile`."]
+    lines += [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in record.items() if not isinstance(value, dict)]
+    for name, table in record.items():
+        if isinstance(table, dict):
+            lines += ["", f"[{name}]", *(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items())]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,361 @@
+"""The folder of one run and its manifest.json: what was asked, which stages ran when, what was decided and warned.
+
+    manifest.json plan.json scene.ply metrics.json report.html pictures/
+    sfm/ devices/<id>/ edges/<id>/ cloud/ evaluation/        one folder per process
+
+Written whole after every stage by the one process that holds the run's lock.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import shutil
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
+from radiant_app.run.config import RunConfig
+from radiant_core import __version__
+from radiant_core.errors import BadInput, CannotWrite, StoreDamaged
+from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, read_json, write_json
+
+MANIFEST_VERSION = 1
+SFM_TASK = "task.json"
+"""What `radiant sfm` was asked for, beside its work."""
+GROUPS = ("overrides", "placement", "sfm")
+"""Settings that are several options."""
+OPTIONS = {
+    "source": "source",
+    "emulated": "--emulate",
+    "preset": "--train-preset",
+    "height_m": "--height",
+    "time_s": "--time",
+    "memory_bytes": "--memory",
+    "num_steps": "--steps",
+    "max_num_splats": "--max-splats",
+    "settings": "--set",
+}
+"""Setting → what the command line calls it, where that is another name."""
+RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings", "ledger")
+
+
+@dataclass
+class Manifest:
+    """The record of a run while it goes on; `save` writes it."""
+
+    folder: Path
+    config: dict[str, Any]
+    status: str = "running"
+    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+    """Stage → started_s and ended_s since the run began; a skipped stage keeps the times of the run that finished it."""
+    emulated: dict[str, dict[str, float]] = field(default_factory=dict)
+    """As `stages`, of devices, edges and their uplinks in an emulated run: never among measured times."""
+    machines: dict[str, str] = field(default_factory=dict)
+    """Stage → the machine of a cluster that ran it last."""
+    peak_bytes: dict[str, int] = field(default_factory=dict)
+    """Stage → the most memory its process held, with its libraries."""
+    decisions: list[dict[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    ledger: list[dict[str, Any]] = field(default_factory=list)
+
+    def note(self, event: Event, now_s: float) -> None:
+        """Take from the stream what the record keeps."""
+        if isinstance(event, StageStarted):
+            self.forget(event.stage)
+            self._times(event)[event.stage] = {"started_s": now_s, "ended_s": now_s}
+            if event.machine:
+                self.machines[event.stage] = event.machine
+        elif isinstance(event, StageDone):
+            self._times(event)[event.stage]["ended_s"] = now_s
+            self.save()
+        elif isinstance(event, MemoryPeaked):
+            self.peak_bytes[event.stage] = event.peak_bytes
+        elif isinstance(event, StageSkipped):
+            self._times(event).setdefault(event.stage, {"started_s": now_s, "ended_s": now_s})
+        elif isinstance(event, Decided):
+            fields = asdict(event.decision)
+            if fields not in self.decisions:
+                self.decisions.append(fields)
+        elif isinstance(event, Warned):
+            message = f"{event.stage}: {event.message}"
+            if message not in self.warnings:
+                self.warnings.append(message)
+
+    def _times(self, event: StageStarted | StageDone | StageSkipped) -> dict[str, dict[str, float]]:
+        return self.emulated if event.emulated else self.stages
+
+    def forget(self, stage: str) -> None:
+        """What an earlier try of this stage decided and warned of."""
+        self.decisions = [decision for decision in self.decisions if decision["stage"] != stage]
+        self.warnings = [warning for warning in self.warnings if not warning.startswith(f"{stage}: ")]
+
+    def keep_stages(self, stages: Collection[str]) -> None:
+        """Forget all other stages: those of devices and edges that an earlier plan had."""
+        for times in (self.stages, self.emulated):
+            for stage in [stage for stage in times if stage.removesuffix(UPLINK) not in stages]:
+                self.forget(stage)
+                del times[stage]
+                self.peak_bytes.pop(stage, None)
+
+    @property
+    def ended_s(self) -> float:
+        """When the last stage so far ended; 0 at first. A resumed run goes on from there."""
+        return max((times["ended_s"] for times in (*self.stages.values(), *self.emulated.values())), default=0.0)
+
+    def save(self) -> None:
+        """Write manifest.json."""
+        record = {"version": MANIFEST_VERSION, "software": software_versions(), **{key: getattr(self, key) for key in RECORDED}}
+        write_json(self.folder / "manifest.json", {**record, "sha256": _digest(record)})
+
+
+@contextmanager
+def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
+    """Make or reopen the run's folder and hold its lock.
+
+    Raises BadInput when the folder exists and is not empty (without `resume`), was made by other settings, or cannot be made. When
+    the input turns out to be unusable, a folder made here goes away again: nothing half-written stays behind.
+    """
+    with opened_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
+        yield manifest
+
+
+@contextmanager
+def opened_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
+    """As `opened_run`, of any work with such settings; a file that fits a pattern of `keep` is worth keeping after bad input."""
+    if resume and out.is_dir() and _is_begun(out):
+        with RunLock(out), _ending(_reopened(out, settings)) as manifest:
+            yield manifest
+        return
+    made = _made_folders(out)
+    # A lock that somebody else holds is no reason to clean up: what lies there is that run's work.
+    with RunLock(out):
+        require_empty(out)
+        fresh = Manifest(folder=out, config=settings)
+        with _undone_after_bad_input(out, made, keep=keep), _ending(fresh) as manifest:
+            yield manifest
+
+
+@contextmanager
+def _ending(manifest: Manifest) -> Iterator[Manifest]:
+    """Save the record before and after the work, with how that ended."""
+    manifest.status = "running"
+    manifest.save()
+    try:
+        yield manifest
+    except BaseException as error:
+        manifest.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        # The disk may be what failed; the error that brought us here is the one to tell.
+        with suppress(BadInput):
+            manifest.save()
+        raise
+    manifest.status = "done"
+    manifest.save()
+
+
+@contextmanager
+def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[None]:
+    """The folder of `radiant sfm` for a `task`, which it keeps in task.json: new, or with `resume` what an interrupted one left, whose
+    features and matches are used. Held by one process at a time.
+
+    Raises BadInput as `new_folder`, and with `resume` where the folder is of something else, of another task, or finished.
+    """
+    asked = {
+        name: str(Path(value).resolve()) if name in ("source", "masks") and value is not None else value for name, value in task.items()
+    }
+    if resume and out.is_dir() and _is_begun(out):
+        with RunLock(out):
+            _require_unfinished(out, asked)
+            yield
+        return
+    made = _made_folders(out)
+    with RunLock(out):
+        require_empty(out)
+        with _undone_after_bad_input(out, made):
+            write_json(out / SFM_TASK, asked)
+            yield
+
+
+def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
+    if not (out / SFM_TASK).is_file():
+        raise BadInput(f"{out} holds no {SFM_TASK}, so nothing was begun there that can go on: choose another folder.")
+    before = read_json(out / SFM_TASK)
+    differing = differing_options(task, before if isinstance(before, dict) else {})
+    if differing:
+        raise BadInput(f"{out} was begun with another {differing}: repeat that to go on, remove it, or choose another folder.")
+    if (out / "result.json").is_file():
+        raise BadInput(f"{out} is finished, there is nothing to go on with: choose another folder to make the scene anew.")
+
+
+@contextmanager
+def new_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
+    """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot be made.
+
+    After a BadInput within, everything that was made here goes again; where it is `resumable`, not after a full disk.
+    """
+    made = _made_folders(out, resumable=resumable)
+    with _undone_after_bad_input(out, made, resumable=resumable):
+        yield
+
+
+def _made_folders(out: Path, *, resumable: bool = True) -> list[Path]:
+    """`out`, which afterwards is an empty folder, and its parents, as far as they had to be made; innermost first."""
+    if out.is_symlink() and not out.exists():
+        raise BadInput(f"{out} is a link to {out.readlink()}, which does not exist: make that folder or choose another name.")
+    if out.exists() and not out.is_dir():
+        raise BadInput(f"{out} is a file, expected a folder: choose another name.")
+    if out.is_dir():
+        require_empty(out, resumable=resumable)
+    missing = [folder for folder in (out, *out.parents) if not folder.exists()]
+    out.mkdir(parents=True, exist_ok=True)
+    return missing
+
+
+def require_empty(out: Path, *, resumable: bool = True) -> None:
+    """Raise BadInput when the folder holds anything but what a kill leaves before anything was begun."""
+    if _is_begun(out):
+        way_on = ", or go on with what was begun there by --resume" if resumable else ""
+        raise BadInput(f"{out} exists and is not empty: choose another folder{way_on}.")
+
+
+def _is_begun(out: Path) -> bool:
+    """Whether a folder holds more than a lock and a half-written manifest."""
+    return any(path.name != LOCK_NAME and not path.match(".manifest.json.*.part") for path in out.iterdir())
+
+
+@contextmanager
+def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
+    """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
+    try:
+        yield
+    except BadInput as error:
+        # What was computed and stored is no input, nor is a disk: whatever else lies there is worth looking at, or going on with.
+        worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _is_begun(out)
+        if not worth_it and not any(found for pattern in keep for found in out.glob(pattern)):
+            for inner in list(out.iterdir()):
+                shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
+            for folder in made:
+                # Somebody may have begun another run here in the meantime.
+                with suppress(OSError):
+                    folder.rmdir()
+        raise
+
+
+def recorded_config(config: RunConfig) -> dict[str, Any]:
+    """The settings as the manifest keeps them: all but where the run lies, in which order and how many processes work on it, and
+    what its scene is scored with in the end."""
+    fields = asdict(config)
+    fields["source"] = str(config.source.resolve())
+    for name in ("system", "poses", "plan", "masks"):
+        path = getattr(config, name)
+        fields[name] = None if path is None else str(path.resolve())
+    for name in (
+        "out",
+        "max_workers",
+        "executor",
+        "address",
+        "checkpoint_every_s",
+        "deadline_factor",
+        "teachers",
+        "lpips_weights",
+        "lpips_network",
+    ):
+        del fields[name]
+    return fields
+
+
+def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> str:
+    """What was asked for otherwise before, as the command line calls it; empty where nothing was."""
+    return ", ".join(sorted(set(_differing_options(asked, before))))
+
+
+def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> Iterator[str]:
+    for name, value in asked.items():
+        other = before.get(name)
+        if value == other:
+            continue
+        if name in GROUPS and isinstance(value, dict) and isinstance(other, dict):
+            yield from _differing_options({key: value.get(key) for key in {*value, *other}}, other)
+        else:
+            yield OPTIONS.get(name, f"--{name.replace('_', '-')}")
+
+
+def software_versions() -> dict[str, str]:
+    """Versions of what decides a result."""
+    packages = ("torch", "numpy", "scipy", "pycolmap", "open3d", "opencv-contrib-python-headless")
+    found = {"radiant": __version__, "python": platform.python_version(), "machine": platform.machine()}
+    for package in packages:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+    version: Literal[1]
+    config: dict[str, Any]
+    stages: dict[str, dict[str, float]]
+    emulated: dict[str, dict[str, float]] = {}
+    machines: dict[str, str] = {}
+    peak_bytes: dict[str, int] = {}
+    decisions: list[dict[str, Any]]
+    warnings: list[str]
+
+
+def read_manifest(run: Path) -> Manifest:
+    """The record of a run that stands or goes on; BadInput where there is none or it is damaged."""
+    path = run / "manifest.json"
+    if not path.is_file():
+        raise BadInput(f"{run} holds no manifest.json: give the folder of a run.")
+    record = _record(path)
+    kept = {name: getattr(record, name) for name in ("config", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")}
+    return Manifest(folder=run, **kept)
+
+
+def _digest(record: dict[str, Any]) -> str:
+    """SHA-256 of a record as JSON writes it, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def _require_unchanged(record: Any) -> None:
+    """Raise BadInput where a manifest is not what was written; older ones say no hash and are taken as they are."""
+    known = {"version", "software", "sha256", *RECORDED}
+    if not isinstance(record, dict) or not record.keys() <= known:
+        raise BadInput("it has keys that no manifest has")
+    if "sha256" in record and record.pop("sha256") != _digest(record):
+        raise BadInput("its hash is not that of what was written")
+
+
+def _record(path: Path) -> _Record:
+    data = read_bounded(path, MAX_JSON_BYTES)
+    try:
+        _require_unchanged(parse_json(data))
+        return _Record.model_validate_json(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "the whole"
+        raise BadInput(f"{path} is damaged or of another version ({place}: {first['msg']}): run again into another folder.") from error
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{path} is damaged ({error}): run again into another folder.") from error
+
+
+def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
+    path = out / "manifest.json"
+    if not path.is_file():
+        raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
+    record = _record(path)
+    differing = differing_options(settings, record.config)
+    if differing:
+        raise BadInput(f"{out} was begun with another {differing}: repeat those settings to resume, remove it, or choose another folder.")
+    kept = {name: getattr(record, name) for name in ("stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")}
+    return Manifest(folder=out, config=settings, **kept)

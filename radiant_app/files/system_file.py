@@ -1,0 +1,286 @@
+"""The system file: edges, their devices and their costs, written by a user in TOML and checked here.
+
+    [[edge]]
+    id = "north"
+    position_m = [0.0, 40.0]             # or lat_lon_deg = [47.37, 8.54], or neither: placed among the cameras
+    uplink_mbit_per_s = 100.0
+    aggregate_s = { constant = 5.0, linear = 0.5 }
+    memory_gb = 4.0                      # what joining may hold; beyond it models are cut at their borders, with a warning
+
+    [[edge.device]]
+    id = "north-1"
+    init_s = { linear = 0.1 }
+    train_s = { constant = 20.0, linear = 1.0 }
+    model_mb = { linear = 0.5 }
+    uplink_mbit_per_s = 50.0
+    max_cameras = 400                    # left out: no limit
+    memory_gb = 8.0                      # what its training may hold: limits its Gaussians and, without max_cameras, its cameras
+    relative_speed = 2.0                 # divides init_s and train_s
+    speed = 0.5                          # of an edge too: share of one core under `radiant run --emulate`
+
+The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in both has relative_speed and speed 0.5.
+
+    [cloud]                              # limits of joining at the cloud; beyond them models are cut at their borders, with a warning
+    memory_gb = 16.0                     # left out: four fifths of what is free on the machine that joins
+    time_s = 3600.0                      # left out, as max_cameras: no limit
+    max_cameras = 2000
+
+In place of costs, a device or edge may have profile = "rtx-3090" of the library (`radiant profile --list`) or profile = "mine.toml", a
+curve file of `radiant profile` relative to this one: its costs and, where the file says none, its memory come from there. An edge may also
+have aggregate_alone_s: what it costs where one device has all its cameras, so that nothing is retrained. Where a run or plan writes its
+system, the costs stand there as numbers and costs_from says which profile they are of: "measured mine.toml", "estimate rtx-3090".
+
+For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model sent) and `max_cameras` in place of
+devices, uplink and aggregate_s: the cloud plans its region, and it deals its cameras itself, later, with a system file of its own.
+
+A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
+left out has the value above, except position, memory limits, aggregate_alone_s and speed (none) and relative_speed (1).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, ValidationError
+
+from radiant_app.files.profile_file import find_profile
+from radiant_app.files.toml_file import Strict, load_toml, sentence
+from radiant_core.errors import BadInput
+from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.profiles import Profile
+from radiant_core.plan.system import Cloud, Device, Edge, System
+
+_BYTES_PER_S_PER_MBIT = 1e6 / 8
+_BYTES_PER_MB, _BYTES_PER_GB = 1e6, 1e9
+
+_NonNegative = Annotated[float, Field(ge=0, le=1e12)]
+_Positive = Annotated[float, Field(gt=0, le=1e12)]
+_Share = Annotated[float, Field(gt=0, le=1)]
+_Speed = Annotated[float, Field(ge=1e-3, le=1e3)]
+_Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class _Curve(Strict):
+    constant: _NonNegative = 0.0
+    linear: _NonNegative = 0.0
+    power_coefficient: _NonNegative = 0.0
+    exponent: Annotated[float, Field(ge=0, le=4)] = 1.0
+
+    def scaled(self, factor: float) -> CostCurve:
+        return CostCurve(
+            constant=self.constant * factor,
+            linear=self.linear * factor,
+            power_coefficient=self.power_coefficient * factor,
+            exponent=self.exponent,
+        )
+
+
+_Origin = Annotated[str, Field(pattern=r"^(measured|estimate) \S.*$")]
+
+
+class _Device(Strict):
+    id: str
+    profile: str | None = None
+    costs_from: _Origin | None = None
+    init_s: _Curve = _Curve(linear=0.1)
+    train_s: _Curve = _Curve(constant=20.0, linear=1.0)
+    model_mb: _Curve = _Curve(linear=0.5)
+    uplink_mbit_per_s: _Positive = 50.0
+    max_cameras: Annotated[int, Field(ge=0)] | None = None
+    memory_gb: _Positive | None = None
+    relative_speed: _Speed = 1.0
+    speed: _Share | None = None
+
+    def built(self, folder: Path) -> Device:
+        profile = _profile_of(self, f"device {self.id!r}", ("init_s", "train_s", "model_mb"), folder)
+        memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
+        if profile is None:
+            curves = self.init_s.scaled(1.0), self.train_s.scaled(1.0), self.model_mb.scaled(_BYTES_PER_MB)
+        else:
+            curves = profile.init_s.curve, profile.train_s.curve, profile.model_bytes.curve
+            memory_bytes = memory_bytes or profile.memory_bytes
+        return Device(
+            id=self.id,
+            init_s=curves[0].scaled(1 / self.relative_speed),
+            train_s=curves[1].scaled(1 / self.relative_speed),
+            model_bytes=curves[2],
+            uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
+            max_cameras=self.max_cameras,
+            memory_bytes=memory_bytes,
+            speed=self.speed,
+            profile=profile,
+            costs_from=self.costs_from,
+        )
+
+
+class _Edge(Strict):
+    id: str
+    position_m: _Pair | None = None
+    lat_lon_deg: _Pair | None = None
+    uplink_mbit_per_s: _Positive = 100.0
+    profile: str | None = None
+    costs_from: _Origin | None = None
+    aggregate_s: _Curve = _Curve(constant=5.0, linear=0.5)
+    aggregate_alone_s: _Curve | None = None
+    speed: _Share | None = None
+    memory_gb: _Positive | None = None
+    device: list[_Device] = Field(default_factory=list[_Device])
+    time_s: _Curve | None = None
+    max_cameras: Annotated[int, Field(ge=0)] | None = None
+
+    def built(self, folder: Path) -> Edge:
+        if self.position_m is not None and self.lat_lon_deg is not None:
+            raise BadInput(f"edge {self.id!r} has both position_m and lat_lon_deg: give one of them or neither.")
+        if self.lat_lon_deg is not None and (abs(self.lat_lon_deg[0]) > 90 or abs(self.lat_lon_deg[1]) > 180):
+            raise BadInput(
+                f"edge {self.id!r} has lat_lon_deg {self.lat_lon_deg}, expected a latitude within ±90 and a longitude within ±180."
+            )
+        own = {"profile", "costs_from", "aggregate_s", "aggregate_alone_s", "uplink_mbit_per_s", "speed", "memory_gb"}
+        surplus = self.model_fields_set & own
+        if self.time_s is not None and surplus:
+            raise BadInput(f"edge {self.id!r} has time_s, its whole time, and {min(surplus)} too: remove one of them.")
+        profile = _profile_of(self, f"edge {self.id!r}", ("aggregate_s", "aggregate_alone_s"), folder)
+        joined = self.aggregate_s.scaled(1.0) if self.time_s is None else CostCurve()
+        alone = None if self.aggregate_alone_s is None else self.aggregate_alone_s.scaled(1.0)
+        if profile is not None:
+            if profile.aggregate_s is None:
+                raise BadInput(f"edge {self.id!r}: profile {self.profile!r} has no aggregate_s: measure it, or give aggregate_s here.")
+            joined, alone = profile.aggregate_s.curve, None if profile.aggregate_alone_s is None else profile.aggregate_alone_s.curve
+        return Edge(
+            id=self.id,
+            position=None if self.position_m is None else (self.position_m[0], self.position_m[1]),
+            lat_lon_deg=None if self.lat_lon_deg is None else (self.lat_lon_deg[0], self.lat_lon_deg[1]),
+            aggregate_s=joined,
+            uplink_bytes_per_s=self.uplink_mbit_per_s * _BYTES_PER_S_PER_MBIT,
+            devices=tuple(device.built(folder) for device in self.device),
+            speed=self.speed,
+            aggregate_alone_s=alone,
+            profile=profile,
+            costs_from=self.costs_from,
+            time_s=None if self.time_s is None else self.time_s.scaled(1.0),
+            max_cameras=self.max_cameras,
+            memory_bytes=None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB,
+        )
+
+
+def _profile_of(table: _Device | _Edge, owner: str, costs: tuple[str, ...], folder: Path) -> Profile | None:
+    """The profile that a device or edge names; BadInput where a cost stands beside it."""
+    if table.profile is None:
+        return None
+    beside = [name for name in (*costs, "costs_from") if name in table.model_fields_set]
+    if beside:
+        raise BadInput(f"{owner} has both profile and {beside[0]}: keep one of them.")
+    try:
+        return find_profile(table.profile, folder)
+    except BadInput as error:
+        raise BadInput(f"{owner}: {error}") from error
+
+
+class _Cloud(Strict):
+    memory_gb: _NonNegative | None = None
+    time_s: _NonNegative | None = None
+    max_cameras: Annotated[int, Field(ge=0)] | None = None
+
+    def built(self) -> Cloud:
+        memory_bytes = None if self.memory_gb is None else self.memory_gb * _BYTES_PER_GB
+        return Cloud(memory_bytes=memory_bytes, time_s=self.time_s, max_cameras=self.max_cameras)
+
+
+class _File(Strict):
+    edge: Annotated[list[_Edge], Field(min_length=1)]
+    cloud: _Cloud = _Cloud()
+
+
+def load_system(path: Path, *, curves: bool = False) -> System:
+    """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
+
+    Edges that are known by their curve alone are refused unless `curves`: nobody could train there.
+    """
+    tables = load_toml(path, "system file")
+    try:
+        file = _File.model_validate(tables)
+        system = System(edges=tuple(edge.built(path.parent) for edge in file.edge), cloud=file.cloud.built())
+        unknown = [edge.id for edge in system.edges if not edge.devices]
+        if unknown and not curves:
+            raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
+        return system
+    except ValidationError as error:
+        raise BadInput(f"{path}: {sentence(error, 'system file')}") from error
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+
+
+def dump_system(system: System) -> str:
+    """The system as TOML text that `load_system` reads back, curves written out, of the profiles they came from kind and name alone."""
+    return "\n".join([*(line for edge in system.edges for line in _edge_lines(edge)), *_cloud_lines(system.cloud)]) + "\n"
+
+
+def even_system(num_edges: int, devices_per_edge: int) -> System:
+    """Equal edges with equal devices at the file's defaults, placed among the cameras later; BadInput below one of either."""
+    if num_edges < 1 or devices_per_edge < 1:
+        raise BadInput(f"{num_edges} edges with {devices_per_edge} devices each were asked for: give at least one of either.")
+    names = [f"edge-{index + 1}" for index in range(num_edges)]
+    edges = [_Edge(id=name, device=[_Device(id=f"{name}-{n + 1}") for n in range(devices_per_edge)]) for name in names]
+    return System(edges=tuple(edge.built(Path()) for edge in edges))
+
+
+def _edge_lines(edge: Edge) -> list[str]:
+    lines = ["[[edge]]", f"id = {json.dumps(edge.id)}"]
+    if edge.position is not None:
+        lines.append(f"position_m = {list(map(float, edge.position))}")
+    elif edge.lat_lon_deg is not None:
+        lines.append(f"lat_lon_deg = {list(map(float, edge.lat_lon_deg))}")
+    if edge.time_s is not None:
+        limit = [] if edge.max_cameras is None else [f"max_cameras = {edge.max_cameras}"]
+        return [*lines, f"time_s = {_inline(edge.time_s, 1.0)}", *limit]
+    lines += [_bandwidth_line(edge.uplink_bytes_per_s), f"aggregate_s = {_inline(edge.aggregate_s, 1.0)}", *_speed_lines(edge)]
+    if edge.aggregate_alone_s is not None:
+        lines.append(f"aggregate_alone_s = {_inline(edge.aggregate_alone_s, 1.0)}")
+    if edge.memory_bytes is not None:
+        lines.append(f"memory_gb = {edge.memory_bytes / _BYTES_PER_GB}")
+    lines += _origin_lines(edge)
+    return [*lines, *(line for device in edge.devices for line in _device_lines(device))]
+
+
+def _device_lines(device: Device) -> list[str]:
+    return [
+        "[[edge.device]]",
+        f"id = {json.dumps(device.id)}",
+        f"init_s = {_inline(device.init_s, 1.0)}",
+        f"train_s = {_inline(device.train_s, 1.0)}",
+        f"model_mb = {_inline(device.model_bytes, _BYTES_PER_MB)}",
+        _bandwidth_line(device.uplink_bytes_per_s),
+        *([] if device.max_cameras is None else [f"max_cameras = {device.max_cameras}"]),
+        *([] if device.memory_bytes is None else [f"memory_gb = {device.memory_bytes / _BYTES_PER_GB}"]),
+        *_speed_lines(device),
+        *_origin_lines(device),
+    ]
+
+
+def _cloud_lines(cloud: Cloud) -> list[str]:
+    limits = {
+        "memory_gb": None if cloud.memory_bytes is None else cloud.memory_bytes / _BYTES_PER_GB,
+        "time_s": cloud.time_s,
+        "max_cameras": cloud.max_cameras,
+    }
+    lines = [f"{name} = {limit}" for name, limit in limits.items() if limit is not None]
+    return ["[cloud]", *lines] if lines else []
+
+
+def _speed_lines(machine: Device | Edge) -> list[str]:
+    return [] if machine.speed is None else [f"speed = {float(machine.speed)}"]
+
+
+def _origin_lines(machine: Device | Edge) -> list[str]:
+    return [] if machine.origin is None else [f"costs_from = {json.dumps(machine.origin, ensure_ascii=False)}"]
+
+
+def _bandwidth_line(bytes_per_s: float) -> str:
+    return f"uplink_mbit_per_s = {float(bytes_per_s / _BYTES_PER_S_PER_MBIT)}"
+
+
+def _inline(curve: CostCurve, unit: float) -> str:
+    terms = {name: getattr(curve, name) / unit for name in ("constant", "linear", "power_coefficient")}
+    return "{ " + ", ".join(f"{name} = {float(value)}" for name, value in {**terms, "exponent": curve.exponent}.items()) + " }"

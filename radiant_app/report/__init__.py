@@ -1,0 +1,1 @@
+"""What a person reads: progress on the terminal, tables, report.html."""

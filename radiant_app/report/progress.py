@@ -1,0 +1,152 @@
+"""Shows the event stream on a terminal: a bar with times per running stage, a line for what was decided or warned.
+
+    sfm: matching, step 3 of 6   ━━━━━━╺━━━   45 %  elapsed 0:31, left in step about 0:40
+
+Names of photographs, jobs and devices are printed as they are: none is read as markup. Lines of a log file are not wrapped.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from types import TracebackType
+from typing import Self, TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TaskID, TextColumn, track
+from rich.table import Column
+from rich.text import Text
+
+from radiant_app.events import Decided, Event, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, TimeLeft, Warned
+from radiant_app.report.pace import Pace
+
+_Item = TypeVar("_Item")
+SECONDS_BETWEEN_LINES = 10.0
+"""How often a stage tells a log file where it stands."""
+MAX_BAR_WIDTH = 30
+
+
+def tracked(items: Sequence[_Item], what: str) -> Iterator[_Item]:
+    """The items one after the other with a bar on a terminal's standard error, for a loop whose items take about as long as each other."""
+    console = Console(stderr=True)
+    return iter(track(items, description=what, console=console, disable=not console.is_terminal))
+
+
+class _Times(ProgressColumn):
+    """Elapsed and left, with their words before them."""
+
+    def render(self, task: Task) -> Text:
+        return Text(task.fields["pace"].text)
+
+
+class _Share(ProgressColumn):
+    """Per cent, where something says how much there is."""
+
+    def render(self, task: Task) -> Text:
+        return Text("" if not task.total else f"{task.percentage:>3.0f} %")
+
+
+class ProgressDisplay:
+    """A listener that draws; used as a context manager. Without a terminal it prints a line every `SECONDS_BETWEEN_LINES` and one
+    per finished stage."""
+
+    def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
+        self._console = console
+        self._clock = clock
+        self._line_due_s: dict[str, float] = {}
+        self._progress = Progress(
+            SpinnerColumn(),
+            # On a narrow terminal words go on in a second line; no figure is cut.
+            TextColumn("{task.description}", markup=False, table_column=Column()),
+            BarColumn(bar_width=min(MAX_BAR_WIDTH, max(4, console.width // 8 - 6))),
+            _Share(table_column=Column(no_wrap=True)),
+            _Times(table_column=Column(no_wrap=True)),
+            TextColumn("{task.fields[note]}", markup=False, table_column=Column()),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._paces: dict[str, Pace] = {}
+        self._run: TaskID | None = None
+        self._stages: frozenset[str] = frozenset()
+        self._ended: set[str] = set()
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._progress.stop()
+
+    def __call__(self, event: Event) -> None:
+        if isinstance(event, Outlined):
+            self._outline(event)
+        elif isinstance(event, StageStarted):
+            self._begin(event.stage)
+        elif isinstance(event, StageProgress) and event.stage in self._tasks:
+            self._paces[event.stage].hear(event)
+            title = f"{event.stage}: {event.doing}" if event.doing else event.stage
+            self._progress.update(
+                self._tasks[event.stage], description=title, completed=event.done, total=event.total or None, note=event.note
+            )
+            self._print_line(event)
+        elif isinstance(event, StageDone):
+            took = f" {event.stage} in {event.seconds:.1f} s{' (emulated)' * event.emulated}"
+            self._end(event.stage, Text.assemble(("done", "green"), took))
+        elif isinstance(event, StageSkipped):
+            self._end(event.stage, Text.assemble(("skipped", "dim"), f" {event.stage}: finished before"))
+        elif isinstance(event, TimeLeft):
+            times = "" if abs(event.correction - 1) < 0.005 else f", {event.correction:.2f} times the plan's for what remains"
+            self._print(f"devices and edges: left about {max(1.0, event.seconds):.0f} s{times}")
+        elif isinstance(event, Warned):
+            self._print(f"warning {event.stage}: {event.message}", "yellow")
+        elif isinstance(event, Decided) and not event.decision.changes_nothing:
+            decision = event.decision
+            self._print(f"decided {decision.stage}, {decision.topic}: {decision.choice} ({decision.reason})", "dim")
+
+    def _print(self, line: str | Text, style: str | None = None) -> None:
+        self._console.print(line, style=style, highlight=False, markup=False, emoji=False, soft_wrap=not self._console.is_terminal)
+
+    def _begin(self, stage: str) -> None:
+        # A stage that is tried again begins anew.
+        self._remove(stage)
+        self._paces[stage] = pace = Pace(clock=self._clock)
+        self._tasks[stage] = self._progress.add_task(stage, total=None, note="", pace=pace)
+        self._line_due_s[stage] = self._clock() + SECONDS_BETWEEN_LINES
+
+    def _outline(self, event: Outlined) -> None:
+        self._stages = frozenset(event.stages)
+        if self._run is None:
+            self._run = self._progress.add_task("run", total=None, note="", pace=Pace(clock=self._clock))
+        self._count()
+
+    def _count(self) -> int:
+        """How many stages of the run are finished, which its bar shows too."""
+        num_ended, total = len(self._stages & self._ended), len(self._stages)
+        if self._run is not None:
+            self._progress.update(self._run, description=f"run: {num_ended} of {total} stages", completed=num_ended, total=total)
+        return num_ended
+
+    def _print_line(self, event: StageProgress) -> None:
+        now_s = self._clock()
+        if self._console.is_terminal or now_s < self._line_due_s[event.stage]:
+            return
+        self._line_due_s[event.stage] = now_s + SECONDS_BETWEEN_LINES
+        share = f"{100 * event.done / event.total:.0f} %" if event.total else ""
+        told = [event.doing, share, self._paces[event.stage].text, event.note]
+        self._print(f"{event.stage}: {', '.join(text for text in told if text)}")
+
+    def _end(self, stage: str, line: Text) -> None:
+        self._remove(stage)
+        self._ended.add(stage)
+        num_ended = self._count()
+        self._print(line + Text(f"; {num_ended} of {len(self._stages)} stages finished" if stage in self._stages else ""))
+
+    def _remove(self, stage: str) -> None:
+        if stage in self._tasks:
+            self._progress.remove_task(self._tasks.pop(stage))
+
+
+def terminal_display() -> ProgressDisplay:
+    """A display on standard error: standard output is for what a command gives."""
+    return ProgressDisplay(Console(stderr=True))

@@ -1,0 +1,1 @@
+"""The main job: sources, plan, dealing, what is predicted and promised."""

@@ -1,0 +1,195 @@
+"""Predicted against measured times of a finished run: rows for metrics.json and the report, bars for the Gantt chart.
+
+Measured: a device's `train_s` of its summary, and what its process needed beside it as initialising (start, reading, first Gaussians,
+writing; with `--frames gps` and `known` its own structure from motion too); an edge's process; sending only where it was emulated.
+Once per run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.events import UPLINK
+from radiant_app.files.run_folder import Manifest
+from radiant_app.files.system_file import dump_system, even_system, load_system
+from radiant_core.io.run_store import read_json, write_atomic
+from radiant_core.plan.plans import EdgePlan
+from radiant_core.plan.prediction import (
+    PlannedStage,
+    StageError,
+    corrected_system,
+    curve_shape,
+    makespan_error,
+    planned_stages,
+    stage_errors,
+)
+from radiant_core.plan.system import Device, System
+
+MAX_NAMES = 6
+"""How many machines a sentence names."""
+SYSTEM_NAME = "system.toml"
+"""The system a run or plan was planned for, edges placed: in a run's folder."""
+
+
+def save_system(run: Path, system: System) -> None:
+    """Keep the system that the plan is for, so that its times can be compared and replanned."""
+    write_atomic(run / SYSTEM_NAME, dump_system(system).encode())
+
+
+def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan]) -> dict[str, Any]:
+    """What metrics.json says: every stage that was predicted and measured, the makespan, how correcting on the way would have done."""
+    system = load_system(run / SYSTEM_NAME)
+    planned = planned_stages(system, edge_plans)
+    measured = measured_seconds(run, manifest)
+    errors = stage_errors(planned, measured)
+    whole = makespan_error(errors, edge_plans)
+    return {
+        "curves": curves_note(system),
+        "emulated": bool(manifest.emulated),
+        "stages": [_row(error) for error in errors],
+        "makespan": None if whole is None else _row(whole),
+        "median_error_percent": _median_error(errors),
+        "online": _online(system, edge_plans, manifest, measured),
+    }
+
+
+def measured_seconds(run: Path, manifest: Manifest) -> dict[tuple[str, str], float]:
+    """(node, stage) → seconds of every device and edge that is known to have run."""
+    times = manifest.emulated or manifest.stages
+    found: dict[tuple[str, str], float] = {}
+    for node, span in times.items():
+        kind = node.split("/")[0]
+        seconds = span["ended_s"] - span["started_s"]
+        if kind not in ("devices", "edges") or node.count("/") != 1 or seconds <= 0:
+            continue
+        if (sending := times.get(node + UPLINK)) is not None:
+            found[node, "send"] = sending["ended_s"] - sending["started_s"]
+            seconds -= found[node, "send"]
+        if kind == "edges":
+            found[node, "aggregate"] = seconds
+        elif (summary := run / node / "summary.json").is_file():
+            train_s = min(seconds, float(read_json(summary, ("train_s",))["train_s"]))
+            found[node, "initialise"], found[node, "train"] = seconds - train_s, train_s
+    return found
+
+
+def curves_note(system: System) -> str:
+    """What the predictions rest on: a sentence for each kind of curves."""
+    standard = even_system(1, 1)
+    shape = curve_shape((standard.devices[0].init_s, standard.devices[0].train_s))
+    groups: dict[str, list[str]] = {"default": [], "own": []}
+    for machine in (*system.devices, *system.edges):
+        is_default = (
+            curve_shape((machine.init_s, machine.train_s)) == shape
+            if isinstance(machine, Device)
+            else machine.aggregate_s == standard.edges[0].aggregate_s
+        )
+        groups.setdefault(machine.origin or ("default" if is_default else "own"), []).append(machine.id)
+    sentences: list[str] = []
+    for origin, names in groups.items():
+        if not names:
+            continue
+        whose = "all machines" if len(names) == len(system.devices) + len(system.edges) else _listed(names)
+        kind, _, name = origin.partition(" ")
+        known = {
+            "default": "are a system file's defaults: guesses, not measured on this machine (`radiant profile` measures it)",
+            "own": "are those of the system file; that they were measured on this machine and for this training is for it to say",
+            "measured": f"were measured, profile {name}",
+            "estimate": f"are estimates, never measured, profile {name}",
+        }
+        sentences.append(f"The curves of {whose} {known[kind]}.")
+    return " ".join(sentences)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= MAX_NAMES else f"{', '.join(names[:MAX_NAMES])} and {len(names) - MAX_NAMES} more"
+
+
+def gantt_rows(system: System, edge_plans: Sequence[EdgePlan], run: Path | None = None, manifest: Manifest | None = None) -> list[Any]:
+    """Rows of `gantt_picture`: edges above their devices; measured bars where a run is given, from when its first device began."""
+    from radiant_viewer.charts.charts import TimelineSpan
+    from radiant_viewer.charts.gantt_chart import GanttRow
+
+    planned = planned_stages(system, edge_plans)
+    planned_of: dict[str, list[PlannedStage]] = {}
+    for row in planned:
+        planned_of.setdefault(row.node, []).append(row)
+    bars: dict[str, tuple[Any, ...]] = {}
+    if run is not None and manifest is not None:
+        bars = _measured_bars(run, manifest)
+    rows: list[Any] = []
+    for plan in edge_plans:
+        for node in (f"edges/{plan.edge_id}", *(f"devices/{name}" for name in plan.device_ids)):
+            own = tuple(TimelineSpan(stage=row.stage, start_s=row.start_s, stop_s=row.stop_s) for row in planned_of.get(node, ()))
+            if own or node in bars:
+                rows.append(GanttRow(name=node, predicted=own, measured=bars.get(node, ()), strong=node.startswith("edges/")))
+    if "cloud" in bars:
+        rows.insert(0, GanttRow(name="cloud", measured=bars["cloud"], strong=True))
+    return rows
+
+
+def _measured_bars(run: Path, manifest: Manifest) -> dict[str, tuple[Any, ...]]:
+    from radiant_viewer.charts.charts import TimelineSpan
+
+    measured = measured_seconds(run, manifest)
+    times: Mapping[str, Mapping[str, float]] = {**manifest.stages, **manifest.emulated}
+    began_s = min((times[node]["started_s"] for node, _ in measured if node.startswith("devices/")), default=0.0)
+    bars: dict[str, tuple[Any, ...]] = {}
+    for node in dict.fromkeys(node for node, _ in measured):
+        at_s = max(0.0, times[node]["started_s"] - began_s)
+        spans: list[Any] = []
+        for stage in ("initialise", "train", "aggregate", "send"):
+            if (seconds := measured.get((node, stage))) is not None:
+                spans.append(TimelineSpan(stage=stage, start_s=at_s, stop_s=at_s + seconds))
+                at_s += seconds
+        bars[node] = tuple(spans)
+    if bars and (cloud := manifest.stages.get("cloud")) is not None and cloud["ended_s"] > cloud["started_s"] >= began_s:
+        bars["cloud"] = (TimelineSpan(stage="merge", start_s=cloud["started_s"] - began_s, stop_s=cloud["ended_s"] - began_s),)
+    return bars
+
+
+def _online(
+    system: System, edge_plans: Sequence[EdgePlan], manifest: Manifest, measured: Mapping[tuple[str, str], float]
+) -> list[dict[str, Any]]:
+    """After each machine but the last, in the order they finished: the error of what remained, as planned and as corrected by then."""
+    planned = planned_stages(system, edge_plans)
+    times = manifest.emulated or manifest.stages
+    order = sorted({row.node for row in planned if any(node == row.node for node, _ in measured)}, key=lambda node: times[node]["ended_s"])
+    rows: list[dict[str, Any]] = []
+    for position, node in enumerate(order[:-1]):
+        so_far = {key: seconds for key, seconds in measured.items() if key[0] in order[: position + 1]}
+        corrected = planned_stages(corrected_system(system, planned, so_far), edge_plans)
+        rest = set(order[position + 1 :])
+        before, after = (_node_errors(stages, measured, rest) for stages in (planned, corrected))
+        rows.append({"after": node, "remaining": len(rest), "planned_percent": before, "corrected_percent": after})
+    return rows
+
+
+def _node_errors(stages: Sequence[PlannedStage], measured: Mapping[tuple[str, str], float], nodes: set[str]) -> float:
+    """Median |error| in % of the whole times of nodes."""
+    errors = [row for row in stage_errors(stages, measured) if row.node in nodes]
+    totals = [
+        StageError(
+            node=node,
+            stage="all",
+            num_cameras=0,
+            predicted_s=sum(row.predicted_s for row in errors if row.node == node),
+            measured_s=sum(row.measured_s for row in errors if row.node == node),
+        )
+        for node in sorted(nodes)
+    ]
+    return _median_error(totals) or 0.0
+
+
+def _median_error(errors: Sequence[StageError]) -> float | None:
+    known = [abs(error.error_percent) for error in errors if error.error_percent is not None]
+    return float(np.median(known)) if known else None
+
+
+def _row(error: StageError) -> dict[str, Any]:
+    return {**asdict(error), "error_percent": error.error_percent}

@@ -1,0 +1,57 @@
+"""Which promises a run keeps, by who held the photographs and where its nodes ran. Once per run, for the report and metrics.json.
+
+A process of this machine reads only below its node's folder (traced in tests/app/test_field.py), but all run under one user. In a Ray
+cluster any task may run on any machine, list all of them and read what its user may read there: it is one owner's trust.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from radiant_app.run.config import RunConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Promise:
+    """One sentence about what is protected from whom, whether it holds in this run, and why."""
+
+    promise: str
+    holds: bool
+    reason: str
+
+
+def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
+    """The promises of a run with these settings, as metrics.json keeps them; `pooled`: the photographs lay with one owner before."""
+    in_cluster = config.executor == "ray"
+    together = f"the photographs were pooled with one owner ({'--frames shared' if config.frames == 'shared' else 'one folder for all'})"
+    cluster = "a Ray cluster is one owner's trust: every task there can list its machines and read their files"
+    opens = Promise(
+        promise="No stage of an edge or of the cloud opens a photograph of a device.",
+        holds=True,
+        reason="a node's process is given its own folder alone; edges and the cloud are dealt models and cameras"
+        + (", and through Ray go commands, events and hashes, no file" if in_cluster else ""),
+    )
+    own = Promise(
+        promise="A device's photographs are readable on that device alone.",
+        holds=not pooled and not in_cluster,
+        reason=cluster if in_cluster else together if pooled else "every device reads its own folder, by a process of its own",
+    )
+    cloud = Promise(promise="The cloud can learn no device's id, count or pose.", **_of_the_cloud(config, cluster if in_cluster else None))
+    whole = Promise(
+        promise="What is used is what was written: every file of a finished node has the hash in its seal.",
+        holds=True,
+        reason="seals are checked by the process that folds the tree, whatever ran the node",
+    )
+    return [asdict(promise) for promise in (opens, own, cloud, whole)]
+
+
+def _of_the_cloud(config: RunConfig, cluster: str | None) -> dict[str, Any]:
+    if cluster is not None:
+        return {"holds": False, "reason": cluster}
+    if config.frames == "shared":
+        return {"holds": False, "reason": "who plans has all poses (--frames shared)"}
+    if config.cell_m is None:
+        return {"holds": False, "reason": "who plans has all positions (--raster-cell-m 0)"}
+    given = "it is dealt models and virtual cameras of edges, with pictures, and borders; where it plans, counts in cells, a curve per edge"
+    return {"holds": True, "reason": given}

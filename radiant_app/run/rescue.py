@@ -1,0 +1,100 @@
+"""What becomes of the photographs of a device that is gone, where one owner has all: devices that have not begun get them.
+
+A device that has begun keeps exactly what it has, so that nothing is trained twice; the rest is `replan`. The new plan replaces
+plan.json and lies in replanned/ with the key of the plan it was made from: a resumed run makes that plan again and goes on from the new
+one. Where nobody is left to take the photographs, the edge goes on without them and the report says so. Runs once per lost device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from radiant_app.events import Decided, Listener, Warned
+from radiant_app.run.dealing import Dealer
+from radiant_core.aggregate.tree import Tree
+from radiant_core.decisions import Decision
+from radiant_core.io.records import load_plan, save_plan
+from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.replan import ReplanInfeasible, Situation, replan
+
+FOLDER, RECORD = "replanned", "made_from.json"
+
+
+@dataclass(kw_only=True)
+class Rescue:
+    """Deals a lost device's photographs to devices of the tree that have not begun."""
+
+    dealer: Dealer
+    positions: FloatArray
+    """(C,2) m of the plan's photographs."""
+    tree: Tree
+    first_plan_key: str
+    """`plan_key` of the plan that this run makes by itself."""
+    listen: Listener
+
+    def __call__(self, lost: Tree, begun: Collection[str]) -> None:
+        """A node is given up while those in `begun` run or are done; ids of nodes."""
+        if lost.tier != "device":
+            return
+        dealer, positions = self.dealer, self.positions
+        waiting = {node.name for node in self.tree if node.tier == "device" and node.id not in {*begun, lost.id}}
+        at_work = {device.id for device in dealer.system.devices} - waiting - {lost.name}
+        fixed = np.zeros(len(positions), bool)
+        for plan in dealer.edge_plans:
+            for device in at_work & set(plan.device_ids):
+                fixed[plan.cameras_of(device)] = True
+        count = sum(len(plan.cameras_of(lost.name)) for plan in dealer.edge_plans if lost.name in plan.device_ids)
+        message = f"{count} photographs of {lost.name} are in no model: every other device has begun or is full; --resume tries it again"
+        if waiting and count:
+            situation = Situation(dead=frozenset({lost.name}), closed=frozenset(at_work))
+            new = replan(dealer.cloud_plan, dealer.edge_plans, positions, dealer.system, situation, captured=fixed)
+            if not isinstance(new, ReplanInfeasible) and all(_has_cameras(new.edges, device) for device in waiting):
+                self._keep(new.cloud, new.edges)
+                takers = sorted({new.system.devices[index].id for index in new.device_after[new.moved].tolist()})
+                self.listen(Decided(decision=_decision(lost.name, count, takers)))
+                message = f"{count} photographs of {lost.name} go to {', '.join(takers)}, which had not begun"
+        self.listen(Warned(stage=lost.id, message=message))
+
+    def _keep(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
+        folder = self.dealer.run / FOLDER
+        folder.mkdir(exist_ok=True)
+        save_plan(folder / "plan.json", cloud, edges)
+        write_json(folder / RECORD, {"first_plan": self.first_plan_key})
+        save_plan(self.dealer.run / "plan.json", cloud, edges)
+        self.dealer.take_plan(cloud, edges)
+
+
+def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
+    """Hash of a plan."""
+    return content_key(cloud, list(edges))
+
+
+def replanned(run: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """The plan that an earlier try of this run came to from this one, and this one where it came to none."""
+    record = run / FOLDER / RECORD
+    if not record.is_file() or read_json(record, ("first_plan",))["first_plan"] != plan_key(cloud, edges):
+        return cloud, edges
+    cloud, edges = load_plan(run / FOLDER / "plan.json")
+    save_plan(run / "plan.json", cloud, edges)
+    return cloud, edges
+
+
+def _has_cameras(edges: Sequence[EdgePlan], device: str) -> bool:
+    return any(len(plan.cameras_of(device)) for plan in edges if device in plan.device_ids)
+
+
+def _decision(lost: str, count: int, takers: Sequence[str]) -> Decision:
+    return Decision(
+        stage="plan",
+        topic="lost device",
+        choice=f"{count} photographs of {lost} go to {', '.join(takers)}",
+        figure=float(count),
+        unit="photographs",
+        reason="these devices had not begun; the least makespan, then the fewest moves",
+    )

@@ -1,0 +1,125 @@
+"""The key of a scene made by structure from motion: what of its source is used, by content. Once per run and resumed run.
+
+    sfm/source.json     file by name: size in bytes, time of change in ns, SHA-256
+
+A file whose size and time are those of the record keeps its hash; any other is read again. So a note beside the photographs, a copy without
+times or a `touch` changes nothing, and where something did change it is said before what was made from it is made anew.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from radiant_app.events import Listener, Warned
+from radiant_app.run.config import RunConfig
+from radiant_app.run.sources import all_files, detect_source
+from radiant_core import __version__
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.colmap import image_names, model_files
+from radiant_core.io.colmap_records import is_image_name
+from radiant_core.io.masks import find_masks
+from radiant_core.io.photos import SUFFIXES
+from radiant_core.io.run_store import SEAL_NAME, content_key, file_sha256, is_sealed, read_json, seal, write_json
+
+RECORD_NAME = "source.json"
+NUM_READERS = 4
+MAX_NAMED = 5
+"""Files named in one warning."""
+UNREADABLE = ""
+"""In place of a hash: structure from motion itself says what it cannot read."""
+Files = dict[str, list[Any]]
+"""As source.json has them: name → size, time of change, SHA-256."""
+
+
+def source_key(config: RunConfig, sfm: Mapping[str, Any], folder: Path, listen: Listener) -> str:
+    """The key of structure from motion with settings `sfm` in `folder`; tells why what is finished there does not fit any more."""
+    known = _recorded(folder)
+    files = _described(used_files(config.source, config.masks), known or {})
+    key = content_key(__version__, sfm, {name: digest for name, (_, _, digest) in files.items()}, config.masks is None)
+    if (folder / SEAL_NAME).is_file():
+        reason = _why_not(config, sfm, folder, key) if known is None else _change(known, files)
+        if reason is not None:
+            listen(Warned(stage="sfm", message=f"{reason}: structure from motion and what is made from it are done again."))
+    if files != known:
+        write_json(folder / RECORD_NAME, files)
+    return key
+
+
+def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
+    """The files that structure from motion uses, by names that say what they are; of a COLMAP project its model, and the images in that."""
+    kind, images, model = detect_source(source)
+    if kind == "mill19":
+        poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
+        posed = {(path.parts[-3], path.stem) for path in poses}
+        pictures = [path for path in sorted(source.glob("*/rgbs/*")) if path.suffix.lower() in SUFFIXES]
+        names = [path.relative_to(source).as_posix() for path in pictures if (path.parts[-3], path.stem) in posed]
+        others = [source / "coordinates.pt", *poses]
+    elif model is not None:
+        names, others = list(image_names(model)), model_files(model)
+    else:
+        names, others = sorted(path.name for path in images.iterdir() if path.suffix.lower() in SUFFIXES), []
+    names = [name for name in names if is_image_name(name)]
+    found = {name: images / name for name in names} | {str(path.relative_to(source)): path for path in others}
+    if masks is not None:
+        # Where none fits, structure from motion says so.
+        with suppress(BadInput):
+            found |= {f"mask of {name}": path for name, path in find_masks(masks, names).items()}
+    return {os.fsencode(name).decode(errors="backslashreplace"): path for name, path in found.items() if path.is_file()}
+
+
+def _recorded(folder: Path) -> Files | None:
+    """What source.json says; None where there is none, or one that somebody damaged."""
+    try:
+        record = read_json(folder / RECORD_NAME)
+    except StoreDamaged:
+        return None
+    whole = isinstance(record, dict) and all(isinstance(row, list) and len(row) == 3 for row in record.values())
+    return record if whole else None
+
+
+def _described(paths: Mapping[str, Path], known: Files) -> Files:
+    """Size, time and hash of each file; the hash that is known where size and time are."""
+
+    def described(name: str) -> list[Any]:
+        status = paths[name].stat()
+        size_and_time = [status.st_size, status.st_mtime_ns]
+        if name in known and known[name][:2] == size_and_time:
+            return known[name]
+        try:
+            return [*size_and_time, file_sha256(paths[name])]
+        except StoreDamaged:
+            return [*size_and_time, UNREADABLE]
+
+    with ThreadPoolExecutor(NUM_READERS) as pool:
+        return dict(zip(paths, pool.map(described, paths), strict=True))
+
+
+def _change(known: Files, files: Files) -> str | None:
+    """Which photographs changed, in words; None where none did."""
+    changes = {
+        "new": [name for name in files if name not in known],
+        "gone": [name for name in known if name not in files],
+        "with other content": [name for name, row in files.items() if name in known and known[name][2] != row[2]],
+    }
+    told = [f"{len(names)} {how} ({_named(names)})" for how, names in changes.items() if names]
+    return f"photographs changed: {', '.join(told)}" if told else None
+
+
+def _named(names: Sequence[str]) -> str:
+    return ", ".join(names[:MAX_NAMED]) + (" …" if len(names) > MAX_NAMED else "")
+
+
+def _why_not(config: RunConfig, sfm: Mapping[str, Any], folder: Path, key: str) -> str | None:
+    """Of a scene that an older version made, which looked at names and times of all files there: why it cannot be kept. None where it
+    can, which is then sealed by its new key."""
+    masked = [] if config.masks is None else [all_files(config.masks.resolve(), config.out)]
+    old_key = content_key(__version__, sfm, all_files(config.source, config.out), *masked)
+    if is_sealed(folder, old_key):
+        seal(folder, key, list(read_json(folder / SEAL_NAME)["files"]))
+        return None
+    return f"an older version made this scene, and since then it or a file in {config.source} changed, were it only in its time"

@@ -1,0 +1,218 @@
+"""What every way of running shares: who listens, the plan, the settings of training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from radiant_app.events import Decided, Event, Listener, StageSkipped, Warned
+from radiant_app.executors.emulated import EmulatedExecutor
+from radiant_app.executors.fold import Faults
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import Executor
+from radiant_app.files.run_folder import Manifest
+from radiant_app.run.cloud_planning import placed_by_raster, plan_at_cloud
+from radiant_app.run.config import RunConfig
+from radiant_app.run.prediction_error import save_system
+from radiant_app.run.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
+from radiant_app.run.time_left import TimeLeftListener
+from radiant_app.workers.nodes import read_notes
+from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.tree import Tree
+from radiant_core.decisions import Decision
+from radiant_core.errors import BadInput
+from radiant_core.frames import enu_from_geodetic
+from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
+from radiant_core.io.upload import BYTES_FACTORS, UploadFormat
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.captured import plan_of_captured, require_same_system
+from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.system import System
+from radiant_core.plan.waypoints import Waypoints
+from radiant_core.render.contract import resolve_backend
+from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.needs import fit_to_backend
+
+ATTEMPTS = 3
+"""How often a node is tried whose process was killed or whose machine is gone: more often it is not chance."""
+REFERENCE_RETRAIN_STEPS = 100
+"""Limit of an edge's retraining on the plain PyTorch backend."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Who listens and which clock runs; passed through the stages."""
+
+    manifest: Manifest
+    listener: Listener
+    clock: Callable[[], float]
+    started_s: float
+
+    def listen(self, event: Event) -> None:
+        """Record an event and pass it on."""
+        self.manifest.note(event, self.clock() - self.started_s)
+        self.listener(event)
+        if isinstance(event, StageSkipped):
+            for noted in read_notes(self.manifest.folder / event.stage, event.stage):
+                self.listen(noted)
+
+
+def nodes_of(system: System) -> tuple[str, ...]:
+    """Ids of the nodes that a run on the system has before anybody knows who gets nothing to do."""
+    return (*(f"devices/{device.id}" for device in system.devices), *(f"edges/{edge.id}" for edge in system.edges), "cloud")
+
+
+def counted(tree: Tree) -> tuple[str, ...]:
+    """Ids of the nodes that count as stages of a run: a teacher is a part of its edge."""
+    return tuple(node.id for node in tree if node.tier != "teacher")
+
+
+def plan_stage(
+    config: RunConfig, system: System, positions: FloatArray, origin: FloatArray | None, progress: Progress
+) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
+    """Plan positions (C,2) m about `origin` (3,) lat lon alt, if they are on the globe; writes plan.json. BadInput when nothing fits."""
+    system = placed_by_raster(system, positions, origin, config.cell_m, config.seed)
+    if config.plan is not None:
+        # What is captured stays where it is, however little memory there is.
+        cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan, origin), positions, system=system)
+        warnings = ()
+    else:
+        train = planned_training(config.train_preset, config.overrides)
+        system, decision, warnings = with_camera_limits(system, train, len(positions), BYTES_FACTORS[config.upload])
+        if decision is not None:
+            progress.listen(Decided(decision=decision))
+        cloud_plan, edge_plans = _planned(config, system, positions, progress)
+    save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress, warnings))
+    save_system(config.out, system)
+    return system, cloud_plan, edge_plans
+
+
+def _planned(config: RunConfig, system: System, positions: FloatArray, progress: Progress) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    if config.cell_m is not None:
+        regions = plan_at_cloud(config, config.cell_m, system, positions, (progress.listen, progress.clock))
+        return regions, split_edges(positions, regions, system)
+    cloud_plan = plan_regions(positions, system, method=config.plan_method)
+    if isinstance(cloud_plan, PlanInfeasible):
+        raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system} and add --resume.")
+    return cloud_plan, split_edges(positions, cloud_plan, system)
+
+
+def tell_warnings(
+    config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress, more: tuple[str, ...] = ()
+) -> tuple[str, ...]:
+    """What the times of a plan are to be taken with, and `more`, told and returned."""
+    train = planned_training(config.train_preset, config.overrides)
+    training = training_key_of(train, config.train_preset, config.aggregate_preset)
+    warnings = (*more, *prediction_warnings(system, edge_plans, training))
+    for message in warnings:
+        progress.listen(Warned(stage="plan", message=message))
+    return warnings
+
+
+def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple[EdgePlan, ...], FloatArray]:
+    """A plan made before capture and its waypoints (P,2), in metres about `origin` (3,) lat lon alt.
+
+    Raises BadInput for a plan without waypoints, and where the photographs are not placed on the globe.
+    """
+    cloud_plan, edge_plans, waypoints = made_before(path)
+    if origin is None:
+        raise BadInput(f"{path} is on the globe and the photographs have no GPS frame: leave out --plan, or give photographs with GPS.")
+    # Over a site, two local frames differ by a shift: their axes turn by 1e-4 per kilometre.
+    shift = enu_from_geodetic(waypoints.origin[None], origin)[0, :2]
+    moved = replace(cloud_plan, sites=cloud_plan.sites + shift, borders=tuple(border + shift for border in cloud_plan.borders))
+    edges = tuple(replace(plan, strips=tuple(strip + shift for strip in plan.strips)) for plan in edge_plans)
+    return moved, edges, enu_from_geodetic(waypoints.lat_lon_alt, origin)[:, :2]
+
+
+def require_plan(path: Path, system: System) -> None:
+    """Raise BadInput for a plan without waypoints or for another system; asked before anything runs, since all else waits for the plan."""
+    _, edge_plans, _ = made_before(path)
+    require_same_system(edge_plans, system)
+
+
+def made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints]:
+    """A plan that was made before capture, with its waypoints; BadInput for one without."""
+    cloud_plan, edge_plans = load_plan(path)
+    waypoints = load_plan_waypoints(path)
+    if waypoints is None:
+        raise BadInput(f"{path} has no waypoints: make it by `radiant plan` from waypoints or from a folder of photographs with GPS.")
+    return cloud_plan, edge_plans, waypoints
+
+
+def executor_of(config: RunConfig, system: System, progress: Progress, faults: Faults) -> Executor:
+    """Who runs the nodes: this machine as it is, or as slow as the system says."""
+    if config.emulated and config.teachers == "early":
+        decision = Decision(
+            stage="plan",
+            topic="teachers",
+            choice="rendered after the last device arrived",
+            figure=float(len(system.edges)),
+            unit="edges",
+            reason="an emulated edge renders them itself, at its own speed",
+        )
+        progress.listen(Decided(decision=decision))
+    faults = replace(faults, attempts=ATTEMPTS)
+    if config.address is not None:
+        from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
+
+        return RayExecutor(address=config.address, log=config.out / LOG_NAME, clock=progress.clock, faults=faults)
+    local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, faults=faults)
+    return EmulatedExecutor(system=system, local=local) if config.emulated else local
+
+
+def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> TimeLeftListener:
+    """`progress.listen` that also says after each device and edge how long the others will take."""
+    return TimeLeftListener(
+        listen=progress.listen,
+        system=system,
+        edge_plans=edge_plans,
+        num_workers=config.num_workers,
+        emulated=config.emulated,
+        clock=progress.clock,
+        deadline_factor=config.deadline_factor,
+    )
+
+
+def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> System:
+    """The system as the plan has to see it: a model's bytes are those of its upload."""
+    factor = BYTES_FACTORS[upload]
+    if factor == 1:
+        return system
+    decision = Decision(
+        stage="plan",
+        topic="uploads",
+        choice=f"{upload}: models count {factor:.2f} times their bytes",
+        figure=100 * factor,
+        unit="% of the bytes of float32",
+        reason="the plan's sizes are those of float32 models, uploads take less",
+    )
+    progress.listen(Decided(decision=decision))
+    return system.with_uploads_of(factor)
+
+
+def training_settings(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, str]:
+    """How devices train, how edges join, and the backend of this machine."""
+    backend = resolve_backend("auto")
+    preset = replace(train_preset(config.train_preset), seed=config.seed)
+    train, decisions = fit_to_backend(preset, backend, config.overrides)
+    aggregate = aggregate_preset(config.aggregate_preset)
+    if backend == "reference" and train.reduce_on_cpu:
+        aggregate = replace(aggregate, max_num_steps=REFERENCE_RETRAIN_STEPS)
+        decisions = (*decisions, _retrain_decision())
+    for decision in decisions:
+        progress.listen(Decided(decision=decision))
+    return train, aggregate, backend
+
+
+def _retrain_decision() -> Decision:
+    return Decision(
+        stage="edges",
+        topic="retraining",
+        choice=f"at most {REFERENCE_RETRAIN_STEPS} steps",
+        figure=float(REFERENCE_RETRAIN_STEPS),
+        unit="steps",
+        reason="all epochs would take most of the run on the plain PyTorch backend",
+    )

@@ -1,0 +1,1 @@
+"""What the process of a node computes in its folder, and what it tells."""

@@ -1,0 +1,84 @@
+"""A worker process: runs one node in its folder. Started by an executor as `python -m radiant_app.workers.worker KIND FOLDER STAGE KEY`.
+
+Standard output carries events, one per line; everything else goes to the node's log.txt. Standard input is a pipe that the executor
+holds open: when it closes, the executor is gone and so is the worker, however that one ended.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
+from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory, peak_bytes
+from radiant_app.workers.own_names import own_names
+from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
+from radiant_core.io.run_store import seal
+
+BEAT_S = 5.0
+"""How often a worker says that it is alive."""
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+"""What the system says where a disk is full or broken."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run one node and seal its folder; the exit code says whether it is done."""
+    kind, folder, stage, key = arguments
+    if stat.S_ISFIFO(os.fstat(0).st_mode):
+        threading.Thread(target=_end_with_the_executor, daemon=True).start()
+    # Libraries print to file descriptor 1 too (C++ logs): events keep the real one, everybody else gets the log.
+    events = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+
+    writing = threading.Lock()
+
+    def emit(event: Event) -> None:
+        with writing:
+            events.write(encode(event) + "\n")
+
+    def fail(exit_code: int, message: str, *, cannot_write: bool = False) -> int:
+        failed = Failed(stage=stage, message=message, exit_code=exit_code, cannot_write=cannot_write)
+        emit(own_names(kind, Path(folder)).without_in(failed))
+        return exit_code
+
+    threading.Thread(target=_beat, args=(stage, emit), daemon=True).start()
+    try:
+        from radiant_app.workers.nodes import run_node
+        from radiant_app.workers.task_schema import require_task
+
+        require_task(kind, Path(folder))
+        outputs = run_node(kind, Path(folder), stage, emit)
+        emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
+        seal(Path(folder), key, outputs)
+    except RadiantError as error:
+        return fail(error.exit_code, str(error), cannot_write=isinstance(error, CannotWrite))
+    except OSError as error:
+        message = f"{error.strerror or error} ({error.filename or folder})"
+        return fail(BadInput.exit_code, message, cannot_write=error.errno in DISK_ERRORS)
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        return fail(StageFailed.exit_code, OUT_OF_MEMORY)
+    return 0
+
+
+def _beat(stage: str, emit: Callable[[Event], None]) -> None:
+    while True:
+        time.sleep(BEAT_S)
+        emit(Beat(stage=stage))
+
+
+def _end_with_the_executor() -> None:
+    while os.read(0, 1):
+        pass
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,109 @@
+"""The cameras of a run as a Qt table model: sortable by every column, figures as numbers, and as CSV. Needs the `desktop` extra."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from PySide6.QtCore import QAbstractTableModel, QModelIndex, QPersistentModelIndex, Qt
+
+from radiant_core.io.csv_cells import cell_of_text
+from radiant_core.io.run_store import write_atomic
+from radiant_viewer.runs.run_figures import FIGURES, ImageFigures
+from radiant_viewer.runs.run_view import RunView
+
+SORT_ROLE = Qt.ItemDataRole.UserRole
+"""Role that gives the value to sort by instead of its text."""
+Index = QModelIndex | QPersistentModelIndex
+
+
+class CameraTable(QAbstractTableModel):
+    """One row per camera in the scene's order, then one per held-out photograph whose camera stayed with its device: name, region, device,
+    use, PSNR, the other figures that were measured, position, and the file where a number stands for it."""
+
+    def __init__(self, run: RunView, figures: ImageFigures | None = None) -> None:
+        super().__init__()
+        unit = run.unit
+        more = [figure for figure in FIGURES[1:] if any(figure.key in row for row in (figures or {}).values())]
+        self.headings = (
+            "Photograph",
+            "Region",
+            "Device",
+            "Use",
+            "PSNR (dB)",
+            *(figure.heading for figure in more),
+            f"East ({unit})",
+            f"North ({unit})",
+            f"Up ({unit})",
+            *(["File"] if run.files else []),
+        )
+        self._keys, self._figures = [figure.key for figure in more], figures or {}
+        self.rows = _rows(run, self._keys, self._figures)
+
+    def take_run(self, run: RunView) -> None:
+        """The same cameras with another plan."""
+        self.rows = _rows(run, self._keys, self._figures)
+        self.dataChanged.emit(self.index(0, 0), self.index(len(self.rows) - 1, len(self.headings) - 1))
+
+    def rowCount(self, parent: Index = QModelIndex()) -> int:  # noqa: B008 (Qt's own signature)
+        """Number of cameras."""
+        return 0 if parent.isValid() else len(self.rows)
+
+    def columnCount(self, parent: Index = QModelIndex()) -> int:  # noqa: B008 (Qt's own signature)
+        """Number of columns."""
+        return 0 if parent.isValid() else len(self.headings)
+
+    def headerData(self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+        """Headings with their units; plain numbers down the side."""
+        if role != Qt.ItemDataRole.DisplayRole:
+            return None
+        return self.headings[section] if orientation == Qt.Orientation.Horizontal else section + 1
+
+    def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+        """Text to show, value to sort by, or alignment."""
+        value = self.rows[index.row()][index.column()]
+        if role == SORT_ROLE:
+            # A camera without a figure stands below every figure.
+            return float("-inf") if value is None else value
+        if role == Qt.ItemDataRole.TextAlignmentRole and not isinstance(value, str):
+            return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        if role != Qt.ItemDataRole.DisplayRole:
+            return None
+        if value is None or isinstance(value, str):
+            return value or ""
+        return f"{value:.3f}" if self.headings[index.column()] in ("SSIM", "FLIP", "LPIPS") else f"{value:.2f}".replace("-", "−")
+
+    def save_csv(self, path: Path, order: Sequence[int]) -> None:
+        """Write the rows `order` (indices of cameras) as CSV with all digits; BadInput when it cannot be written."""
+        text = io.StringIO(newline="")
+        writer = csv.writer(text)
+        writer.writerow(self.headings)
+        writer.writerows([_written(cell) for cell in self.rows[index]] for index in order)
+        write_atomic(path, text.getvalue().encode())
+
+
+def _written(cell: str | float | None) -> str | float:
+    return "" if cell is None else cell_of_text(cell) if isinstance(cell, str) else cell
+
+
+def _rows(run: RunView, more: Sequence[str], figures: ImageFigures) -> list[tuple[str | float | None, ...]]:
+    psnr_db, rows = run.psnr_db or {}, []
+    centers: list[tuple[float | None, ...]] = [tuple(map(float, center)) for center in run.scene.cameras.centers]
+    for index, (name, center) in enumerate(zip(run.photographs, centers + [(None,) * 3] * len(run.unplaced), strict=True)):
+        measured = (psnr_db.get(name), *(figures.get(name, {}).get(key) for key in more))
+        file = [run.files.get(name, "")] if run.files else []
+        rows.append((name, *_who(run, index), *measured, *center, *file))
+    return rows
+
+
+def _who(run: RunView, index: int) -> tuple[str, str, str]:
+    """Region, device and use of a photograph."""
+    roles, device = run.roles, run.owner(index)
+    if index < len(run.scene.cameras):
+        region = (*roles.edge_ids, "")[roles.edge_of_camera[index]]
+        return region, device, "held out" if roles.held_out[index] else "training"
+    edge = int(roles.edge_of_device[roles.device_ids.index(device)]) if device else -1
+    return (*roles.edge_ids, "")[edge], device, "held out"

@@ -1,0 +1,193 @@
+"""The crop box: hides what lies outside it in both views and in the splat view, and exports what is inside. `desktop` extra.
+
+Clouds are cut by clipping planes of the graphics card, so that dragging the box costs no copy of the points.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PySide6.QtWidgets import QCheckBox, QDockWidget, QDoubleSpinBox, QFileDialog, QGridLayout, QLabel, QPushButton, QWidget
+from vtkmodules.vtkCommonDataModel import vtkPlane
+from vtkmodules.vtkRenderingCore import vtkActor
+
+from radiant_core.errors import BadInput
+from radiant_core.io.ply import save_ply
+from radiant_core.numerics import FloatArray
+from radiant_core.splats import Splats
+from radiant_viewer.layers.layer import CLOUD_SIZE, drawn_positions
+from radiant_viewer.splats.splat_worker import inside_box
+from radiant_viewer.window.canvas import Canvas
+
+if TYPE_CHECKING:
+    from radiant_viewer.window.window import InspectorWindow
+
+SIDES = (("West", "East"), ("South", "North"), ("Low", "High"))
+SHARE = 0.5
+"""The first box holds so much of the scene's extent to each side."""
+
+
+class CropDock(QDockWidget):
+    """`box` (2,3) is its lower and upper corner in the world; it hides only while its box is ticked."""
+
+    def __init__(self, window: InspectorWindow, splats: Splats | None, unit: str) -> None:
+        super().__init__("Crop", window)
+        self.setObjectName("crop")
+        self._window, self._splats = window, splats
+        drawn = drawn_positions(window.layers)
+        self._extent = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
+        self.active = QCheckBox("Hide what lies outside the box")
+        self.active.setToolTip("Show and cut by the box; drag its handles in the 3D view, or type its sides (B)")
+        self.active.toggled.connect(self._on_toggled)
+        self._fields: list[list[QDoubleSpinBox]] = []
+        body = QWidget()
+        grid = QGridLayout(body)
+        grid.addWidget(self.active, 0, 0, 1, 4)
+        for row, names in enumerate(SIDES):
+            fields = [self._field(f"{name} side of the box ({unit})") for name in names]
+            self._fields.append(fields)
+            for column, (name, field) in enumerate(zip(names, fields, strict=True)):
+                grid.addWidget(QLabel(f"{name} ({unit})"), row + 1, 2 * column)
+                grid.addWidget(field, row + 1, 2 * column + 1)
+        self.count = QLabel("")
+        self.count.setProperty("soft", "true")
+        self.reset = QPushButton("Reset")
+        self.reset.clicked.connect(lambda: self.set_box(self._first_box()))
+        self.export = QPushButton("Export PLY…")
+        self.export.setToolTip("Save the Gaussians inside the box as a 3DGS PLY")
+        self.export.setEnabled(splats is not None)
+        self.export.clicked.connect(self._ask_export)
+        grid.addWidget(self.count, 1, 4)
+        grid.addWidget(self.reset, 2, 4)
+        grid.addWidget(self.export, 3, 4)
+        grid.setColumnStretch(5, 1)
+        grid.setRowStretch(4, 1)
+        self.setWidget(body)
+        self._widget_box: FloatArray | None = None
+        self.set_box(self._first_box())
+
+    @property
+    def box(self) -> FloatArray:
+        """Lower and upper corner (2,3)."""
+        return np.array([[field.value() for field in pair] for pair in self._fields]).T
+
+    @property
+    def active_box(self) -> FloatArray | None:
+        """The box where it hides something, else None."""
+        return self.box if self.active.isChecked() else None
+
+    def set_box(self, box: FloatArray) -> None:
+        """Move the box; corners are put in order."""
+        ordered = np.sort(np.asarray(box, np.float64), axis=0)
+        for pair, sides in zip(self._fields, ordered.T, strict=True):
+            for field, value in zip(pair, sides, strict=True):
+                field.blockSignals(True)
+                field.setValue(float(value))
+                field.blockSignals(False)
+        self._apply()
+
+    def apply_to(self, canvas: Canvas) -> None:
+        """Cut the clouds that a canvas draws now."""
+        planes = self._planes(canvas) if self.active.isChecked() else []
+        for layer in self._window.layers:
+            if len(layer.points) < CLOUD_SIZE or layer.point_rim:
+                continue
+            # Labels have no place in space that could be cut.
+            for actor in (actor for actor in canvas.actors.get(layer.name, []) if isinstance(actor, vtkActor)):
+                mapper = actor.GetMapper()
+                mapper.RemoveAllClippingPlanes()
+                for plane in planes:
+                    mapper.AddClippingPlane(plane)
+
+    def save_inside(self, path: Path) -> int:
+        """Write the Gaussians inside the box and return their number; BadInput where there are none, or it cannot be written."""
+        if self._splats is None:
+            raise BadInput("this run has no model yet: there is nothing to export.")
+        inside = np.flatnonzero(inside_box(self._splats.means, self.box.tolist()))
+        if not len(inside):
+            raise BadInput("the crop box holds no Gaussian: make it larger.")
+        save_ply(path, self._splats.select(inside))
+        self._window.tell(f"Saved {len(inside):,} Gaussians to {path}")
+        return len(inside)
+
+    def _first_box(self) -> FloatArray:
+        middle, half = self._extent.mean(axis=0), np.ptp(self._extent, axis=0) / 2
+        # All heights: a tower cut off by a box that nobody drew yet would look like a hole.
+        shares = np.array([SHARE, SHARE, 1.0])
+        return np.stack([middle - shares * half, middle + shares * half])
+
+    def _field(self, tip: str) -> QDoubleSpinBox:
+        field = QDoubleSpinBox()
+        reach = 10 * float(np.abs(self._extent).max() + 1)
+        field.setRange(-reach, reach)
+        field.setDecimals(3 if float(np.ptp(self._extent, axis=0).max()) < 20 else 2)
+        field.setSingleStep(max(0.01, float(np.ptp(self._extent, axis=0).max()) / 100))
+        field.setToolTip(tip)
+        field.valueChanged.connect(lambda _: self._apply())
+        return field
+
+    def _on_toggled(self, active: bool) -> None:
+        self._show_widget(active)
+        self._apply()
+
+    def _apply(self) -> None:
+        for canvas in (self._window.map, self._window.view):
+            self.apply_to(canvas)
+        if self.active.isChecked():
+            self._show_widget(True)
+        if self._splats is not None:
+            inside = int(inside_box(self._splats.means, self.box.tolist()).sum())
+            self.count.setText(f"{inside:,} of {len(self._splats):,} Gaussians inside")
+        self._window.render_views()
+
+    def _show_widget(self, active: bool) -> None:
+        plotter = self._window.view.plotter
+        box = self.box if active else None
+        before = self._widget_box
+        if (box is None and before is None) or (box is not None and before is not None and np.array_equal(box, before)):
+            return
+        plotter.clear_box_widgets()
+        self._widget_box = box
+        if box is not None:
+            bounds = (box - self._window.origin).T.ravel()
+            plotter.add_box_widget(
+                self._on_dragged,
+                bounds=bounds,
+                factor=1.0,
+                rotation_enabled=False,
+                color="orange",
+                outline_translation=True,
+                interaction_event="end",
+            )
+
+    def _on_dragged(self, shape: object) -> None:
+        bounds = np.array(shape.bounds).reshape(3, 2).T + self._window.origin  # type: ignore[attr-defined]
+        if self._widget_box is not None and not np.allclose(bounds, self._widget_box, atol=1e-3):
+            # The widget stands where it was dragged to: it must not be made anew under the pointer.
+            self._widget_box = bounds
+            for pair, sides in zip(self._fields, bounds.T, strict=True):
+                for field, value in zip(pair, sides, strict=True):
+                    field.blockSignals(True)
+                    field.setValue(float(value))
+                    field.blockSignals(False)
+            self._widget_box = self.box
+            self._apply()
+
+    def _planes(self, canvas: Canvas) -> list[vtkPlane]:
+        low, high = self.box - self._window.origin
+        planes = []
+        # On the map everything lies at the height of its layer.
+        for axis in range(2 if canvas.is_map else 3):
+            for corner, sign in ((low, 1.0), (high, -1.0)):
+                plane = vtkPlane()
+                plane.SetOrigin(*corner)
+                plane.SetNormal(*(sign * np.eye(3)[axis]))
+                planes.append(plane)
+        return planes
+
+    def _ask_export(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Export what is inside", str(Path.cwd() / "inside.ply"), "3DGS PLY (*.ply)")
+        if path:
+            self._window.attempt(lambda: self.save_inside(Path(path)))

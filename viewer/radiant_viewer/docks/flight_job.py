@@ -1,0 +1,157 @@
+"""A film that is being written frame by frame through Qt's event loop, and who draws its frames. Needs the `desktop` extra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import pyvista as pv
+from PySide6.QtCore import QObject, QTimer, Signal
+
+from radiant_core.errors import RadiantError
+from radiant_core.numerics import FloatArray
+from radiant_viewer.layers.drawing import add_layer
+from radiant_viewer.layers.layer import Layer
+from radiant_viewer.layers.themes import Theme, themed
+from radiant_viewer.pictures.images import Image
+from radiant_viewer.pictures.movie import MovieWriter
+from radiant_viewer.pictures.view_pose import ViewPose
+from radiant_viewer.splats.splat_process import Frame, SplatProcess
+
+Drawn = Callable[[Image], None]
+Failed = Callable[[str], None]
+
+
+class FrameSource(Protocol):
+    """Draws frames one at a time."""
+
+    def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
+        """Call `ready` as soon as `ask` may be called, `drawn` once per frame, `failed` with a sentence where it cannot go on."""
+        ...
+
+    def ask(self, pose: ViewPose) -> None:
+        """Draw one frame."""
+        ...
+
+    def end(self) -> None:
+        """Free what was taken."""
+        ...
+
+
+class SplatFrames:
+    """The model by our own renderer, in a process of its own."""
+
+    def __init__(self, parent: QObject, ply_path: Path, size_wh: tuple[int, int], theme: Theme, box: FloatArray | None) -> None:
+        self._parent, self._ply_path, self._size_wh, self._theme, self._box = parent, ply_path, size_wh, theme, box
+        self._process: SplatProcess | None = None
+
+    def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
+        """See `FrameSource`."""
+        self._process = SplatProcess(self._parent, "own", self._ply_path)
+        self._process.ready.connect(ready)
+        self._process.drawn.connect(lambda frame: drawn(_image(frame)))
+        self._process.failed.connect(failed)
+
+    def ask(self, pose: ViewPose) -> None:
+        """See `FrameSource`."""
+        assert self._process is not None
+        self._process.ask(0, pose.camera(self._size_wh), self._theme.view, self._box)
+
+    def end(self) -> None:
+        """See `FrameSource`."""
+        if self._process is not None:
+            self._process.end()
+
+
+class LayerFrames:
+    """Layers in 3D, drawn without a window."""
+
+    def __init__(self, layers: Sequence[Layer], size_wh: tuple[int, int], origin: FloatArray, theme: Theme) -> None:
+        self._origin = origin
+        self._plotter = pv.Plotter(off_screen=True, window_size=list(size_wh))
+        self._plotter.background_color = pv.Color(theme.view)
+        for layer in layers:
+            add_layer(self._plotter, themed(layer, theme), origin)
+        self._drawn: Drawn = lambda image: None
+
+    def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
+        """See `FrameSource`."""
+        self._drawn = drawn
+        QTimer.singleShot(0, ready)
+
+    def ask(self, pose: ViewPose) -> None:
+        """See `FrameSource`."""
+        camera = self._plotter.camera
+        camera.position, camera.focal_point = tuple(pose.position - self._origin), tuple(pose.focal_point - self._origin)
+        camera.up, camera.view_angle = tuple(pose.up), pose.angle_deg
+        self._plotter.renderer.reset_camera_clipping_range()
+        # A picture alone would be of the frame drawn last, which is the first one's for the whole flight.
+        self._plotter.render()
+        pixels = self._plotter.screenshot(return_img=True)
+        assert pixels is not None
+        image = np.asarray(pixels, np.uint8)
+        # Through the event loop, so that a long flight does not nest one call in another.
+        QTimer.singleShot(0, lambda: self._drawn(image))
+
+    def end(self) -> None:
+        """See `FrameSource`."""
+        self._drawn = lambda image: None
+        self._plotter.close()
+
+
+class FlightJob(QObject):
+    """Writes `poses` one after the other; `ended` comes once, with what was written or why nothing was."""
+
+    progressed = Signal(int)
+    ended = Signal(str)
+
+    def __init__(self, parent: QObject, poses: Sequence[ViewPose], writer: MovieWriter, frames: FrameSource) -> None:
+        super().__init__(parent)
+        self._poses, self._writer, self._frames = poses, writer, frames
+        self._next = 0
+        self._is_over = False
+
+    def begin(self) -> None:
+        """Ask for the first frame."""
+        self._frames.begin(self._ask, self._on_drawn, self._on_failed)
+
+    def give_up(self) -> None:
+        """Leave nothing of the film."""
+        self._on_failed("given up")
+
+    def _ask(self) -> None:
+        if not self._is_over:
+            self._frames.ask(self._poses[self._next])
+
+    def _on_drawn(self, image: Image) -> None:
+        if self._is_over:
+            return
+        try:
+            self._writer.add(image)
+            self._next += 1
+            self.progressed.emit(self._next)
+            if self._next < len(self._poses):
+                self._ask()
+                return
+            self._writer.finish()
+        except (RadiantError, OSError) as error:
+            self._on_failed(str(error))
+            return
+        self._over(f"Saved {self._next} frames to {self._writer.path}")
+
+    def _on_failed(self, reason: str) -> None:
+        if not self._is_over:
+            self._writer.discard()
+            self._over(f"No film was written: {reason}")
+
+    def _over(self, message: str) -> None:
+        self._is_over = True
+        self._frames.end()
+        self.ended.emit(message)
+
+
+def _image(frame: object) -> Image:
+    assert isinstance(frame, Frame)
+    return frame.image

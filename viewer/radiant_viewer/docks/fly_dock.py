@@ -1,0 +1,197 @@
+"""Keyframed flights: views are collected, played in the 3D view, and written as MP4, WebM or GIF. Needs the `desktop` extra.
+
+Frames come from our own splat renderer in a process of its own, or from the visible layers; one at a time through the event loop, so the
+window stays usable and a closed window leaves no half film behind.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QTimer
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDockWidget,
+    QDoubleSpinBox,
+    QFileDialog,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QListWidget,
+    QProgressBar,
+    QPushButton,
+    QWidget,
+)
+
+from radiant_viewer.docks.flight_job import FlightJob, FrameSource, LayerFrames, SplatFrames
+from radiant_viewer.pictures.fly_through import flight
+from radiant_viewer.pictures.movie import MovieWriter
+from radiant_viewer.pictures.view_pose import ViewPose
+
+if TYPE_CHECKING:
+    from radiant_viewer.window.window import InspectorWindow
+
+SIZES = {"640 × 360": (640, 360), "1280 × 720": (1280, 720), "1920 × 1080": (1920, 1080)}
+SPLATS, LAYERS = "Splats", "Layers as visible"
+
+
+class FlyDock(QDockWidget):
+    """`keyframes` are flown through in order; `job` is a film that is being written."""
+
+    def __init__(self, window: InspectorWindow) -> None:
+        super().__init__("Fly-through", window)
+        self.setObjectName("fly-through")
+        self._window = window
+        self.keyframes: list[ViewPose] = []
+        self.job: FlightJob | None = None
+        self.list = QListWidget()
+        self.list.setToolTip("Double click flies to a keyframe")
+        self.list.itemDoubleClicked.connect(lambda _: self._go_to_current())
+        self.seconds, self.rate = _spin(3.0, 0.1, 60, " s per leg"), _spin(24.0, 1, 60, " frames/s")
+        self.frame_size, self.source = QComboBox(), QComboBox()
+        self.frame_size.addItems(list(SIZES))
+        self.source.addItems([SPLATS, LAYERS] if window.docks.splats is not None else [LAYERS])
+        self.source.setToolTip("What the film shows: the model by our own renderer, or the layers that are visible now")
+        self.add, self.remove, self.play = QPushButton("Add view"), QPushButton("Remove"), QPushButton("Play")
+        self.add.setToolTip("Add the 3D view as the next keyframe (K)")
+        self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
+        self.export.setToolTip("Write the flight as .webm (for browsers), .mp4 (not for browsers) or .gif")
+        self.bar = QProgressBar()
+        self.note = QLabel("Move the 3D view and add two or more keyframes.")
+        self.note.setProperty("soft", "true")
+        self.add.clicked.connect(self.add_view)
+        self.remove.clicked.connect(self._remove_current)
+        self.play.clicked.connect(self.play_or_stop)
+        self.export.clicked.connect(self._ask_export)
+        self.cancel.clicked.connect(self.stop)
+        self._lay_out()
+        self._playing: list[ViewPose] = []
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(self._show_next)
+        self._update()
+
+    def add_view(self) -> None:
+        """Take the 3D view as it stands as the last keyframe."""
+        self.add_keyframe(self._window.view.pose)
+
+    def add_keyframe(self, pose: ViewPose) -> None:
+        """Fly through a pose last."""
+        self.keyframes.append(pose)
+        x, y, z = pose.position
+        self.list.addItem(f"{len(self.keyframes)}:  east {x:.1f}, north {y:.1f}, up {z:.1f}")
+        self._update()
+
+    def poses(self) -> list[ViewPose]:
+        """All frames of the flight; BadInput for fewer than two keyframes."""
+        return flight(self.keyframes, self.seconds.value(), self.rate.value())
+
+    def play_or_stop(self) -> None:
+        """Fly through the keyframes in the 3D view, or stop that."""
+        if self._timer.isActive():
+            self._timer.stop()
+            self.play.setText("Play")
+            return
+        self._window.attempt(self._play)
+
+    def write(self, path: Path, *, source: str | None = None, size_wh: tuple[int, int] | None = None) -> None:
+        """Begin to write the flight; BadInput when it cannot be. `job.ended` tells how it went."""
+        size = size_wh or SIZES[self.frame_size.currentText()]
+        poses = self.poses()
+        writer = MovieWriter(path, size, self.rate.value())
+        dock = self._window.docks.splats
+        if (source or self.source.currentText()) == SPLATS and dock is not None:
+            frames: FrameSource = SplatFrames(self, dock.ply_path, size, self._window.theme, self._window.crop_box)
+        else:
+            frames = LayerFrames(self._window.visible_layers(), size, self._window.origin, self._window.theme)
+        self.job = FlightJob(self, poses, writer, frames)
+        self.job.progressed.connect(self.bar.setValue)
+        self.job.ended.connect(self._on_ended)
+        self.bar.setRange(0, len(poses))
+        self._update()
+        self.note.setText(f"Writing {len(poses)} frames to {path.name} …")
+        self.job.begin()
+
+    def stop(self) -> None:
+        """Give up a film that is being written, and leave nothing of it; stop playing."""
+        self._timer.stop()
+        if self.job is not None:
+            self.job.give_up()
+
+    def _on_ended(self, message: str) -> None:
+        self.job = None
+        self._update()
+        self.note.setText(message)
+        self._window.tell(message)
+
+    def _play(self) -> None:
+        self._playing = self.poses()
+        self.play.setText("Stop")
+        self._timer.start(round(1000 / self.rate.value()))
+
+    def _show_next(self) -> None:
+        if not self._playing:
+            self.play_or_stop()
+            return
+        self._window.view.set_pose(self._playing.pop(0))
+        self._window.view.render()
+
+    def _go_to_current(self) -> None:
+        if 0 <= (row := self.list.currentRow()) < len(self.keyframes):
+            self._window.view.set_pose(self.keyframes[row])
+            self._window.render_views()
+
+    def _remove_current(self) -> None:
+        row = self.list.currentRow() if self.list.currentRow() >= 0 else len(self.keyframes) - 1
+        if row >= 0:
+            self.keyframes.pop(row)
+            self.list.takeItem(row)
+            self._update()
+
+    def _update(self) -> None:
+        flies = len(self.keyframes) > 1
+        if flies and self.job is None:
+            length_s = (len(self.keyframes) - 1) * self.seconds.value()
+            self.note.setText(f"{len(self.keyframes)} keyframes, {length_s:.1f} s")
+        self.play.setEnabled(flies)
+        self.export.setEnabled(flies and self.job is None)
+        self.remove.setEnabled(bool(self.keyframes))
+        for widget in (self.bar, self.cancel):
+            widget.setVisible(self.job is not None)
+
+    def _ask_export(self) -> None:
+        kinds = "WebM for browsers and players (*.webm);;MP4 for desktop players, not for browsers (*.mp4);;GIF (*.gif)"
+        path, _ = QFileDialog.getSaveFileName(self, "Export flight", str(Path.cwd() / "flight.webm"), kinds)
+        if path:
+            self._window.attempt(lambda: self.write(Path(path)))
+
+    def _lay_out(self) -> None:
+        body = QWidget()
+        grid = QGridLayout(body)
+        grid.setContentsMargins(4, 2, 4, 4)
+        grid.addWidget(self.list, 0, 0, 4, 1)
+        for row, widgets in enumerate(
+            ((self.add, self.remove, self.play), (self.seconds, self.rate, self.frame_size), (self.source, self.export))
+        ):
+            line = QHBoxLayout()
+            for widget in widgets:
+                line.addWidget(widget)
+            line.addStretch(1)
+            grid.addLayout(line, row, 1)
+        last = QHBoxLayout()
+        last.addWidget(self.note, stretch=1)
+        last.addWidget(self.bar)
+        last.addWidget(self.cancel)
+        grid.addLayout(last, 3, 1)
+        grid.setColumnStretch(0, 1)
+        grid.setColumnStretch(1, 2)
+        self.setWidget(body)
+
+
+def _spin(value: float, low: float, high: float, suffix: str) -> QDoubleSpinBox:
+    field = QDoubleSpinBox()
+    field.setRange(low, high)
+    field.setDecimals(1)
+    field.setValue(value)
+    field.setSuffix(suffix)
+    return field

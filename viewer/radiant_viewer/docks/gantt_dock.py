@@ -1,0 +1,75 @@
+"""The Gantt chart of the plan and, after a run, of what happened, as the report draws it. Needs the `desktop` extra."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QResizeEvent, QShowEvent
+from PySide6.QtWidgets import QDockWidget, QLabel, QScrollArea
+
+from radiant_core.errors import RadiantError
+from radiant_viewer.charts.gantt_chart import gantt_picture
+from radiant_viewer.layers.themes import ThemeName
+from radiant_viewer.pictures.images import Image
+from radiant_viewer.runs.run_feeds import RunFeeds
+from radiant_viewer.window.picture_label import pixmap_of
+
+if TYPE_CHECKING:
+    from radiant_viewer.window.window import InspectorWindow
+
+MIN_WIDTH_PX = 900
+
+
+class GanttDock(QDockWidget):
+    """Draws when it is first seen, and when its width changes."""
+
+    def __init__(self, window: InspectorWindow, feeds: RunFeeds) -> None:
+        super().__init__("Timeline", window)
+        self.setObjectName("timeline")
+        self._window, self._feeds = window, feeds
+        self.image: Image | None = None
+        self._drawn: tuple[int, ThemeName] | None = None
+        self.label = QLabel("")
+        self.label.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
+        area = QScrollArea()
+        area.setWidgetResizable(True)
+        area.setWidget(self.label)
+        self.setWidget(area)
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Qt calls it when the tab is opened."""
+        super().showEvent(event)
+        self._draw()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Qt calls it when the window is resized."""
+        super().resizeEvent(event)
+        if self.isVisible():
+            self._draw()
+
+    def follow_theme(self) -> None:
+        """Draw in the window's colours."""
+        if self.isVisible():
+            self._draw()
+
+    def reload(self) -> None:
+        """Read plan and times anew."""
+        self._drawn = None
+        if self.isVisible():
+            self._draw()
+
+    def _draw(self) -> None:
+        width_px, theme = max(MIN_WIDTH_PX, self.width() - 24), self._window.theme
+        if self._drawn == (width_px, theme.name):
+            return
+        self._drawn = (width_px, theme.name)
+        try:
+            rows = self._feeds.gantt_rows()
+            if not rows:
+                self.label.setText("This run keeps no timeline: it was planned without a system, or by an older version.")
+                return
+            self.image = gantt_picture(rows, "", self._feeds.gantt_detail(), width_px, theme)
+            self.label.setPixmap(pixmap_of(self.image))
+        except RadiantError as error:
+            self.label.setText(str(error))

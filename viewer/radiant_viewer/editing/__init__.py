@@ -1,0 +1,1 @@
+"""Plans under change: edits, files and the tools of the map."""

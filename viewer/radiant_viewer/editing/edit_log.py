@@ -1,0 +1,135 @@
+"""The edits of a plan as a file beside it: written before an edit is solved, so that closing a window in the middle loses nothing.
+
+    {"schema": "radiant.edits", "version": 1, "base": key of the plan they were made on, "done": [edit…], "undone": [edit…]}
+
+A plan is a function of its edits, so the edits are kept and not the plans. A file that is broken or was made on another plan is set
+aside under another name, never overwritten. Written once per edit, some milliseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.io.array_file import naming
+from radiant_core.io.records import plan_of_record, plan_record
+from radiant_core.io.run_store import content_key, read_json, write_json
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_viewer.editing.plan_edits import EDITS, AdoptPlan, Edit
+
+SCHEMA, VERSION = "radiant.edits", 1
+MAX_LOG_BYTES = 512 * 2**20
+"""As a plan, which an edit may hold."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KeptEdits:
+    """Edits in the order they were made, and those that were undone, the next to redo last."""
+
+    done: tuple[Edit, ...] = ()
+    undone: tuple[Edit, ...] = ()
+
+
+def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
+    """The same for the same plan of the same machines, whatever file it lies in."""
+    return content_key(cloud, tuple(edges))
+
+
+def save_edits(path: Path, base: str, kept: KeptEdits) -> None:
+    """Write the edits whole or not at all; BadInput where the folder cannot be written."""
+    record = {"done": [edit_record(edit) for edit in kept.done], "undone": [edit_record(edit) for edit in kept.undone]}
+    write_json(path, {"schema": SCHEMA, "version": VERSION, "base": base, **record})
+
+
+def load_edits(path: Path, base: str) -> tuple[KeptEdits, str]:
+    """The edits kept for the plan with this key, and one sentence where there were some that cannot be used, which are set aside."""
+    if not path.exists():
+        return KeptEdits(), ""
+    try:
+        with naming(path):
+            record = read_json(path, ("schema", "version", "base", "done", "undone"), MAX_LOG_BYTES)
+            if (record["schema"], record["version"]) != (SCHEMA, VERSION):
+                raise BadInput(f"it is {record['schema']!r} {record['version']!r}, expected {SCHEMA!r} {VERSION}.")
+            if record["base"] == base:
+                return KeptEdits(done=_edits(record["done"]), undone=_edits(record["undone"])), ""
+            reason = "were made on another plan"
+    except (BadInput, StoreDamaged):
+        reason = "cannot be read"
+    aside = move_aside(path)
+    return KeptEdits(), f"The edits in {path.name} {reason}: they are kept as {aside.name}, this plan is shown as it was made."
+
+
+def edit_record(edit: Edit) -> dict[str, Any]:
+    """An edit as JSON's values, with its kind."""
+    if isinstance(edit, AdoptPlan):
+        return {"edit": "AdoptPlan", "name": edit.name, **plan_record(edit.cloud, edit.edges)}
+    return {"edit": type(edit).__name__, **asdict(edit)}
+
+
+def edit_of_record(record: Any) -> Edit:
+    """The edit that `edit_record` wrote; BadInput for anything else."""
+    kinds = {kind.__name__: kind for kind in EDITS}
+    if not isinstance(record, Mapping) or record.get("edit") not in kinds:
+        raise BadInput(f"{record!r:.80} is no edit of a plan: expected one of {', '.join(kinds)}.")
+    if record["edit"] == "AdoptPlan":
+        cloud, edges = plan_of_record(record)
+        return AdoptPlan(name=_text(record["name"]), cloud=cloud, edges=edges)
+    kind = kinds[record["edit"]]
+    names = {field.name for field in fields(kind)}
+    if set(record) != {"edit", *names}:
+        raise BadInput(f"an edit {record['edit']} has {sorted(record)}, expected {sorted(names)}.")
+    return kind(**{name: _value(name, record[name]) for name in names})
+
+
+def _edits(records: Any) -> tuple[Edit, ...]:
+    if not isinstance(records, list):
+        raise BadInput("the edits are no list.")
+    return tuple(edit_of_record(record) for record in records)
+
+
+def _value(name: str, value: Any) -> Any:
+    if name == "cameras":
+        return tuple(_text(item) for item in value)
+    if name == "position":
+        x, y = (_number(item) for item in value)
+        return (x, y)
+    if name == "weight_m2":
+        return _number(value)
+    if name == "slack":
+        return None if value is None else _number(value)
+    return None if name == "edge" and value is None else _text(value)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise BadInput(f"{value!r:.40} came, expected a name.")
+    return value
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise BadInput(f"{value!r:.40} came, expected a finite number.")
+    return float(value)
+
+
+def name_aside(path: Path) -> Path:
+    """A name beside `path` that nothing has yet."""
+    number = 1
+    while (aside := path.with_name(f"{path.stem}_{number}{path.suffix}")).exists():
+        number += 1
+    return aside
+
+
+def move_aside(path: Path) -> Path:
+    """Give a file another name, which is returned; BadInput where that cannot be."""
+    aside = name_aside(path)
+    try:
+        path.rename(aside)
+    except OSError as error:
+        raise BadInput(f"{path} cannot be set aside ({error.strerror}): move it away, then open the plan again.") from error
+    return aside

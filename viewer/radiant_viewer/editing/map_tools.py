@@ -1,0 +1,225 @@
+"""What the mouse does on the map while a plan is edited. Needs the `desktop` extra.
+
+    drag an edge's square              the edge moves
+    drag a border                      the rim of the region it is grabbed from moves; it keeps what lies inside, the rest is dealt anew
+    Shift and drag                     selects the cameras inside the box; with Ctrl as well, adds them
+    Escape while dragging              gives the drag up
+
+Everything else goes on to the view, which pans and zooms. Hit tests are pure functions of places on the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QSize, Qt
+from PySide6.QtGui import QKeyEvent, QMouseEvent
+from PySide6.QtWidgets import QRubberBand
+
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.borders import Border, shared_borders
+from radiant_core.plan.constraints import PlanConstraints
+from radiant_core.plan.plans import CloudPlan
+from radiant_viewer.editing.edited_plan import dragged_weight_m2
+from radiant_viewer.editing.plan_edits import Edit, FixWeight, MoveEdge
+
+if TYPE_CHECKING:
+    from radiant_viewer.editing.planning import Planning
+
+EDGE_PX, BORDER_PX = 12, 7
+"""How near a press must be to an edge or a border."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EdgeGrip:
+    """An edge that was grabbed `offset` (2,) from its site."""
+
+    edge: str
+    offset: FloatArray
+
+    def edit(self, place: FloatArray, _: CloudPlan) -> Edit:
+        """What a drag to `place` (2,) means."""
+        x, y = (place + self.offset).tolist()
+        return MoveEdge(edge=self.edge, position=(x, y))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BorderGrip:
+    """The rim of a region that was grabbed at `place` (2,), with the unit vector (2,) out of it and the region behind it."""
+
+    edge: str
+    other: str
+    place: FloatArray
+    outward: FloatArray
+
+    def edit(self, place: FloatArray, cloud: CloudPlan) -> Edit:
+        """What a drag to `place` (2,) means for the plan that was there at the press."""
+        distance = float((place - self.place) @ self.outward)
+        return FixWeight(edge=self.edge, weight_m2=dragged_weight_m2(cloud, self.edge, self.other, distance))
+
+
+def grip_at(
+    place: FloatArray, cloud: CloudPlan, constraints: PlanConstraints, borders: tuple[Border, ...], meters_per_px: float
+) -> EdgeGrip | BorderGrip | None:
+    """What lies under a press at `place` (2,): an edge, else a border, else nothing. A locked region's border is its neighbour's rim."""
+    away = np.linalg.norm(cloud.sites - place, axis=1)
+    nearest = int(away.argmin())
+    if away[nearest] <= EDGE_PX * meters_per_px:
+        return EdgeGrip(edge=cloud.edge_ids[nearest], offset=cloud.sites[nearest] - place)
+    distances = [float(border.distances_m(place[None])[0]) for border in borders]
+    if not distances or min(distances) > BORDER_PX * meters_per_px:
+        return None
+    border = borders[int(np.argmin(distances))]
+    is_in_first = bool((place - border.ends[0]) @ border.toward_first >= 0)
+    first, second = cloud.edge_ids[border.first], cloud.edge_ids[border.second]
+    # A region whose border was dragged before goes on being the dragged one, whichever side is grabbed.
+    dragged = [name in constraints.fixed_weights_m2 for name in (first, second)]
+    if dragged[0] != dragged[1]:
+        is_in_first = dragged[0]
+    if (first if is_in_first else second) in constraints.locked:
+        is_in_first = not is_in_first
+    edge, other = (first, second) if is_in_first else (second, first)
+    outward = -border.toward_first if is_in_first else border.toward_first
+    return BorderGrip(edge=edge, other=other, place=place, outward=outward)
+
+
+class MapTools(QObject):
+    """Watches the mouse over the map's view while `is_active`."""
+
+    def __init__(self, planning: Planning) -> None:
+        super().__init__(planning.window)
+        self._planning = planning
+        self._canvas = planning.window.map
+        self._widget = self._canvas.plotter
+        self.is_active = False
+        self._grip: EdgeGrip | BorderGrip | None = None
+        self._pressed_on: CloudPlan | None = None
+        self._box_from: QPoint | None = None
+        self._band = QRubberBand(QRubberBand.Shape.Rectangle, self._widget)
+        self._last_place: FloatArray | None = None
+        self._borders: tuple[CloudPlan, tuple[Border, ...]] | None = None
+        self._widget.setMouseTracking(True)
+        self._widget.installEventFilter(self)
+
+    @property
+    def is_dragging(self) -> bool:
+        """Whether an edge or a border is held."""
+        return self._grip is not None
+
+    def set_active(self, active: bool) -> None:
+        """Take the mouse, or leave it to the view."""
+        self.is_active = active
+        self._let_go()
+        self._widget.unsetCursor()
+
+    def close(self) -> None:
+        """Stop watching: the view is about to go."""
+        self.is_active = False
+        self._widget.removeEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Qt asks before the view sees an event; True keeps it from the view."""
+        if not self.is_active or watched is not self._widget:
+            return False
+        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() == Qt.Key.Key_Escape and self._grip:
+            self._let_go()
+            self._planning.drop_preview()
+            return True
+        if not isinstance(event, QMouseEvent):
+            return False
+        if event.type() == QEvent.Type.MouseButtonPress and event.button() == Qt.MouseButton.LeftButton:
+            return self._on_press(event)
+        if event.type() == QEvent.Type.MouseMove:
+            return self._on_move(event)
+        if event.type() == QEvent.Type.MouseButtonRelease and event.button() == Qt.MouseButton.LeftButton:
+            return self._on_release(event)
+        return False
+
+    def end_drag(self) -> Edit | None:
+        """Let go, and return the edit that the drag so far means, None where nothing was held."""
+        grip, cloud, place = self._grip, self._pressed_on, self._last_place
+        self._let_go()
+        if grip is None or cloud is None or place is None:
+            return None
+        return grip.edit(place, cloud)
+
+    def _on_press(self, event: QMouseEvent) -> bool:
+        if event.modifiers() & Qt.KeyboardModifier.ShiftModifier:
+            self._box_from = event.position().toPoint()
+            self._band.setGeometry(QRect(self._box_from, QSize()))
+            self._band.show()
+            return True
+        session = self._planning.session
+        grip = None if session is None else self._grip_under(event.position())
+        if session is None or grip is None:
+            return False
+        if session.is_busy:
+            self._planning.window.tell("The plan is being solved: wait a moment.")
+            return True
+        self._widget.setFocus()
+        self._grip, self._pressed_on = grip, session.editor.state.cloud
+        self._last_place = None
+        return True
+
+    def _on_move(self, event: QMouseEvent) -> bool:
+        if self._box_from is not None:
+            self._band.setGeometry(QRect(self._box_from, event.position().toPoint()).normalized())
+            return True
+        if self._grip is not None and self._pressed_on is not None:
+            self._last_place = self._place(event.position())
+            self._planning.drag_to(self._grip.edit(self._last_place, self._pressed_on))
+            return True
+        if not event.buttons():
+            self._show_cursor(event.position())
+        return False
+
+    def _on_release(self, event: QMouseEvent) -> bool:
+        if self._box_from is not None:
+            box = QRect(self._box_from, event.position().toPoint()).normalized()
+            self._let_go()
+            corners = np.stack([self._place(QPointF(box.topLeft())), self._place(QPointF(box.bottomRight()))])
+            adds = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
+            self._planning.select_box(corners.min(axis=0), corners.max(axis=0), add=adds)
+            return True
+        if self._grip is None:
+            return False
+        if self._last_place is not None:
+            self._last_place = self._place(event.position())
+        edit = self.end_drag()
+        if edit is not None:
+            self._planning.do(edit)
+        return True
+
+    def _let_go(self) -> None:
+        self._grip = self._pressed_on = self._box_from = None
+        self._band.hide()
+
+    def _show_cursor(self, position: QPointF) -> None:
+        grip = self._grip_under(position)
+        if grip is None:
+            self._widget.unsetCursor()
+        elif isinstance(grip, EdgeGrip):
+            self._widget.setCursor(Qt.CursorShape.SizeAllCursor)
+        else:
+            across = abs(grip.outward[0]) > abs(grip.outward[1])
+            self._widget.setCursor(Qt.CursorShape.SplitHCursor if across else Qt.CursorShape.SplitVCursor)
+
+    def _grip_under(self, position: QPointF) -> EdgeGrip | BorderGrip | None:
+        session = self._planning.session
+        if session is None:
+            return None
+        state = session.editor.state
+        if self._borders is None or self._borders[0] is not state.cloud:
+            self._borders = (state.cloud, shared_borders(state.cloud))
+        per_px = 2 * self._canvas.plotter.camera.parallel_scale / max(self._widget.height(), 1)
+        return grip_at(self._place(position), state.cloud, state.wishes.constraints, self._borders[1], per_px)
+
+    def _place(self, position: QPointF) -> FloatArray:
+        """The place (2,) of the world under a position of the widget, whatever the screen's pixels are."""
+        width, height = max(self._widget.width(), 1), max(self._widget.height(), 1)
+        camera = self._canvas.plotter.camera
+        per_px = 2 * camera.parallel_scale / height
+        offset = np.array([position.x() - width / 2, height / 2 - position.y()]) * per_px
+        return np.array(camera.focal_point[:2]) + offset + self._canvas.origin[:2]

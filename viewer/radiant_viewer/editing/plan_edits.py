@@ -1,0 +1,336 @@
+"""Edits of a plan: what somebody may change on a map, each a small record that says the new wishes; `plan_regions` does the rest.
+
+    FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d, the others are dealt anew
+    LockRegion  the edge keeps the cameras it has; FreeRegion takes lock and fixed weight back
+    PinCameras  cameras belong to one edge whatever the planner thinks; without an edge they are free again
+    MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll, AdoptPlan
+
+Locks and fixed weights refer to the plan as it was when they were made (`PlanWishes.reference`). Every edit gives a whole new plan or
+raises BadInput with one sentence; nothing is changed in place. Regions once per edit and per frame of a drag, strips once per edit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.constraints import PlanConstraints
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.system import Edge, System
+from radiant_viewer.editing.edited_plan import (
+    EditedPlan,
+    PlanSubject,
+    PlanWishes,
+    first_state,
+    planned_regions,
+    with_closed_edge,
+    with_strips,
+    without_edge,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixWeight:
+    """A border was dragged: the edge owns exactly its cell with this weight, m², in the plan as it was."""
+
+    edge: str
+    weight_m2: float
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"drag the border of {self.edge}"
+
+    def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
+        """See the module."""
+        _require_edge(before.wishes.system, self.edge)
+        old = before.wishes.constraints
+        if self.edge in old.locked:
+            raise BadInput(f"the region of {self.edge!r} is locked: free it before its border is dragged.")
+        fixed = {**old.fixed_weights_m2, self.edge: self.weight_m2}
+        return replace(before.wishes, constraints=replace(old, fixed_weights_m2=fixed), reference=before.cloud)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LockRegion:
+    """The edge keeps the cameras that it has now, and gets no others."""
+
+    edge: str
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"lock the region of {self.edge}"
+
+    def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
+        """See the module."""
+        _require_edge(before.wishes.system, self.edge)
+        old = before.wishes.constraints
+        if self.edge in old.locked:
+            raise BadInput(f"the region of {self.edge!r} is locked already.")
+        fixed = {name: weight for name, weight in old.fixed_weights_m2.items() if name != self.edge}
+        constraints = replace(old, locked=(*old.locked, self.edge), fixed_weights_m2=fixed)
+        return replace(before.wishes, constraints=constraints, reference=before.cloud)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeRegion:
+    """Lock and dragged borders of the edge are taken back."""
+
+    edge: str
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"free the region of {self.edge}"
+
+    def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
+        """See the module."""
+        _require_edge(before.wishes.system, self.edge)
+        old = before.wishes.constraints
+        if self.edge not in old.locked and self.edge not in old.fixed_weights_m2:
+            raise BadInput(f"the region of {self.edge!r} is free already: nothing of it is locked or was dragged.")
+        return replace(before.wishes, constraints=_without(old, self.edge, pins=False))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PinCameras:
+    """These cameras belong to the edge; without an edge their pins are taken out."""
+
+    cameras: tuple[str, ...]
+    edge: str | None
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        what = self.cameras[0] if len(self.cameras) == 1 else f"{len(self.cameras)} cameras"
+        return f"unpin {what}" if self.edge is None else f"pin {what} to {self.edge}"
+
+    def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
+        """See the module."""
+        if not self.cameras:
+            raise BadInput("no camera is selected: select those to pin in the table or on the map.")
+        index_of = {name: index for index, name in enumerate(subject.names)}
+        unknown = [name for name in self.cameras if name not in index_of]
+        if unknown:
+            raise BadInput(f"{unknown[0]!r} is none of the {len(index_of)} planned cameras: held-out photographs belong to no region.")
+        old = before.wishes.constraints
+        chosen = {index_of[name] for name in self.cameras}
+        pinned = {camera: edge for camera, edge in old.pinned.items() if camera not in chosen}
+        if self.edge is None and len(pinned) == len(old.pinned):
+            raise BadInput("none of the selected cameras is pinned.")
+        if self.edge is not None:
+            _require_edge(before.wishes.system, self.edge)
+            pinned |= dict.fromkeys(sorted(chosen), self.edge)
+        return replace(before.wishes, constraints=replace(old, pinned=pinned))
+
+
+@dataclass(frozen=True, kw_only=True)
+class MoveEdge:
+    """The edge stands at x east, y north."""
+
+    edge: str
+    position: tuple[float, float]
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"move edge {self.edge}"
+
+    def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
+        """See the module."""
+        _require_edge(before.wishes.system, self.edge)
+        position = (float(self.position[0]), float(self.position[1]))
+        return _with_edges(before.wishes, lambda edge: replace(edge, position=position, lat_lon_deg=None) if edge.id == self.edge else edge)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddEdge:
+    """A new edge with machines like those of an edge that is there, named after it: <edge>-1, <edge>-2, …"""
+
+    edge: str
+    position: tuple[float, float]
+    like: str
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"add edge {self.edge}"
+
+    def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
+        """See the module."""
+        system = before.wishes.system
+        like = _require_edge(system, self.like)
+        if any(edge.id == self.edge for edge in system.edges):
+            raise BadInput(f"there is an edge {self.edge!r} already: ids name folders, choose another.")
+        devices = tuple(replace(device, id=f"{self.edge}-{number}") for number, device in enumerate(like.devices, 1))
+        position = (float(self.position[0]), float(self.position[1]))
+        new = replace(like, id=self.edge, position=position, lat_lon_deg=None, devices=devices)
+        reference = with_closed_edge(before.wishes.reference, subject, self.edge, np.array(position))
+        return replace(before.wishes, system=replace(system, edges=(*system.edges, new)), reference=reference)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemoveEdge:
+    """The edge and its devices go, with what was fixed, locked or pinned there."""
+
+    edge: str
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"remove edge {self.edge}"
+
+    def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
+        """See the module."""
+        system = before.wishes.system
+        _require_edge(system, self.edge)
+        if len(system.edges) == 1:
+            raise BadInput(f"{self.edge!r} is the only edge: add another before it is removed.")
+        constraints = _without(before.wishes.constraints, self.edge, pins=True)
+        return replace(
+            before.wishes,
+            system=replace(system, edges=tuple(edge for edge in system.edges if edge.id != self.edge)),
+            constraints=constraints,
+            reference=without_edge(before.wishes.reference, subject, self.edge, constraints.locked),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddDevice:
+    """A new device at the edge, as fast and as large as one that is there."""
+
+    edge: str
+    device: str
+    like: str
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"add device {self.device} at {self.edge}"
+
+    def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
+        """See the module."""
+        system = before.wishes.system
+        if not _require_edge(system, self.edge).devices:
+            raise BadInput(f"edge {self.edge!r} is known by its curve alone: its devices are its own matter.")
+        like = [device for device in system.devices if device.id == self.like]
+        if not like:
+            raise BadInput(f"there is no device {self.like!r} to take the new one after: there are {_some(d.id for d in system.devices)}.")
+        new = replace(like[0], id=self.device)
+        return _with_edges(before.wishes, lambda edge: replace(edge, devices=(*edge.devices, new)) if edge.id == self.edge else edge)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemoveDevice:
+    """The device goes; its cameras are dealt to the others."""
+
+    device: str
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"remove device {self.device}"
+
+    def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
+        """See the module."""
+        owner = [edge for edge in before.wishes.system.edges if any(device.id == self.device for device in edge.devices)]
+        if not owner:
+            raise BadInput(f"there is no device {self.device!r}: there are {_some(d.id for d in before.wishes.system.devices)}.")
+        if len(owner[0].devices) == 1:
+            raise BadInput(f"{self.device!r} is the only device of edge {owner[0].id!r}: remove the edge instead.")
+
+        def left(edge: Edge) -> Edge:
+            return replace(edge, devices=tuple(device for device in edge.devices if device.id != self.device))
+
+        return _with_edges(before.wishes, left)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetSlack:
+    """The makespan may be this many times the shortest where that shortens ways; None: as short as it can be."""
+
+    slack: float | None
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return "take the slack back" if self.slack is None else f"allow a slack of {self.slack:g}"
+
+    def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
+        """See the module."""
+        return replace(before.wishes, slack=self.slack)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReleaseAll:
+    """Nothing is fixed, locked, pinned or slack any more: the best plan of the system."""
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return "free everything"
+
+    def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
+        """See the module."""
+        return replace(before.wishes, constraints=PlanConstraints(), slack=None)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AdoptPlan:
+    """A whole plan of the same cameras and machines takes the place of this one, as it is; what was fixed, locked or pinned is gone."""
+
+    name: str
+    cloud: CloudPlan
+    edges: tuple[EdgePlan, ...]
+
+    @property
+    def text(self) -> str:
+        """For the menu."""
+        return f"load {self.name}"
+
+
+SOLVED = (FixWeight, LockRegion, FreeRegion, PinCameras, MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll)
+Solved = (
+    FixWeight | LockRegion | FreeRegion | PinCameras | MoveEdge | AddEdge | RemoveEdge | AddDevice | RemoveDevice | SetSlack | ReleaseAll
+)
+"""Edits that call for new regions."""
+Edit = Solved | AdoptPlan
+EDITS: tuple[type[Any], ...] = (*SOLVED, AdoptPlan)
+
+
+def applied(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: bool = True) -> EditedPlan:
+    """The plan after an edit, without strips while a drag goes on; BadInput with one sentence where it cannot be."""
+    if isinstance(edit, AdoptPlan):
+        return first_state(subject, before.wishes.system, edit.cloud, edit.edges)
+    after = planned_regions(subject, edit.wishes(before, subject), before.cloud)
+    return with_strips(subject, after) if strips else after
+
+
+def _require_edge(system: System, name: str) -> Edge:
+    found = [edge for edge in system.edges if edge.id == name]
+    if not found:
+        raise BadInput(f"there is no edge {name!r}: there are {_some(edge.id for edge in system.edges)}.")
+    return found[0]
+
+
+def _with_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanWishes:
+    return replace(wishes, system=replace(wishes.system, edges=tuple(changed(edge) for edge in wishes.system.edges)))
+
+
+def _without(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanConstraints:
+    """Constraints without lock and fixed weight of an edge, and without its pins."""
+    return PlanConstraints(
+        fixed_weights_m2={edge: weight for edge, weight in constraints.fixed_weights_m2.items() if edge != name},
+        locked=tuple(edge for edge in constraints.locked if edge != name),
+        pinned={camera: edge for camera, edge in constraints.pinned.items() if not (pins and edge == name)},
+    )
+
+
+def _some(names: Iterable[str]) -> str:
+    listed = list(names)
+    return ", ".join(listed[:6]) + (f" and {len(listed) - 6} more" if len(listed) > 6 else "")

@@ -1,0 +1,196 @@
+"""Plans, systems and constraints as files while a plan is edited: what `radiant plan` writes and reads, so that one goes on with the other.
+
+<stem>.json  the plan, with waypoints where its cameras are on the globe: `radiant run --plan` takes it
+<stem>_system.toml  the machines it is for
+<stem>_waypoints/<device>.csv, <stem>_regions.geojson  what each device captures and where, for flight planners and maps, on the globe;
+             heights of a run's cameras count from its low ground, so that whoever takes off there or higher flies no lower than they did
+<stem>_constraints.toml, <stem>_start.json  what is fixed, locked and pinned, and the plan that this refers to
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
+from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
+from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
+from radiant_core.io.run_store import write_atomic
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.constraints import PlanConstraints
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.system import System
+from radiant_core.plan.waypoints import Waypoints
+from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject
+from radiant_viewer.editing.plan_edits import AdoptPlan
+from radiant_viewer.pictures.views import ground_height
+from radiant_viewer.runs.run_view import RunView
+
+SAME_PLACE_M = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlanSetting:
+    """What a window needs to change a plan: its machines, where edits are kept, and how systems and constraints are written."""
+
+    system: System | None
+    """None: not known, and the plan cannot be changed."""
+    reason: str
+    """Why the system is not known and what to do, one sentence."""
+    keep_in: Path | None
+    waypoints: Waypoints | None
+    """What the plan was made from, where its file says it."""
+    ground_m: float | None
+    """Altitude of the ground in the waypoints' heights, where the plan's file says it."""
+    system_text: Callable[[System], str]
+    constraints_text: Callable[[PlanConstraints, Sequence[str], str], str]
+    """Of constraints, the cameras' names, and the name of the plan they refer to."""
+
+
+def subject_of(run: RunView) -> PlanSubject:
+    """The cameras that a run's plan deals, without those that are held out of it; BadInput where there are none."""
+    planned = np.flatnonzero(run.roles.edge_of_camera >= 0)
+    frame = run.scene.frame
+    return PlanSubject(
+        names=tuple(run.scene.cameras.names[index] for index in planned.tolist()),
+        positions=run.scene.cameras.centers[planned],
+        unit=run.unit,
+        origin=frame.origin_lat_lon_alt if frame.kind == "metric" else None,
+        altitude_known=frame.altitude_known,
+        # Sparse points lie on what was seen; a run in the field shows Gaussians instead, which float anywhere.
+        ground=ground_height(run.scene) if len(run.scene.observations) else None,
+    )
+
+
+def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting: PlanSetting) -> tuple[Path, ...]:
+    """Write a plan and what goes with it; returns the files. BadInput for a name that does not end in .json, and as `write_atomic`."""
+    if path.suffix != ".json":
+        raise BadInput(f"{path.name} is no name for a plan: choose one that ends in .json.")
+    waypoints, shift = _on_the_globe(subject, setting.waypoints)
+    cloud, edges = moved_plan((plan.cloud, plan.edges), -shift)
+    system, constraints = plan.wishes.system, plan.wishes.constraints
+    system_path, constraints_path, start_path, lists, regions = (
+        path.with_name(f"{path.stem}{ending}")
+        for ending in ("_system.toml", "_constraints.toml", "_start.json", "_waypoints", "_regions.geojson")
+    )
+    written = [system_path]
+    write_atomic(system_path, setting.system_text(_moved_system(system, -shift)).encode())
+    if constraints:
+        save_plan(start_path, moved_plan((plan.wishes.reference, ()), -shift)[0], ())
+        write_atomic(constraints_path, setting.constraints_text(constraints, subject.names, start_path.name).encode())
+        written += [start_path, constraints_path]
+    if waypoints is not None:
+        _save_lists(lists, cloud, edges, waypoints)
+        save_regions_geojson(regions, cloud, edges, waypoints)
+        written += [lists, regions]
+    # The plan itself last: where it stands, everything else does.
+    save_plan(path, cloud, edges, waypoints)
+    return (path, *written)
+
+
+def save_plan_geojson(
+    path: Path, subject: PlanSubject, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], setting: PlanSetting | None = None
+) -> None:
+    """Regions, strips and cameras of a plan as GeoJSON for maps; BadInput where they are not on the globe, and as `write_features`."""
+    if path.suffix.lower() not in (".geojson", ".json"):
+        raise BadInput(f"{path.name} is no name for regions: choose one that ends in .geojson.")
+    waypoints, shift = _on_the_globe(subject, None if setting is None else setting.waypoints)
+    if waypoints is None:
+        raise BadInput("this scene is not on the globe, its photographs hold no GPS: a map cannot show its regions.")
+    cloud, edges = moved_plan(plan, -shift)
+    save_regions_geojson(path, cloud, edges, waypoints)
+
+
+def _save_lists(folder: Path, cloud: CloudPlan, edges: Sequence[EdgePlan], waypoints: Waypoints) -> None:
+    """A list per device in `folder`, and none of a device that an earlier plan of this name had; BadInput where it cannot be made."""
+    try:
+        folder.mkdir(exist_ok=True)
+        for old in (*folder.glob("*.csv"), *folder.glob("edges/*.csv")):
+            old.unlink()
+    except OSError as error:
+        raise BadInput(f"cannot write {folder} ({error.strerror}): choose another name or folder.") from error
+    save_device_waypoints(folder, cloud, edges, waypoints)
+
+
+def load_other_plan(path: Path, subject: PlanSubject) -> AdoptPlan:
+    """The plan of a file for the same cameras, brought into this frame and order; BadInput where it is of others."""
+    cloud, edges = load_plan(path)
+    waypoints = load_plan_waypoints(path)
+    count = len(cloud.edge_of_camera)
+    if count != len(subject.names):
+        raise BadInput(f"{path.name} is a plan of {count} cameras, this one is of {len(subject.names)}: open it by itself.")
+    if waypoints is not None:
+        if set(waypoints.names) != set(subject.names):
+            strange = sorted(set(waypoints.names) - set(subject.names))[0]
+            raise BadInput(f"{path.name} is a plan of other cameras, {strange!r} for one: open it by itself.")
+        cloud, edges = _reordered((cloud, edges), waypoints.names, subject.names)
+        if subject.origin is not None:
+            shift = enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]
+            # The same origin gives roundings, which would change the plan's bits.
+            cloud, edges = moved_plan((cloud, edges), shift if np.hypot(*shift) > SAME_PLACE_M else np.zeros(2))
+    return AdoptPlan(name=path.name, cloud=cloud, edges=edges)
+
+
+def moved_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """The same plan in coordinates that are larger by shift (2,)."""
+    if not shift.any():
+        return plan
+    cloud, edges = plan
+    moved = replace(cloud, sites=cloud.sites + shift, borders=tuple(border + shift if len(border) else border for border in cloud.borders))
+    return moved, tuple(replace(edge, strips=tuple(strip + shift if len(strip) else strip for strip in edge.strips)) for edge in edges)
+
+
+def _on_the_globe(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
+    """Waypoints of the cameras where they are on the globe, and their origin (2,) in the subject's frame: a plan file is about that."""
+    if known is not None:
+        return known, np.zeros(2)
+    if subject.origin is None:
+        return None, np.zeros(2)
+    waypoints = Waypoints(
+        names=subject.names,
+        lat_lon_alt=geodetic_from_enu(subject.positions, subject.origin),
+        absolute=subject.altitude_known,
+        altitude_known=subject.altitude_known,
+        ground_m=None if subject.ground is None else _altitude_m(subject.on_map.mean(axis=0), subject.ground, subject.origin),
+    )
+    return waypoints, enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]
+
+
+def _altitude_m(place: FloatArray, height: float, origin: FloatArray) -> float:
+    """Altitude of a height in the frame about `origin`, at `place` (2,)."""
+    return float(geodetic_from_enu(np.array([[*place, height]]), origin)[0, 2])
+
+
+def _moved_system(system: System, shift: FloatArray) -> System:
+    if not shift.any():
+        return system
+    edges = [
+        replace(edge, position=(edge.position[0] + float(shift[0]), edge.position[1] + float(shift[1])))
+        if edge.position is not None
+        else edge
+        for edge in system.edges
+    ]
+    return replace(system, edges=tuple(edges))
+
+
+def _reordered(
+    plan: tuple[CloudPlan, tuple[EdgePlan, ...]], names: Sequence[str], wanted: Sequence[str]
+) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """A plan of cameras `names` as one of the same cameras in the order `wanted`."""
+    if tuple(names) == tuple(wanted):
+        return plan
+    cloud, edges = plan
+    place_of = {name: index for index, name in enumerate(wanted)}
+    places = np.array([place_of[name] for name in names])
+    owners = np.empty_like(cloud.edge_of_camera)
+    owners[places] = cloud.edge_of_camera
+    dealt = []
+    for edge in edges:
+        moved = places[edge.camera_indices]
+        order = np.argsort(moved)
+        dealt.append(replace(edge, camera_indices=moved[order], device_of_camera=edge.device_of_camera[order]))
+    return replace(cloud, edge_of_camera=owners), tuple(dealt)

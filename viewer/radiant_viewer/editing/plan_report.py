@@ -1,0 +1,126 @@
+"""What a plan says of itself while it is edited: makespan against the bound, loads of edges and devices, the certificate. Once per edit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from radiant_core.plan.constraints import PlanConstraints
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.system import System
+from radiant_viewer.layers.region_layer import duration_text
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadRow:
+    """One edge, or one device of the edge above it: its cameras, seconds, and share of the makespan (0 to 1)."""
+
+    name: str
+    edge: str
+    is_edge: bool
+    num_cameras: int
+    time_s: float | None
+    """None of devices while a drag goes on."""
+    share: float
+    note: str = ""
+    """What is fixed, locked or pinned, how many cameras it can hold."""
+
+
+def load_rows(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, constraints: PlanConstraints) -> tuple[LoadRow, ...]:
+    """Every edge with its devices below it; devices without numbers where cameras are not dealt to them yet."""
+    makespan_s = cloud.makespan_s or 1.0
+    pins = {edge: list(constraints.pinned.values()).count(edge) for edge in set(constraints.pinned.values())}
+    dealt = {plan.edge_id: plan for plan in edges}
+    rows: list[LoadRow] = []
+    counts = cloud.counts
+    for index, edge in enumerate(system.edges):
+        notes = [
+            *(["locked"] if edge.id in constraints.locked else []),
+            *(["border dragged"] if edge.id in constraints.fixed_weights_m2 else []),
+            *([f"{pins[edge.id]} pinned"] if edge.id in pins else []),
+        ]
+        time_s = float(cloud.edge_time_s[index])
+        rows.append(
+            LoadRow(
+                name=edge.id,
+                edge=edge.id,
+                is_edge=True,
+                num_cameras=int(counts[index]),
+                time_s=time_s,
+                share=time_s / makespan_s,
+                note=", ".join(notes),
+            )
+        )
+        plan = dealt.get(edge.id)
+        for place, device in enumerate(edge.devices):
+            limit = "" if device.max_cameras is None else f"holds {device.max_cameras}"
+            known = plan is not None and plan.dealt
+            spent_s = float(plan.device_time_s[place]) if plan is not None and known else None
+            rows.append(
+                LoadRow(
+                    name=device.id,
+                    edge=edge.id,
+                    is_edge=False,
+                    num_cameras=int((plan.device_of_camera == place).sum()) if plan is not None and known else 0,
+                    time_s=spent_s,
+                    share=(spent_s or 0.0) / makespan_s,
+                    note=limit,
+                )
+            )
+    return tuple(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparedRow:
+    """One figure of two plans, as texts."""
+
+    name: str
+    mine: str
+    other: str
+
+
+def compared_rows(mine: CloudPlan, other: CloudPlan) -> tuple[ComparedRow, ...]:
+    """Makespan, its ratio to the bound, and each edge's cameras and time in two plans; those that differ most in cameras first."""
+    rows = [
+        ComparedRow(name="makespan", mine=duration_text(mine.makespan_s), other=duration_text(other.makespan_s)),
+        ComparedRow(name="over the bound", mine=_over_bound(mine), other=_over_bound(other)),
+    ]
+    dealt = [dict(zip(plan.edge_ids, plan.counts.tolist(), strict=True)) for plan in (mine, other)]
+    ids = sorted({*mine.edge_ids, *other.edge_ids}, key=lambda edge: (-abs(dealt[0].get(edge, 0) - dealt[1].get(edge, 0)), edge))
+    return (*rows, *(ComparedRow(name=edge, mine=_load_of(mine, edge), other=_load_of(other, edge)) for edge in ids))
+
+
+def _over_bound(cloud: CloudPlan) -> str:
+    return f"{cloud.makespan_s / cloud.lower_bound_s:.3f} ×" if cloud.lower_bound_s > 0 else "unknown"
+
+
+def _load_of(cloud: CloudPlan, edge: str) -> str:
+    if edge not in cloud.edge_ids:
+        return "not there"
+    index = cloud.edge_ids.index(edge)
+    return f"{int(cloud.counts[index]):,} in {duration_text(float(cloud.edge_time_s[index]))}"
+
+
+def headline(cloud: CloudPlan) -> str:
+    """Makespan, bound and their ratio in one line."""
+    bound_s = cloud.lower_bound_s
+    over = f", {cloud.makespan_s / bound_s:.3f} × bound {duration_text(bound_s)}" if bound_s > 0 else ""
+    return f"Makespan {duration_text(cloud.makespan_s)}{over}"
+
+
+def certificate_text(cloud: CloudPlan) -> str:
+    """How good the plan is known to be, one sentence."""
+    outside = cloud.num_outside
+    lie = (
+        f"{outside} camera{'s lie' if outside != 1 else ' lies'} outside the drawn region"
+        if outside
+        else "every camera lies in its own cell"
+    )
+    if cloud.status == "optimal":
+        return f"Certified optimal: no plan of these machines is faster; {lie}."
+    if cloud.status == "slack":
+        return f"Least distance within {cloud.slack:g} times the bound, certified; {lie}." if cloud.slack else f"Certified; {lie}."
+    if cloud.status == "constrained":
+        free = next((text for text in cloud.constrained if text.startswith("the certificate")), "")
+        return f"Best around what is fixed; {lie}{f'; {free}' if free else ''}."
+    return f"Not certified as optimal ({cloud.method}, {cloud.status}); {lie}."

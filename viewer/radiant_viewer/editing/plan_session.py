@@ -1,0 +1,146 @@
+"""`PlanSession`: a `PlanEditor` whose plans are solved beside the window. Needs the `desktop` extra.
+
+One thread solves. Edits are done in the order they were asked for; of the frames of a drag only the latest waits, so a slow plan skips
+frames and never queues them. What is on the way when the window closes stands in the editor's file already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from PySide6.QtCore import QObject, Signal
+
+from radiant_core.errors import BadInput
+from radiant_viewer.editing.edited_plan import EditedPlan
+from radiant_viewer.editing.plan_editor import PlanEditor
+from radiant_viewer.editing.plan_edits import Edit, applied
+
+
+class PlanSession(QObject):
+    """changed: the plan is another one; previewed: the regions of a drag, an `EditedPlan`; failed: one sentence; busy: solving;
+    settled: where the edits are that do not count."""
+
+    changed = Signal()
+    previewed = Signal(object)
+    failed = Signal(str)
+    busy = Signal(bool)
+    settled = Signal(str)
+    _solved = Signal(object)
+
+    def __init__(self, editor: PlanEditor, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.editor = editor
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="plan")
+        self._waiting: list[Edit] = []
+        self._solving: Edit | None = None
+        self._is_previewing = False
+        self._next_preview: Edit | None = None
+        self._is_closed = False
+        # A signal from the pool's thread arrives in this object's own.
+        self._solved.connect(self._deliver)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether an edit is being solved or waits."""
+        return self._solving is not None or bool(self._waiting)
+
+    def edit(self, edit: Edit) -> None:
+        """Do an edit as soon as those before it are done; what the last drag showed is dropped."""
+        self._next_preview = None
+        self._waiting.append(edit)
+        if self._solving is not None:
+            self.editor.begin(self._solving, *self._waiting)
+        self._begin_next()
+
+    def drag_to(self, edit: Edit) -> None:
+        """Show what an edit would give; only the latest is solved."""
+        if self.is_busy:
+            return
+        self._next_preview = edit
+        self._preview_next()
+
+    def undo(self) -> None:
+        """Take the last edit back; told by `failed` where there is none or one is being solved."""
+        self._step(self.editor.undo)
+
+    def redo(self) -> None:
+        """As `undo`, forward."""
+        self._step(self.editor.redo)
+
+    def settle(self, *, take_over: bool) -> None:
+        """Where two windows changed the edits: this window's count, or those of the other one; told by `settled`."""
+        told: list[str] = []
+        self._step(lambda: told.extend(self.editor.take_over() if take_over else self.editor.take_theirs()))
+        if told:
+            self.settled.emit(" ".join(told))
+
+    def drop_preview(self) -> None:
+        """A drag was given up: the plan is shown as it is."""
+        self._next_preview = None
+        self.changed.emit()
+
+    def close(self) -> None:
+        """Let go of the thread; an edit on the way stays in the editor's file, as do those that wait."""
+        self._is_closed = True
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _step(self, action: Callable[[], object]) -> None:
+        if self.is_busy:
+            self.failed.emit("The plan is being solved: wait a moment.")
+            return
+        try:
+            action()
+        except BadInput as error:
+            self.failed.emit(str(error))
+            return
+        self.changed.emit()
+
+    def _begin_next(self) -> None:
+        if self._solving is not None or not self._waiting or self._is_closed:
+            return
+        edit = self._solving = self._waiting.pop(0)
+        self.busy.emit(True)
+        self.editor.begin(edit, *self._waiting)
+        subject, state = self.editor.subject, self.editor.state
+        self._pool.submit(applied, subject, state, edit).add_done_callback(lambda future: self._hand_over("edit", future))
+
+    def _preview_next(self) -> None:
+        edit = self._next_preview
+        if edit is None or self._is_previewing or self._is_closed:
+            return
+        self._next_preview, self._is_previewing = None, True
+        subject, state = self.editor.subject, self.editor.state
+        future = self._pool.submit(applied, subject, state, edit, strips=False)
+        future.add_done_callback(lambda future: self._hand_over("preview", future))
+
+    def _hand_over(self, kind: str, future: Future[EditedPlan]) -> None:
+        if not self._is_closed and not future.cancelled():
+            self._solved.emit((kind, future))
+
+    def _deliver(self, solved: tuple[str, Future[EditedPlan]]) -> None:
+        if self._is_closed:
+            return
+        kind, future = solved
+        error = future.exception()
+        if error is not None and not isinstance(error, BadInput):
+            raise error
+        if kind == "preview":
+            self._is_previewing = False
+            if error is not None:
+                self.failed.emit(str(error))
+            elif not self.is_busy:
+                self.previewed.emit(future.result())
+            self._preview_next()
+            return
+        edit, self._solving = self._solving, None
+        assert edit is not None
+        if error is None:
+            self.editor.finish(edit, future.result())
+        else:
+            self.editor.abandon()
+        self.changed.emit()
+        if error is not None:
+            self.failed.emit(str(error))
+        self.busy.emit(self.is_busy)
+        self._begin_next()

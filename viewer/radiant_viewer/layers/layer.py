@@ -1,0 +1,152 @@
+"""`Layer`: one thing to draw, in plain numbers. Window, headless pictures, report and tests all draw the same layers.
+
+A layer knows no toolkit: points, segments and polygons in world coordinates (float64, metres or the frame's unit, z up),
+colours (…,3) uint8, labels and legend. Built once per picture or edit; N points, S segments, R polygons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_viewer.layers.palette import ColorArray
+
+CLOUD_SIZE = 100
+"""From so many points on a layer is a cloud; fewer are markers, as cameras and sites are."""
+REACH_POINTS = 200_000
+"""Of a larger cloud every second, third … point is asked how far it reaches."""
+MARGIN = 0.25
+"""How far a cloud reaches beyond borders and markers in a picture, as a share of their longest side."""
+STRAYS = 0.005
+"""Share of a cloud's points at each end of x and y that count as strays: on the sample town 0.3 % of them doubled the picture's width."""
+Marker = Literal["area", "line", "dot", "ring", "square"]
+"""How a legend shows an entry: a filled box, a stroke, a filled dot, a dot or a small square with a dark rim."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegendEntry:
+    """One line of the legend; the text says the unit of every figure in it."""
+
+    text: str
+    color: tuple[int, int, int]
+    marker: Marker
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeatScale:
+    """A colour bar from `low` to `high`; the label names quantity and unit."""
+
+    label: str
+    low: float
+    high: float
+    start: float = 0.0
+    """Where on the table of colours the lowest value lies, 0 to 1: on dark ground its first colours cannot be seen."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Label:
+    """A text at a place (3,) of the world; strong ones are bold and find room first."""
+
+    text: str
+    position: FloatArray
+    strong: bool = False
+
+
+def _no_positions() -> FloatArray:
+    return np.zeros((0, 3))
+
+
+def _no_colors() -> ColorArray:
+    return np.zeros((0, 3), np.uint8)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layer:
+    """points (N,3), segments (S,2,3) and polygons R × (V,3), each with one colour; later layers lie over earlier ones on a map.
+
+    Raises BadInput when a shape is wrong, colours do not match in number, or a coordinate is not finite.
+    """
+
+    name: str
+    points: FloatArray = field(default_factory=_no_positions)
+    point_colors: ColorArray = field(default_factory=_no_colors)
+    point_size_px: float = 3.0
+    point_rim: bool = False
+    """Whether each point stands on a dark disc, so that light colours show on light ground; labels keep off such points."""
+    square_points: bool = False
+    """Whether points and rims are square instead of round."""
+    in_front: bool = False
+    """Whether a 3D view shows it through whatever stands before it, as borders under a model need."""
+    behind: bool = False
+    """Whether a 3D view draws it a trace farther away than it is, so that what stands in the same place covers its middle."""
+    segments: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    segment_colors: ColorArray = field(default_factory=_no_colors)
+    line_width_px: float = 1.5
+    polygons: tuple[FloatArray, ...] = ()
+    polygon_colors: ColorArray = field(default_factory=_no_colors)
+    pale_fills: bool = False
+    """Whether fills are colours mixed with white, which a dark view mixes with its own ground; else they are data and stay."""
+    labels: tuple[Label, ...] = ()
+    legend: tuple[LegendEntry, ...] = ()
+    heat: HeatScale | None = None
+
+    def __post_init__(self) -> None:
+        points = checked_array(f"points of layer {self.name!r}", self.points, (None, 3))
+        segments = checked_array(f"segments of layer {self.name!r}", self.segments, (None, 2, 3))
+        polygons = tuple(checked_array(f"a polygon of layer {self.name!r}", polygon, (None, 3)) for polygon in self.polygons)
+        for name, positions in (("points", points), ("segments", segments), ("polygons", polygons)):
+            object.__setattr__(self, name, positions)
+            self._set_colors(f"{name[:-1]}_colors", len(positions))
+        for label in self.labels:
+            checked_array(f"the place of label {label.text!r}", label.position, (3,))
+
+    def _set_colors(self, name: str, count: int) -> None:
+        object.__setattr__(self, name, checked_array(f"{name} of layer {self.name!r}", getattr(self, name), (count, 3), np.uint8))
+
+
+def drawn_positions(layers: Sequence[Layer]) -> FloatArray:
+    """All that decides how far a picture reaches (K,3): ends, corners and markers, and the points of clouds near those.
+
+    Clouds (of 100 points or more) hold strays, far ground and a sky; without anything else they count as far as Tukey's outer fence.
+    BadInput when the layers hold no geometry at all.
+    """
+    # How far ten million points reach, a part of them says in a fiftieth of the time.
+    clouds = [layer.points[:: 1 + len(layer.points) // REACH_POINTS] for layer in layers if len(layer.points) >= CLOUD_SIZE]
+    markers = [layer.points for layer in layers if len(layer.points) < CLOUD_SIZE]
+    lines = [part for layer in layers for part in (layer.segments.reshape(-1, 3), *layer.polygons)]
+    firm = np.concatenate([np.zeros((0, 3)), *markers, *lines])
+    cloud = np.concatenate([np.zeros((0, 3)), *clouds])
+    if not len(firm) + len(cloud):
+        raise BadInput("there is nothing to draw: the layers hold no points, segments or polygons.")
+    if not len(cloud):
+        return firm
+    if len(firm):
+        low, high = firm.min(axis=0), firm.max(axis=0)
+        reach = MARGIN * (high - low).max()
+    else:
+        low, high = np.quantile(cloud, [0.25, 0.75], axis=0)
+        reach = 3 * (high - low).max()
+    # Equally wide on all axes, so that towers on flat ground stay.
+    near = cloud[((cloud >= low - reach) & (cloud <= high + reach)).all(axis=1)]
+    if not len(near):
+        return firm
+    # Not upwards: a lone tower is no stray.
+    low, high = np.quantile(near[:, :2], [STRAYS, 1 - STRAYS], axis=0)
+    return np.concatenate([firm, near[((near[:, :2] >= low) & (near[:, :2] <= high)).all(axis=1)]])
+
+
+def outline_segments(polygons: Sequence[NDArray[np.float64]]) -> FloatArray:
+    """The sides (S,2,3) of closed polygons (V,3), in order."""
+    sides = [np.stack([polygon, np.roll(polygon, -1, axis=0)], axis=1) for polygon in polygons if len(polygon)]
+    return np.concatenate(sides) if sides else np.zeros((0, 2, 3))
+
+
+def at_height(polygon: NDArray[np.float64], height: float) -> FloatArray:
+    """A polygon (V,2) on the map as (V,3) at one height."""
+    return np.column_stack([polygon, np.full(len(polygon), height)])

@@ -1,0 +1,189 @@
+"""`PointDetail`: swaps what one plotter draws of large clouds, few points while its view moves and all that shows once it rests.
+
+A window gives `later`, which calls back after some seconds; without it (pictures) the view is always at rest. What is drawn is
+chosen in `detail.py`. An actor stays the same all the time, so that hiding, showing and removing it needs nothing from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pyvista as pv
+from numpy.typing import NDArray
+from vtkmodules.vtkCommonCore import vtkCommand
+
+from radiant_core.numerics import FloatArray
+from radiant_viewer.layers.detail import MOVING_POINTS, WHOLE_POINTS, even_subset, visible_subset
+from radiant_viewer.layers.layer import Layer
+from radiant_viewer.layers.palette import ColorArray
+
+REST_S = 0.25
+"""A view that has not moved for so long is at rest."""
+MOVING_HZ = 1.0
+"""VTK asks for more frames a second than this while a mouse button drags, for far fewer otherwise."""
+_BLOCK = 1 << 16
+"""Points that are moved at a time, so that they stay in the cache."""
+View = tuple[object, ...]
+Later = Callable[[float, Callable[[], None]], object]
+
+
+@dataclass(eq=False)
+class LocalCloud:
+    """The points (N,3) of a layer near an origin, which map and 3D view share, and what was chosen of them."""
+
+    points: NDArray[np.float32]
+    ends: NDArray[np.int64] = field(init=False)
+    """The outermost points (6,); always drawn, since near and far planes are set by what an actor draws."""
+    subsets: dict[int, NDArray[np.int64]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        columns = [self.points[:, axis] for axis in range(3)]
+        self.ends = np.array([*(column.argmin() for column in columns), *(column.argmax() for column in columns)], np.int64)
+
+    def even(self, limit: int) -> NDArray[np.int64]:
+        """At most `limit` of the points, spread evenly; chosen once."""
+        if limit not in self.subsets:
+            self.subsets[limit] = even_subset(self.points, limit)
+        return self.subsets[limit]
+
+
+_LOCAL: WeakKeyDictionary[Layer, tuple[bytes, LocalCloud]] = WeakKeyDictionary()
+
+
+def local_cloud(layer: Layer, origin: FloatArray) -> LocalCloud:
+    """The points of a layer relative to `origin` (3,) in float32; kept with the layer, since two views draw it. O(N)."""
+    key = np.asarray(origin, np.float64).tobytes()
+    known = _LOCAL.get(layer)
+    if known is not None and known[0] == key:
+        return known[1]
+    local = np.empty((len(layer.points), 3), np.float32)
+    for start in range(0, len(local), _BLOCK):
+        np.subtract(layer.points[start : start + _BLOCK], origin, out=local[start : start + _BLOCK], casting="same_kind")
+    cloud = LocalCloud(points=local)
+    _LOCAL[layer] = (key, cloud)
+    return cloud
+
+
+@dataclass(eq=False)
+class _Cloud:
+    """A large cloud in one view: its points, the height (None: as they lie) at which a map has them, colours (N,3), and its actor."""
+
+    local: LocalCloud
+    height: float | None
+    colors: ColorArray
+    actor: pv.Actor
+    shown: object = None
+    """What the actor draws: a limit of points, or a view."""
+
+    def placed(self, indices: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Points (K,3) as they are drawn."""
+        positions = self.local.points[indices]
+        if self.height is not None:
+            positions[:, 2] = self.height
+        return positions
+
+
+class PointDetail:
+    """The large clouds of one plotter; `later(seconds, call)` runs a call on the window's own thread, `redraw` draws a frame."""
+
+    def __init__(self, plotter: pv.Plotter, later: Later | None = None, redraw: Callable[[], object] | None = None) -> None:
+        self._plotter, self._later, self._redraw = plotter, later, redraw or plotter.render
+        self._clouds: list[_Cloud] = []
+        self._seen: View | None = None
+        self._num_moves = 0
+        self.is_moving = False
+        """Whether the last frame was drawn with few points."""
+        plotter.renderer.AddObserver(vtkCommand.StartEvent, self._before_frame)
+
+    def add(self, local: LocalCloud, height: float | None, colors: ColorArray, actor: pv.Actor) -> None:
+        """Take over an actor that draws a cloud, on a map at one height, with colours (N,3)."""
+        cloud = _Cloud(local=local, height=height, colors=colors, actor=actor)
+        self._draw(cloud, np.zeros(0, np.int64), shown=None)
+        self._clouds.append(cloud)
+
+    def stir(self) -> None:
+        """Draw the next frame, and those soon after it, with few points, as in a drag under a view that stands still."""
+        self._seen = None
+
+    def refine(self) -> None:
+        """Bring every visible cloud to full detail for the camera as it stands, without drawing."""
+        self._num_moves += 1
+        self._seen = self._view()
+        self.is_moving = False
+        for cloud in self._visible():
+            self._show_all(cloud)
+
+    def _before_frame(self, *_: object) -> None:
+        clouds = self._visible()
+        if not clouds:
+            return
+        view = self._view()
+        if self._later is None:
+            self.refine()
+        elif view != self._seen:
+            self._seen, self.is_moving = view, True
+            self._num_moves += 1
+            self._wait(self._later, self._num_moves)
+        if self.is_moving:
+            for cloud in clouds:
+                self._show_few(cloud, MOVING_POINTS // len(clouds))
+        else:
+            # One that was hidden when the view came to rest.
+            for cloud in clouds:
+                self._show_all(cloud)
+
+    def _wait(self, later: Later, num_moves: int) -> None:
+        def rest() -> None:
+            if num_moves != self._num_moves or self._plotter.render_window is None:
+                return
+            if self._plotter.render_window.GetDesiredUpdateRate() > MOVING_HZ:
+                later(REST_S, rest)
+                return
+            self.refine()
+            self._redraw()
+
+        later(REST_S, rest)
+
+    def _visible(self) -> list[_Cloud]:
+        present = self._plotter.renderer.GetViewProps()
+        self._clouds = [cloud for cloud in self._clouds if present.IsItemPresent(cloud.actor)]
+        return [cloud for cloud in self._clouds if cloud.actor.GetVisibility()]
+
+    def _view(self) -> View:
+        camera, size_wh = self._plotter.camera, tuple(self._plotter.window_size)
+        return (*camera.position, *camera.focal_point, *camera.up, camera.parallel_scale, camera.view_angle, *size_wh)
+
+    def _show_few(self, cloud: _Cloud, limit: int) -> None:
+        if cloud.shown == limit:
+            return
+        self._draw(cloud, cloud.local.even(limit), shown=limit)
+
+    def _show_all(self, cloud: _Cloud) -> None:
+        count = len(cloud.local.points)
+        view = self._seen if count > WHOLE_POINTS else "whole"
+        if cloud.shown == view:
+            return
+        kept = self._in_view(cloud) if count > WHOLE_POINTS else np.arange(count)
+        self._draw(cloud, kept, shown=view)
+
+    def _in_view(self, cloud: _Cloud) -> NDArray[np.int64]:
+        width, height = self._plotter.window_size
+        matrix = self._plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)
+        clip_from_world = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+        # Half a point wide, so that what is left out lies under what is drawn.
+        return visible_subset(cloud.local.points, clip_from_world, (width, height), max(1.0, cloud.actor.prop.point_size / 2))
+
+    def _draw(self, cloud: _Cloud, kept: NDArray[np.int64], shown: object) -> None:
+        drawn = np.append(kept, cloud.local.ends)
+        cloud.actor.mapper.SetInputData(point_mesh(cloud.placed(drawn), cloud.colors[drawn]))
+        cloud.shown = shown
+
+
+def point_mesh(positions: NDArray[np.float32], colors: ColorArray) -> pv.PolyData:
+    """Points (N,3) as one cell, each with a colour (N,3)."""
+    mesh = pv.PolyData(positions, verts=np.append(len(positions), np.arange(len(positions))))
+    mesh.point_data["colors"] = colors
+    return mesh

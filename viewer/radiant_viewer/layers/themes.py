@@ -1,0 +1,142 @@
+"""The light and the dark look of the window: one table of colours for Qt, for both views, and for what layers draw in ink.
+
+Pure: a `Theme` is plain colours; `themed` recolours a layer. Once per change of theme.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from radiant_viewer.layers.layer import HeatScale, Layer
+from radiant_viewer.layers.palette import BLUE, INK, SKY, WHITE, ColorArray, tinted, with_heat_start
+
+ThemeName = Literal["light", "dark"]
+DARK_HEAT_START = 0.4
+"""Of viridis: its blue-green stands out from a dark view by 3.5 : 1 in luminance, its violet by 1.1 : 1."""
+FILL_SHARE = 0.62
+"""How far fills of regions go towards the background of a dark view: as far as they go towards white in a light one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Theme:
+    """Colours (3,) 0 to 255: of panels, of lists and fields, of text, of what is selected, and of the views' background and ink."""
+
+    name: ThemeName
+    panel: tuple[int, int, int]
+    field: tuple[int, int, int]
+    line: tuple[int, int, int]
+    text: tuple[int, int, int]
+    soft_text: tuple[int, int, int]
+    accent: tuple[int, int, int]
+    view: tuple[int, int, int]
+    ink: tuple[int, int, int]
+
+
+LIGHT = Theme(
+    name="light",
+    panel=(243, 244, 246),
+    field=WHITE,
+    line=(208, 212, 218),
+    text=(31, 35, 41),
+    soft_text=(98, 106, 117),
+    accent=BLUE,
+    view=WHITE,
+    ink=INK,
+)
+DARK = Theme(
+    name="dark",
+    panel=(37, 40, 46),
+    field=(28, 30, 35),
+    line=(66, 71, 80),
+    text=(226, 229, 234),
+    soft_text=(150, 158, 170),
+    accent=SKY,
+    view=(24, 26, 30),
+    ink=(205, 210, 218),
+)
+THEMES: dict[ThemeName, Theme] = {"light": LIGHT, "dark": DARK}
+
+
+def themed(layer: Layer, theme: Theme) -> Layer:
+    """The layer as it is drawn under a theme, its legend too: ink becomes the theme's, pale fills become dark ones, what is left white
+    the theme's field, and a heat scale begins where it can be seen; other colours of data stay."""
+    is_plain = not (len(layer.segments) or layer.polygons or layer.heat or any(entry.marker == "line" for entry in layer.legend))
+    if theme.name == "light" or is_plain:
+        # The same object: both views then share what they keep of a cloud.
+        return layer
+    strokes = np.array([entry.color for entry in layer.legend if entry.marker == "line"], np.uint8).reshape(-1, 3)
+    inked = iter(_reinked(strokes, theme).tolist())
+    is_white = (layer.polygon_colors == 255).all(axis=1, keepdims=True)
+    solid = np.where(is_white, np.array(theme.field, np.uint8), layer.polygon_colors)
+    inked_layer = replace(
+        layer,
+        segment_colors=_reinked(layer.segment_colors, theme),
+        polygon_colors=_darkened(layer.polygon_colors, theme) if layer.pale_fills else solid,
+        legend=tuple(replace(entry, color=tuple(next(inked))) if entry.marker == "line" else entry for entry in layer.legend),
+    )
+    return inked_layer if layer.heat is None else _brightened(inked_layer, layer.heat)
+
+
+def hex_color(color: tuple[int, int, int]) -> str:
+    """A colour as "#rrggbb"."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def style_sheet(theme: Theme) -> str:
+    """What Qt's palette cannot say of a theme."""
+    panel, field, line, text, soft, accent = (
+        hex_color(color) for color in (theme.panel, theme.field, theme.line, theme.text, theme.soft_text, theme.accent)
+    )
+    chosen = hex_color(tuple(tinted(theme.accent, theme.field, 0.72).tolist()))  # type: ignore[arg-type]
+    return f"""
+QMainWindow::separator {{ background: {panel}; width: 5px; height: 5px; }}
+QDockWidget {{ font-weight: 600; }}
+QTreeView, QTableView, QListView {{ background: {field}; border: 1px solid {line}; alternate-background-color: {panel};
+  selection-background-color: {chosen}; selection-color: {text}; gridline-color: {line}; }}
+QHeaderView {{ background: {panel}; }}
+QHeaderView::section {{ background: {panel}; color: {soft}; border: none; border-bottom: 1px solid {line}; padding: 3px 6px; }}
+QTableCornerButton::section {{ background: {panel}; border: none; }}
+QToolBar {{ background: {panel}; border: none; border-bottom: 1px solid {line}; spacing: 2px; padding: 2px 4px; }}
+QToolBar QToolButton {{ background: transparent; color: {text}; border: 1px solid transparent; border-radius: 4px; padding: 3px 8px; }}
+QToolBar QToolButton[popupMode="2"] {{ padding-right: 18px; }}
+QToolBar QToolButton::menu-indicator {{ subcontrol-origin: padding; subcontrol-position: right center; right: 5px; }}
+QToolBar QToolButton:hover {{ border-color: {accent}; }}
+QToolBar QToolButton:checked {{ background: {chosen}; border-color: {accent}; }}
+QTabBar::tab {{ background: {panel}; color: {soft}; padding: 4px 10px; border: none; border-bottom: 2px solid transparent; }}
+QTabBar::tab:selected {{ color: {text}; border-bottom: 2px solid {accent}; }}
+QTabBar {{ qproperty-drawBase: 0; }}
+QTreeView::indicator, QCheckBox::indicator {{ width: 12px; height: 12px; border: 1px solid {soft}; border-radius: 3px;
+  background: {field}; }}
+QTreeView::indicator:checked, QCheckBox::indicator:checked {{ background: {accent}; border-color: {accent}; }}
+QStatusBar {{ background: {panel}; color: {soft}; border-top: 1px solid {line}; }}
+QToolTip {{ background: {field}; color: {text}; border: 1px solid {line}; padding: 3px; }}
+QLabel[soft="true"] {{ color: {soft}; }}
+QScrollArea {{ border: none; }}
+"""
+
+
+def _reinked(colors: ColorArray, theme: Theme) -> ColorArray:
+    """Segment colours (S,3) with ink, and the greys between ink and white, turned to the theme's ink."""
+    spread = colors.max(axis=1, initial=0).astype(int) - colors.min(axis=1, initial=255).astype(int) if len(colors) else np.zeros(0, int)
+    is_ink = (spread < 20) & (colors.mean(axis=1) < 130) if len(colors) else np.zeros(0, bool)
+    return np.where(is_ink[:, None], np.array(theme.ink, np.uint8), colors)
+
+
+def _brightened(layer: Layer, heat: HeatScale) -> Layer:
+    """A layer of a heat scale with the scale's dark end cut off."""
+    return replace(
+        layer,
+        point_colors=with_heat_start(layer.point_colors, DARK_HEAT_START),
+        segment_colors=with_heat_start(layer.segment_colors, DARK_HEAT_START),
+        polygon_colors=with_heat_start(layer.polygon_colors, DARK_HEAT_START),
+        heat=replace(heat, start=DARK_HEAT_START),
+    )
+
+
+def _darkened(colors: ColorArray, theme: Theme) -> ColorArray:
+    """Fills (R,3) of which 62 % are white, with the view's background in its place."""
+    pure = (colors.astype(np.float64) - FILL_SHARE * 255) / (1 - FILL_SHARE)
+    return np.rint((1 - FILL_SHARE) * np.clip(pure, 0, 255) + FILL_SHARE * np.array(theme.view)).astype(np.uint8)

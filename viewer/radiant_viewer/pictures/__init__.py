@@ -1,0 +1,1 @@
+"""Layers as finished pictures and films, without a window."""

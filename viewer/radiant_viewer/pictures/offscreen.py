@@ -1,0 +1,174 @@
+"""Layers as pictures without a window: a map seen from above, and a view in perspective. 100 ms to 1 s per picture.
+
+Drawn at twice the size and averaged, so that edges are smooth and the same on every machine. The map is orthographic:
+px = (x − x_min) / (x_max − x_min) · W, rows downwards from y_max. Titles, legend, scale and labels are laid out in `page.py`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import pyvista as pv
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer
+from radiant_viewer.layers.layer import Layer, drawn_positions
+from radiant_viewer.layers.point_detail import PointDetail
+from radiant_viewer.pictures.images import Drawing, Image
+from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
+
+OVERSAMPLING = 2
+MARGIN = 0.06
+"""Empty share of the map on each side of what is drawn."""
+MAX_SIDE_PX = 4096
+
+
+def render_map(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), text: PageText | None = None) -> Image:
+    """A finished map (H,W,3) with title, axes, scale bar, legend and labels; BadInput when there is nothing to draw."""
+    page = text or PageText()
+    return compose_page(draw_map(layers, drawing_size_wh(size_wh, is_map=True)), layers, size_wh, page)
+
+
+def render_view(
+    layers: Sequence[Layer],
+    size_wh: tuple[int, int] = (1280, 900),
+    text: PageText | None = None,
+    direction_deg: tuple[float, float] = (205, 42),
+) -> Image:
+    """A finished view (H,W,3) in perspective from (azimuth from north, elevation); BadInput when there is nothing to draw."""
+    page = text or PageText()
+    return compose_page(draw_view(layers, drawing_size_wh(size_wh, is_map=False), direction_deg), layers, size_wh, page)
+
+
+def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
+    """Layers seen from straight above, each over the one before it whatever its height."""
+    _require_size(size_wh)
+    drawn = drawn_positions(layers)[:, :2]
+    extent = _fitted_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
+    origin = np.array([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2, 0.0])
+    top = float(SLOTS_PER_LAYER * (len(layers) + 1))
+    with _plotter(size_wh) as plotter:
+        detail = PointDetail(plotter)
+        for index, layer in enumerate(layers):
+            add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, flat_height=float(SLOTS_PER_LAYER * index), detail=detail)
+        camera = plotter.camera
+        camera.position, camera.focal_point, camera.up = (0.0, 0.0, top), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+        camera.parallel_projection = True
+        camera.parallel_scale = (extent[3] - extent[2]) / 2
+        camera.clipping_range = (0.5, top + 1)
+        image = _shot(plotter)
+    label_px, mark_px = (_map_px(places, extent, size_wh) for places in (_label_places(layers), _marks(layers)))
+    return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=extent)
+
+
+def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: tuple[float, float] = (205, 42)) -> Drawing:
+    """Layers in perspective, all of what is drawn inside the picture."""
+    _require_size(size_wh)
+    drawn = drawn_positions(layers)
+    origin = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
+    with _plotter(size_wh) as plotter:
+        detail = PointDetail(plotter)
+        for layer in layers:
+            add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, detail=detail)
+        aim_camera(plotter, drawn - origin, direction_deg)
+        image = _shot(plotter)
+        label_px, mark_px = (_projected(plotter, places - origin) * size_wh for places in (_label_places(layers), _marks(layers)))
+    return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=None)
+
+
+def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[float, float] = (205, 42)) -> None:
+    """Look from (azimuth from north, elevation) so that all positions (K,3) just fit into the picture.
+
+    With x across, y up and t towards the viewer, a position is inside when |x − c| ≤ (D − t) k for the half-angle's tangent k,
+    so D = (max(x + t k) − min(x − t k)) / 2k and c = (max(x + t k) + min(x − t k)) / 2, likewise for y; the larger D decides.
+    """
+    azimuth, elevation = np.radians(direction_deg)
+    toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
+    across = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
+    up = np.cross(toward, across)
+    camera = plotter.camera
+    width, height = plotter.window_size
+    tangent = np.tan(np.radians(camera.view_angle / 2)) * (1 - MARGIN)
+    depths = positions @ toward
+    distance, target = 1e-3, np.zeros(3)
+    for axis, slope in ((across, tangent * width / height), (up, tangent)):
+        outer, inner = (positions @ axis + depths * slope).max(), (positions @ axis - depths * slope).min()
+        distance = max(distance, float(outer - inner) / (2 * slope))
+        target += axis * float(outer + inner) / 2
+    camera.focal_point, camera.position, camera.up = tuple(target), tuple(target + distance * toward), (0.0, 0.0, 1.0)
+    plotter.renderer.reset_camera_clipping_range()
+
+
+def _require_size(size_wh: tuple[int, int]) -> None:
+    if not all(16 <= side <= MAX_SIDE_PX for side in size_wh):
+        raise BadInput(f"a picture of {size_wh[0]} × {size_wh[1]} px was asked for, expected 16 to {MAX_SIDE_PX} px a side.")
+
+
+@contextmanager
+def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
+    width, height = size_wh
+    with egl_window():
+        plotter = pv.Plotter(off_screen=True, window_size=[OVERSAMPLING * width, OVERSAMPLING * height])
+    try:
+        plotter.background_color = pv.Color("white")
+        yield plotter
+    finally:
+        plotter.close()
+
+
+@contextmanager
+def egl_window() -> Iterator[None]:
+    """VTK reads this variable when it makes a window; without it, it first tries an X server and complains on stderr."""
+    name = "VTK_DEFAULT_OPENGL_WINDOW"
+    before = os.environ.get(name)
+    os.environ[name] = before or "vtkEGLRenderWindow"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+
+
+def _shot(plotter: pv.Plotter) -> Image:
+    pixels = plotter.screenshot(return_img=True)
+    assert pixels is not None
+    height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
+    blocks = pixels.reshape(height, OVERSAMPLING, width, OVERSAMPLING, 3).astype(np.uint16)
+    return ((blocks.sum(axis=(1, 3)) + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
+
+
+def _fitted_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
+    """The smallest extent with the picture's proportions around a box, with a margin."""
+    center, spans = (low + high) / 2, np.maximum(high - low, 1e-9)
+    per_px = float((spans / (np.array(size_wh) * (1 - 2 * MARGIN))).max())
+    # A single point has no extent: show a square metre around it.
+    half = np.array(size_wh) * (per_px if spans.max() > 1e-6 else 1 / min(size_wh)) / 2
+    return (float(center[0] - half[0]), float(center[0] + half[0]), float(center[1] - half[1]), float(center[1] + half[1]))
+
+
+def _marks(layers: Sequence[Layer]) -> FloatArray:
+    """Points (M,3) that a label should not cover."""
+    return np.concatenate([np.zeros((0, 3)), *(layer.points for layer in layers if layer.point_rim)])
+
+
+def _map_px(places: FloatArray, extent: tuple[float, float, float, float], size_wh: tuple[int, int]) -> FloatArray:
+    x_min, x_max, y_min, y_max = extent
+    return np.column_stack([(places[:, 0] - x_min) / (x_max - x_min), (y_max - places[:, 1]) / (y_max - y_min)]) * size_wh
+
+
+def _label_places(layers: Sequence[Layer]) -> FloatArray:
+    return np.array([label.position for layer in layers for label in layer.labels], np.float64).reshape(-1, 3)
+
+
+def _projected(plotter: pv.Plotter, places: FloatArray) -> FloatArray:
+    """Shares (L,2) of width and height from the top left where places (L,3) fall; NaN behind the camera."""
+    width, height = plotter.window_size
+    matrix = plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)
+    projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+    clip = np.column_stack([places, np.ones(len(places))]) @ projection.T
+    depth = np.where(clip[:, 3] > 0, clip[:, 3], np.nan)[:, None]
+    return (clip[:, :2] / depth * (1, -1) + 1) / 2

@@ -1,0 +1,246 @@
+"""Lays out a finished picture: title, drawing with labels, axes and scale bar in the frame's unit, legend with units.
+
+Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels that would cover each
+other or leave the drawing are moved, and the less important ones dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
+from radiant_viewer.layers.palette import INK, heat_table
+from radiant_viewer.pictures.images import Drawing, Image
+from radiant_viewer.pictures.measure import nice_length
+
+DPI = 100
+PANEL_PX, TITLE_PX, LEFT_PX, BOTTOM_PX, GAP_PX = 310, 62, 76, 58, 16
+MIN_SIZE_WH = (640, 420)
+LINE_PX = 21
+"""Height of one line of the legend."""
+LABEL_STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0.6, 1), (-0.6, 1), (0.6, -1), (-0.6, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
+"""Where a label may stand about its point, in half widths and half heights, best first."""
+MARK_RADIUS_PX = 8
+INK_COLOR = "#282c34"
+SOFT_COLOR = "#6b7280"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageText:
+    """What stands around a drawing."""
+
+    title: str = ""
+    subtitle: str = ""
+    unit: str = "m"
+    """Unit of the world coordinates: "m", or "units" where nothing fixes the scale."""
+
+
+def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
+    """The room in px that a page of `size_wh` leaves for the drawing; BadInput for a page too small to be read."""
+    if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
+        raise BadInput(f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}.")
+    left, bottom = (LEFT_PX, BOTTOM_PX) if is_map else (GAP_PX, GAP_PX)
+    return size_wh[0] - PANEL_PX - left - GAP_PX, size_wh[1] - TITLE_PX - bottom
+
+
+def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, int], text: PageText) -> Image:
+    """The finished page (H,W,3) of `size_wh` around a drawing of the size that `drawing_size_wh` gave."""
+    figure = new_figure(size_wh)
+    height, width = drawing.image.shape[:2]
+    left, bottom = (LEFT_PX, BOTTOM_PX) if drawing.extent is not None else (GAP_PX, GAP_PX)
+    axes = axes_at(figure, (left, bottom, width, height))
+    axes.imshow(drawing.image, extent=(0, width, height, 0), interpolation="none", aspect="auto")
+    axes.set(xlim=(0, width), ylim=(height, 0))
+    _add_title(figure, text, left)
+    taken: list[Bbox] = []
+    if drawing.extent is not None:
+        _label_axes(axes, drawing.extent, text.unit)
+        taken.append(_add_scale_bar(axes, drawing.extent, text.unit))
+    else:
+        axes.set_axis_off()
+    _add_labels(axes, drawing, layers, taken)
+    _add_legend(figure, layers, height + bottom)
+    return figure_image(figure)
+
+
+def new_figure(size_wh: tuple[int, int]) -> Figure:
+    """An empty white figure of `size_wh` px that belongs to no window."""
+    figure = Figure(figsize=(size_wh[0] / DPI, size_wh[1] / DPI), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def axes_at(figure: Figure, box_px: tuple[float, float, float, float]) -> Axes:
+    """Axes at (left, bottom, width, height) in px of the figure."""
+    width, height = figure.get_size_inches() * DPI
+    return figure.add_axes((box_px[0] / width, box_px[1] / height, box_px[2] / width, box_px[3] / height))
+
+
+def figure_image(figure: Figure) -> Image:
+    """The figure as pixels (H,W,3)."""
+    canvas = figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def _add_title(figure: Figure, text: PageText, left_px: int) -> None:
+    width, height = figure.get_size_inches() * DPI
+    figure.text(left_px / width, 1 - 14 / height, text.title, size=14, weight="bold", color=INK_COLOR, va="top")
+    line = figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top")
+    canvas = figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
+    # On a small page a long line is set smaller rather than cut off; twice, since the widths of letters are whole pixels.
+    room = width - left_px - GAP_PX
+    size = 9.5
+    for _ in range(2):
+        size *= min(1.0, room / max(line.get_window_extent(canvas.get_renderer()).width, 1.0))
+        line.set_fontsize(size)
+
+
+def _label_axes(axes: Axes, extent: tuple[float, float, float, float], unit: str) -> None:
+    x_min, x_max, y_min, y_max = extent
+    width, height = axes.get_xlim()[1], axes.get_ylim()[0]
+    names = ("East", "North") if unit == "m" else ("x", "y")
+    for axis, name, low, high, length in (
+        (axes.xaxis, names[0], x_min, x_max, width),
+        (axes.yaxis, names[1], y_min, y_max, height),
+    ):
+        base = _axis_base(low, high)
+        ticks = np.asarray(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]).tick_values(low - base, high - base))
+        ticks = ticks[(ticks >= low - base) & (ticks <= high - base)]
+        shares = (ticks + base - low) / (high - low)
+        axis.set_ticks(shares * length if axis is axes.xaxis else (1 - shares) * length)
+        axis.set_major_formatter(FuncFormatter(_tick_text(ticks)))
+        axis.set_label_text(f"{name} ({unit})" if base == 0 else f"{name} − {base:,.0f} ({unit})", size=9.5, color=INK_COLOR)
+    axes.tick_params(labelsize=9, color=SOFT_COLOR, labelcolor=INK_COLOR)
+    for spine in axes.spines.values():
+        spine.set_color(SOFT_COLOR)
+
+
+def _axis_base(low: float, high: float) -> float:
+    """What is taken off the numbers of an axis: UTM eastings would fill it with equal digits."""
+    if max(abs(low), abs(high)) < max(1e5, 20 * (high - low)):
+        return 0.0
+    step = 10.0 ** np.ceil(np.log10(high - low))
+    return float(np.floor(low / step) * step)
+
+
+def _tick_text(ticks: np.ndarray) -> Callable[[float, int | None], str]:
+    texts = [f"{tick:,.10g}".replace("-", "−") for tick in ticks]
+    return lambda _value, position: texts[position] if position is not None and position < len(texts) else ""
+
+
+def _add_scale_bar(axes: Axes, extent: tuple[float, float, float, float], unit: str) -> Bbox:
+    width, height = axes.get_xlim()[1], axes.get_ylim()[0]
+    per_px = (extent[1] - extent[0]) / width
+    length = nice_length(0.22 * width * per_px)
+    bar_px = length / per_px
+    x, y = 16, height - 18
+    box = Rectangle((x - 9, y - 25), bar_px + 18, 36, facecolor="white", edgecolor="none", alpha=0.85, zorder=4)
+    axes.add_patch(box)
+    axes.plot([x, x, x + bar_px, x + bar_px], [y - 5, y, y, y - 5], color=INK_COLOR, linewidth=1.6, zorder=5)
+    axes.text(x + bar_px / 2, y - 6, f"{length:,g} {unit}", size=9, color=INK_COLOR, ha="center", va="bottom", zorder=5)
+    return Bbox.from_extents(x - 9, y - 25, x + bar_px + 9, y + 11)
+
+
+def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: list[Bbox]) -> None:
+    """Place labels, strong ones first, each where it covers neither another label nor, if possible, a marker."""
+    labels = [label for layer in layers for label in layer.labels]
+    order = sorted(range(len(labels)), key=lambda index: not labels[index].strong)
+    height, width = drawing.image.shape[:2]
+    canvas = axes.figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
+    for index in order:
+        x, y = drawing.label_px[index]
+        if not (0 <= x <= width and 0 <= y <= height):
+            continue
+        style = {"size": 9.5, "weight": "bold"} if labels[index].strong else {"size": 8.5, "weight": "normal"}
+        artist = axes.text(x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style)
+        artist.set_bbox({"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
+        size = artist.get_window_extent(canvas.get_renderer())
+        place = _free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, drawing.mark_px)
+        if place is None:
+            artist.remove()
+            continue
+        artist.set_position(((place.x0 + place.x1) / 2, (place.y0 + place.y1) / 2))
+        taken.append(place)
+
+
+def _free_place(
+    at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], taken: Sequence[Bbox], marks: NDArray[np.float64]
+) -> Bbox | None:
+    """The box near a point that covers the fewest markers among those that are free of labels; the nearest of equals."""
+    best, fewest = None, np.inf
+    for distance in (8, 20, 34):
+        for step_x, step_y in LABEL_STEPS:
+            x, y = at[0] + step_x * (size[0] / 2 + distance), at[1] + step_y * (size[1] / 2 + distance)
+            box = Bbox.from_extents(x - size[0] / 2, y - size[1] / 2, x + size[0] / 2, y + size[1] / 2)
+            inside = box.x0 >= 2 and box.y0 >= 2 and box.x1 <= room[0] - 2 and box.y1 <= room[1] - 2
+            if not inside or any(box.overlaps(other) for other in taken):
+                continue
+            covered = int(((np.abs(marks - (x, y)) <= np.array(size) / 2 + MARK_RADIUS_PX).all(axis=1)).sum())
+            if covered < fewest:
+                best, fewest = box, covered
+    return best
+
+
+def _add_legend(figure: Figure, layers: Sequence[Layer], top_px: float) -> None:
+    """The legend at the right: a heading per layer, its entries and colour bar; what finds no room is counted."""
+    width, _ = figure.get_size_inches() * DPI
+    axes = axes_at(figure, (width - PANEL_PX, 0, PANEL_PX, top_px))
+    axes.set(xlim=(0, PANEL_PX), ylim=(top_px, 0))
+    axes.set_axis_off()
+    y = 8.0
+    for layer in [layer for layer in layers if layer.legend or layer.heat]:
+        if y + 2 * LINE_PX > top_px - LINE_PX:
+            break
+        axes.text(8, y, layer.name, size=10, weight="bold", color=INK_COLOR, va="center")
+        y += LINE_PX
+        room = max(1, int((top_px - LINE_PX - y) // LINE_PX))
+        shown = layer.legend if len(layer.legend) <= room else layer.legend[: room - 1]
+        for entry in shown:
+            _add_entry(axes, entry, y)
+            y += LINE_PX
+        if len(shown) < len(layer.legend):
+            axes.text(38, y, f"… and {len(layer.legend) - len(shown)} more", size=9, color=SOFT_COLOR, va="center")
+            y += LINE_PX
+        if layer.heat is not None:
+            y = _add_heat(axes, layer.heat, y)
+        y += 0.5 * LINE_PX
+
+
+def _add_entry(axes: Axes, entry: LegendEntry, y: float) -> None:
+    color = tuple(channel / 255 for channel in entry.color)
+    edge = tuple(channel / 255 for channel in INK)
+    if entry.marker == "area":
+        axes.add_patch(Rectangle((10, y - 7), 20, 13, facecolor=color, edgecolor=edge, linewidth=0.8))
+    elif entry.marker == "line":
+        axes.plot([10, 30], [y, y], color=color, linewidth=3)
+    else:
+        rim = 0.0 if entry.marker == "dot" else 1.4
+        shape = "s" if entry.marker == "square" else "o"
+        axes.plot([20], [y], marker=shape, markersize=7, markerfacecolor=color, markeredgecolor=edge, markeredgewidth=rim)
+    axes.text(38, y, entry.text, size=9, color=INK_COLOR, va="center")
+
+
+def _add_heat(axes: Axes, heat: HeatScale, y: float) -> float:
+    axes.text(10, y, heat.label, size=9, color=INK_COLOR, va="center")
+    left, right, top = 10, PANEL_PX - 60, y + 12
+    axes.imshow(heat_table(heat.start)[None], extent=(left, right, top + 13, top), aspect="auto", interpolation="nearest", zorder=2)
+    axes.set(xlim=(0, PANEL_PX), ylim=(axes.get_ylim()[0], 0))
+    for share, align in ((0.0, "left"), (0.5, "center"), (1.0, "right")):
+        value = heat.low + share * (heat.high - heat.low)
+        axes.text(left + share * (right - left), top + 26, f"{value:.4g}", size=8.5, color=INK_COLOR, ha=align, va="center")
+    return y + 12 + 13 + LINE_PX + 4

@@ -1,0 +1,166 @@
+"""The cameras of a scene as a table of figures: what is known of each, sorted, filtered and written as CSV. Pure; once per plan.
+
+psnr < 22 and region = north        conditions of a filter, all of which must hold; = and != take names too, ~ a part of one
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.io.csv_cells import cell_of_text
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.footprints import Footprints
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.scene import SfmScene
+from radiant_viewer.runs.camera_roles import CameraRoles
+
+_CONDITION = re.compile(r"\s*([a-z_]+)\s*(<=|>=|!=|<|>|=|~)\s*(.+?)\s*")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CameraFigures:
+    """columns: name → (C,) texts or float64, NaN where a camera has no such figure; headings: name → text with unit."""
+
+    columns: Mapping[str, NDArray[Any]]
+    headings: Mapping[str, str]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def column(self, name: str) -> NDArray[Any]:
+        """One column; BadInput for an unknown name."""
+        if name not in self.columns:
+            raise BadInput(f"cameras have no figure {name!r}: use one of {', '.join(self.columns)}.")
+        return self.columns[name]
+
+
+def camera_figures(
+    scene: SfmScene,
+    roles: CameraRoles,
+    cloud_plan: CloudPlan,
+    psnr_db: Mapping[str, float] | None = None,
+    footprints: Footprints | None = None,
+) -> CameraFigures:
+    """All that is known of the scene's C cameras without opening a photograph."""
+    cameras, unit = scene.cameras, scene.frame.unit
+    count = len(cameras)
+    centers = cameras.centers
+    own = roles.edge_of_camera
+    distance = np.full(count, np.nan)
+    planned = own >= 0
+    distance[planned] = np.linalg.norm(centers[planned, :2] - cloud_plan.sites[own[planned]], axis=1)
+    columns: dict[str, NDArray[Any]] = {
+        "name": np.array(cameras.names, dtype=str),
+        "region": np.array([*roles.edge_ids, ""])[own],
+        "device": np.array([*roles.device_ids, ""])[roles.device_of_camera],
+        "use": np.where(roles.held_out, "held out", "training"),
+        "psnr": np.array([(psnr_db or {}).get(name, np.nan) for name in cameras.names], np.float64),
+        "points": np.bincount(scene.observations[:, 1], minlength=count).astype(np.float64),
+        "east": centers[:, 0],
+        "north": centers[:, 1],
+        "up": centers[:, 2],
+        "distance": distance,
+    }
+    headings = {
+        "name": "Photograph",
+        "region": "Region",
+        "device": "Device",
+        "use": "Use",
+        "psnr": "PSNR (dB)",
+        "points": "Points seen",
+        "east": f"East ({unit})",
+        "north": f"North ({unit})",
+        "up": f"Up ({unit})",
+        "distance": f"To its edge ({unit})",
+    }
+    if footprints is not None:
+        columns |= {"area": footprints.areas_m2, "footprints": neighbours_of(footprints)}
+        headings |= {"area": f"Footprint ({unit}²)", "footprints": "Images that see its middle"}
+    return CameraFigures(columns=columns, headings=headings)
+
+
+def neighbours_of(footprints: Footprints) -> FloatArray:
+    """How many other footprints hold the middle of each footprint (P,), NaN where it sees no ground."""
+    middles = footprints.polygons.mean(axis=1)
+    sees = footprints.areas_m2 > 0
+    counts = np.full(len(footprints), np.nan)
+    counts[sees] = -1.0
+    for polygon in footprints.polygons[sees]:
+        near = np.flatnonzero(sees & ((middles >= polygon.min(axis=0)) & (middles <= polygon.max(axis=0))).all(axis=1))
+        inside = np.ones(len(near), bool)
+        for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
+            side, local = there - here, middles[near] - here
+            inside &= side[0] * local[:, 1] - side[1] * local[:, 0] >= 0
+        counts[near[inside]] += 1
+    # A thin footprint's middle may fall outside it by a rounding.
+    return np.where(sees, np.maximum(counts, 0), np.nan)
+
+
+def sorted_rows(figures: CameraFigures, name: str, *, descending: bool = False) -> NDArray[np.int64]:
+    """Rows (C,) in the order of a column, equal ones as they stand; cameras without the figure come last either way."""
+    values = figures.column(name)
+    if values.dtype.kind == "f":
+        unknown = np.isnan(values)
+        keys = np.where(unknown, 0.0, -values if descending else values)
+        return np.lexsort((keys, unknown))
+    _, ranks = np.unique(values, return_inverse=True)
+    return np.lexsort((-ranks if descending else ranks, values == ""))
+
+
+def filtered_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
+    """Rows (K,) that meet all conditions of a filter, every row for an empty one; a lone word is looked for in names.
+
+    Raises BadInput, with what is expected, for a condition that cannot be read.
+    """
+    kept = np.ones(len(figures), bool)
+    for part in re.split(r"\s+and\s+|,", text.strip()) if text.strip() else []:
+        match = _CONDITION.fullmatch(part)
+        if match is not None:
+            kept &= _holds(figures, match[1], match[2], match[3])
+        elif re.fullmatch(r"[^<>=~!]+", part):
+            kept &= np.char.find(np.char.lower(figures.column("name")), part.strip().lower()) >= 0
+        else:
+            raise BadInput(f"{part.strip()!r} is no condition: write for example psnr < 22 and region = north.")
+    return np.flatnonzero(kept)
+
+
+def figures_csv(figures: CameraFigures, rows: Sequence[int] | NDArray[np.int64]) -> str:
+    """These rows as CSV with headings; unknown figures stay empty."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\r\n")
+    writer.writerow([figures.headings[name] for name in figures.columns])
+    for row in rows:
+        writer.writerow([_cell(values[row]) for values in figures.columns.values()])
+    return text.getvalue()
+
+
+def _holds(figures: CameraFigures, name: str, sign: str, wanted: str) -> NDArray[np.bool_]:
+    values = figures.column(name)
+    if values.dtype.kind != "f":
+        if sign == "~":
+            return np.char.find(np.char.lower(values), wanted.lower()) >= 0
+        if sign not in ("=", "!="):
+            raise BadInput(f"{name} is a name: compare it by =, != or ~, not by {sign}.")
+        return (values == wanted) == (sign == "=")
+    try:
+        number = float(wanted)
+    except ValueError:
+        raise BadInput(f"{name} is a number and {wanted!r} is none: write for example {name} {sign} 20.") from None
+    if sign == "~":
+        raise BadInput(f"{name} is a number: compare it by <, <=, =, !=, >= or >.")
+    compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "=": np.equal, "!=": np.not_equal}
+    # A camera without the figure meets no condition on it.
+    return compare[sign](values, number) & ~np.isnan(values)
+
+
+def _cell(value: Any) -> str:
+    return cell_of_text(str(value)) if isinstance(value, str) else "" if np.isnan(value) else f"{value:.6g}"

@@ -1,0 +1,63 @@
+"""Where the photograph of a camera lies on this machine, if it may be seen here. Looked up when a camera is selected.
+
+Photographs stay with the device that trained on them: only `devices/<id>/photos` of the run's own folder is asked, and for held-out
+photographs what the evaluation kept. What another machine holds is not there, and the answer says whose it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from radiant_viewer.runs.camera_roles import NOBODY
+from radiant_viewer.runs.run_view import RunView
+from radiant_viewer.runs.unplanned import unplanned_photographs
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoAnswer:
+    """The file of a photograph, or None and the reason in one sentence."""
+
+    path: Path | None
+    reason: str = ""
+
+
+def find_photograph(run: RunView, index: int) -> PhotoAnswer:
+    """The photograph of camera `index` of the scene, or of `RunView.photographs`."""
+    if run.in_field:
+        return _of_the_field(run, index)
+    name, roles = run.scene.cameras.names[index], run.roles
+    parts = PurePosixPath(name)
+    if parts.is_absolute() or ".." in parts.parts:
+        return PhotoAnswer(path=None, reason=f"{name!r} is no name of a photograph inside a device's folder.")
+    device = int(roles.device_of_camera[index])
+    if roles.held_out[index] and run.kind != "scene":
+        return _first(
+            [run.folder / "evaluation" / "photos" / name, run.folder / "pictures" / "photographs" / f"{name}.png"]
+        ) or PhotoAnswer(path=None, reason="This photograph was held out and stays where it was scored: this run keeps no picture of it.")
+    if run.kind != "run":
+        folder = unplanned_photographs(run.folder)
+        return (None if folder is None else _first([folder / name])) or PhotoAnswer(
+            path=None, reason="This photograph is no longer where structure from motion left it."
+        )
+    if device == NOBODY:
+        return PhotoAnswer(path=None, reason="No device of the plan holds this photograph.")
+    owner = roles.device_ids[device]
+    return _first([run.folder / "devices" / owner / "photos" / name]) or PhotoAnswer(
+        path=None, reason=f"The photograph stays with device {owner}: its folder is not on this machine, or not dealt yet."
+    )
+
+
+def _of_the_field(run: RunView, index: int) -> PhotoAnswer:
+    """Of a run whose photographs stayed with their devices: from the device's folder where that lies in the run's."""
+    name, owner = run.photographs[index], run.owner(index)
+    file = PurePosixPath(run.files.get(name, ""))
+    if owner and file.name and not file.is_absolute() and ".." not in file.parts:
+        found = _first([run.folder / "devices" / owner / "photos" / file])
+        if found is not None:
+            return found
+    return PhotoAnswer(path=None, reason=f"This photograph never left {f'device {owner}' if owner else 'its device'}, which took it.")
+
+
+def _first(paths: list[Path]) -> PhotoAnswer | None:
+    return next((PhotoAnswer(path=path) for path in paths if path.is_file()), None)

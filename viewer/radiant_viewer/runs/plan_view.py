@@ -1,0 +1,106 @@
+"""A plan without a run, for the eye: what `radiant plan` wrote, opened as a `RunView` without model and figures. Once per window.
+
+Before capture nobody knows a pose: cameras stand at their waypoints and look where the flight plan says, straight down where it does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame
+from radiant_core.io.records import load_plan_file
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.footprints import Optics, views_before_capture
+from radiant_core.plan.plans import require_plan_of
+from radiant_core.plan.waypoints import HIGHEST_FLIGHT_M, Waypoints
+from radiant_core.scene import SfmScene
+from radiant_viewer.runs.camera_roles import camera_roles
+from radiant_viewer.runs.run_view import RunView
+
+IMAGE_WIDTH_PX = 4000
+USUAL_OVERLAP, LARGEST_OVERLAP = 0.8, 0.95
+"""Of an image with the next one: what flights for photogrammetry have, and more than any has."""
+
+
+def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
+    """The plan in a file; `scene`: the cameras it deals, in its order, where it was made from a scene and holds no waypoints.
+
+    Raises BadInput when it has neither or they do not fit, and as `load_plan`.
+    """
+    found = load_plan_file(path)
+    cloud_plan, edge_plans = found.cloud, found.edges
+    if found.waypoints is not None:
+        scene = scene_before_capture(found.waypoints, found.ground_m)
+    if scene is None:
+        raise BadInput(f"{path} was made from a scene and holds no positions: name the scene's folder by --scene.")
+    require_plan_of(len(scene.cameras), cloud_plan, edge_plans)
+    return RunView(
+        folder=path,
+        scene=scene,
+        cloud_plan=cloud_plan,
+        edge_plans=edge_plans,
+        splats=None,
+        held_out=frozenset(),
+        psnr_db=None,
+        roles=camera_roles(scene.cameras, cloud_plan, edge_plans, ()),
+    )
+
+
+def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None, optics: Optics | None = None) -> SfmScene:
+    """The cameras that waypoints will become, without points, in metres about the waypoints' origin; z counts from the ground, at
+    `ground_m` of the waypoints' altitudes, and where nobody gave it at `likely_ground_m`."""
+    optics = optics or Optics()
+    positions = waypoints.positions_m.copy()
+    positions[:, 2] += waypoints.origin[2] - (likely_ground_m(waypoints, optics) if ground_m is None else ground_m)
+    views = views_before_capture(positions[:, :2], np.ones(len(positions)), optics, waypoints.heading_pitch_deg)
+    return SfmScene(
+        cameras=_looking(waypoints.names, positions, views.corner_rays, optics),
+        points=np.zeros((0, 3)),
+        colors=np.zeros((0, 3), np.uint8),
+        observations=np.zeros((0, 2), np.int64),
+        frame=Frame(kind="metric", origin_lat_lon_alt=waypoints.origin, altitude_known=waypoints.altitude_known),
+    )
+
+
+def likely_ground_m(waypoints: Waypoints, optics: Optics) -> float:
+    """Where the ground lies in the waypoints' altitudes (m): at 0 where a flight may be that high and its images overlap by at most
+    `LARGEST_OVERLAP` from there, and else so far below the lowest waypoint that they overlap by `USUAL_OVERLAP`."""
+    altitudes = waypoints.lat_lon_alt[:, 2]
+    low, high = float(altitudes.min()), float(altitudes.max())
+    positions = waypoints.positions_m[:, :2]
+    apart = float(np.median(KDTree(positions).query(positions, k=2)[0][:, 1])) if len(positions) > 1 else 0.0
+    seen_per_height = 2 * np.tan(np.radians(optics.field_of_view_deg / 2))
+    if (
+        not waypoints.absolute
+        and low > 0
+        and high <= HIGHEST_FLIGHT_M
+        and (apart == 0 or apart >= (1 - LARGEST_OVERLAP) * seen_per_height * low)
+    ):
+        return 0.0
+    return low - apart / ((1 - USUAL_OVERLAP) * seen_per_height)
+
+
+def _looking(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:
+    """Cameras at positions (P,3) through whose corners, from the left upper one on clockwise, the rays (P,4,3) go."""
+    left_up, right_up, right_down, left_down = (corner_rays[:, corner] for corner in range(4))
+    forward = _unit(corner_rays.sum(axis=1))
+    right = _unit(right_up + right_down - left_up - left_down)
+    rotations = np.stack([right, np.cross(forward, right), forward], axis=1)
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, :3] = rotations
+    poses[:, :3, 3] = -np.einsum("pij,pj->pi", rotations, positions)
+    width, height = IMAGE_WIDTH_PX, round(IMAGE_WIDTH_PX * optics.aspect)
+    focal = 0.5 * width / np.tan(np.radians(optics.field_of_view_deg / 2))
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    count = len(positions)
+    return Cameras(names=tuple(names), Ks=np.tile(K, (count, 1, 1)), cam_from_world=poses, sizes_wh=np.tile([width, height], (count, 1)))
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

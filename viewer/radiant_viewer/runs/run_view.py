@@ -1,0 +1,239 @@
+"""`RunView`: what the folder of a run, a training or a scene holds for the eye, read through `radiant_core.io` and checked to fit together.
+
+Read once per window or screenshot. A run that is broken or not finished gives one sentence: what is missing, what finishes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_core.errors import BadInput, StoreDamaged
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.ply import load_ply
+from radiant_core.io.records import load_plan, load_scene
+from radiant_core.io.run_store import read_json
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_viewer.runs.camera_roles import NOBODY, CameraRoles, camera_roles
+from radiant_viewer.runs.field_files import local_files
+from radiant_viewer.runs.unplanned import FolderKind, finish_command, has_unplanned_scene, kind_of, plan_of_everything, unplanned_scene
+
+SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
+DELIVERED = "delivered"
+"""Folder of a run whose photographs stayed on their devices: the poses and the plan of what was delivered."""
+FileStamps = tuple[tuple[str, int, int], ...]
+COMPARISON_KINDS = ("photographs", "renders", "differences")
+"""Folders below pictures/ with one PNG per held-out photograph, in the order they are shown."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunView:
+    """A run as far as it has come: scene and plan always, model and figures once they exist.
+
+    held_out: names of the cameras that nothing was trained on; psnr_db: figures of held-out photographs by name, None before evaluation.
+    Where photographs stayed with their devices (`in_field`), cameras have numbers for names, those of held-out photographs stayed, too
+    (`unplaced`, sorted), and `files` has the names of the files behind numbers as far as the devices' folders lie in the run's.
+    kind: what the folder is; the plan of a training or a scene is one region without land.
+    """
+
+    folder: Path
+    scene: SfmScene
+    cloud_plan: CloudPlan
+    edge_plans: tuple[EdgePlan, ...]
+    splats: Splats | None
+    held_out: frozenset[str]
+    psnr_db: Mapping[str, float] | None
+    roles: CameraRoles
+    in_field: bool = False
+    unplaced: tuple[str, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
+    kind: FolderKind = "run"
+
+    @property
+    def photographs(self) -> tuple[str, ...]:
+        """Names of all that can be chosen: the scene's cameras, then the held-out photographs without one."""
+        return (*self.scene.cameras.names, *self.unplaced)
+
+    @property
+    def placed_psnr_db(self) -> dict[str, float]:
+        """The figures of photographs whose cameras are in the scene."""
+        known = set(self.scene.cameras.names)
+        return {name: value for name, value in (self.psnr_db or {}).items() if name in known}
+
+    def owner(self, index: int) -> str:
+        """The device that took photograph `index` of `photographs`; empty where the plan knows none."""
+        if index < len(self.scene.cameras):
+            device = int(self.roles.device_of_camera[index])
+            return self.roles.device_ids[device] if device >= 0 else ""
+        owner = self.photographs[index].rpartition("/")[0]
+        return owner if owner in self.roles.device_ids else ""
+
+    @property
+    def unit(self) -> str:
+        """Unit of the world coordinates, "m" or "units"."""
+        return self.scene.frame.unit
+
+
+def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
+    """The run, training or scene in `folder`; BadInput when it is none or not planned yet, StoreDamaged when a file is broken.
+
+    `with_files`: names of files behind numbers, too, for a window, which writes nothing into the run; nobody else reads devices' records.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
+    if (kind := kind_of(folder)) != "run":
+        return _unplanned_view(folder, kind)
+    if (folder / DELIVERED).is_dir():
+        # Devices that place their own photographs send poses for what they trained on, and nothing of what they held out.
+        _require_file(folder, f"{DELIVERED}/plan.json", "the run is not finished")
+        scene, plan_path = load_scene(folder / DELIVERED / "scene.safetensors"), folder / DELIVERED / "plan.json"
+        held_out: frozenset[str] = frozenset()
+        psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
+        in_field = True
+    else:
+        _require_file(folder, SCENE_NAME, "structure from motion is not finished")
+        _require_file(folder, PLAN_NAME, "the plan is not finished")
+        scene, plan_path = load_scene(folder / SCENE_NAME), folder / PLAN_NAME
+        names = scene.cameras.names
+        psnr_db = _image_psnr_db(folder / METRICS_NAME) if (folder / METRICS_NAME).is_file() else None
+        held_out = frozenset(psnr_db or (name for name, held in zip(names, held_out_mask(names), strict=True) if held))
+        in_field = False
+    cloud_plan, edge_plans = load_plan(plan_path)
+    roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
+    return RunView(
+        folder=folder,
+        scene=scene,
+        cloud_plan=cloud_plan,
+        edge_plans=edge_plans,
+        splats=load_ply(folder / PLY_NAME) if (folder / PLY_NAME).is_file() else None,
+        held_out=held_out,
+        psnr_db=psnr_db,
+        roles=roles,
+        in_field=in_field,
+        unplaced=tuple(sorted(set(psnr_db or ()) - set(scene.cameras.names))),
+        files=local_files(folder, roles.device_ids) if in_field and with_files else {},
+    )
+
+
+def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
+    scene = unplanned_scene(folder)
+    is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
+    psnr_db = _image_psnr_db(folder / METRICS_NAME) if is_scored else None
+    names = scene.cameras.names
+    # A scene may hold copies of photographs, which training leaves out before it splits: what it scored is known only from its figures.
+    held = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
+    held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
+    cloud_plan, edge_plans = plan_of_everything(scene, int((~held).sum()))
+    roles, nobody = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out), np.full(len(held), NOBODY, np.int64)
+    return RunView(
+        folder=folder,
+        scene=scene,
+        cloud_plan=cloud_plan,
+        edge_plans=edge_plans,
+        splats=load_ply(folder / PLY_NAME) if kind == "training" and (folder / PLY_NAME).is_file() else None,
+        held_out=held_out,
+        psnr_db=psnr_db,
+        roles=replace(roles, edge_of_camera=nobody, device_of_camera=nobody),
+        kind=kind,
+    )
+
+
+def is_planned(folder: Path) -> bool:
+    """Whether a run has come so far that there is a plan to show, or a training that there are cameras."""
+    if kind_of(folder) != "run":
+        return has_unplanned_scene(folder)
+    if (folder / DELIVERED).is_dir():
+        return (folder / DELIVERED / PLAN_NAME).is_file()
+    return (folder / SCENE_NAME).is_file() and (folder / PLAN_NAME).is_file()
+
+
+def file_stamps(path: Path) -> FileStamps:
+    """What tells whether `load_run_view` of a run, or the file itself that `path` is, would read something new: of every file that is
+    there its name, time and length."""
+    names = (
+        SCENE_NAME,
+        "scene.safetensors",
+        PLAN_NAME,
+        PLY_NAME,
+        METRICS_NAME,
+        f"{DELIVERED}/{PLAN_NAME}",
+        f"{DELIVERED}/scene.safetensors",
+    )
+    stamps = []
+    for file in [path / name for name in names] if path.is_dir() else [path]:
+        with suppress(OSError):
+            stat = file.stat()
+            stamps.append((file.name, stat.st_mtime_ns, stat.st_size))
+    return tuple(stamps)
+
+
+def plan_path(folder: Path) -> Path:
+    """Where a run keeps its plan: beside the rest, or with what devices delivered that keep their photographs."""
+    return folder / DELIVERED / PLAN_NAME if (folder / DELIVERED).is_dir() else folder / PLAN_NAME
+
+
+def required_splats(run: RunView) -> Splats:
+    """The run's model; BadInput with the command that makes it when there is none yet."""
+    if run.splats is None:
+        raise BadInput(no_model_text(run.folder))
+    return run.splats
+
+
+def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
+    """Photograph, render and difference of one held-out photograph; BadInput when the run keeps no pictures of it."""
+    paths = tuple(run.folder / "pictures" / kind / f"{name}.png" for kind in COMPARISON_KINDS)
+    missing = [path for path in paths if not path.is_file()]
+    if missing and run.in_field:
+        owner = name.rpartition("/")[0]
+        raise BadInput(
+            f"the comparison pictures of {name!r} stayed with device {owner}, which sent its figures alone: where all devices are yours,"
+            " 'radiant run … --single-owner' collects them."
+        )
+    if missing:
+        raise BadInput(
+            f"{missing[0]} is missing: the pictures of {name!r} stayed with the owner of the photograph, "
+            f"or the run is not evaluated; {finish_command(run.folder)}."
+        )
+    return paths[0], paths[1], paths[2]
+
+
+def no_model_text(folder: Path) -> str:
+    """Why a folder holds no model, and what makes one."""
+    state = {
+        "run": "the run is not finished",
+        "training": "the training is not finished",
+        "scene": "'radiant sfm' makes cameras and points",
+    }
+    return f"{folder} has no {PLY_NAME}: {state[kind_of(folder)]}, {finish_command(folder)}."
+
+
+def _require_file(folder: Path, name: str, reason: str) -> None:
+    if not (folder / "manifest.json").is_file():
+        raise BadInput(f"{folder} is no run: it has no manifest.json; name the folder that 'radiant run --out' made, or train or sfm.")
+    if not (folder / name).is_file():
+        raise BadInput(f"{folder} has no {name}: {reason}, {finish_command(folder)}.")
+
+
+def _image_psnr_db(path: Path) -> dict[str, float]:
+    """PSNR by photograph of metrics.json: {"images": [{"name", "psnr_db", …}, …], …}."""
+    record: Any = read_json(path)
+    rows = record.get("images") if isinstance(record, dict) else None
+    if not isinstance(rows, list) or not all(_is_figure(row) for row in rows):
+        raise StoreDamaged(f"{path} has no list 'images' of names and psnr_db: run the evaluation again.")
+    return {row["name"]: float(row["psnr_db"]) for row in rows}
+
+
+def _is_figure(row: Any) -> bool:
+    if not (isinstance(row, dict) and isinstance(row.get("name"), str)):
+        return False
+    value = row.get("psnr_db")
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

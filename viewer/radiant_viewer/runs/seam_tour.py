@@ -1,0 +1,67 @@
+"""The stops of a walk along the borders, worst seam first: where to stand, and what was measured there. Once per run.
+
+A stop is one border; its figure is the colour step over its whole observed length, its place the worst piece (`border_figures`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_viewer.pictures.view_pose import ViewPose
+from radiant_viewer.runs.border_figures import BorderFigures, border_figures
+
+ELEVATION_DEG, ANGLE_DEG = 38.0, 30.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeamStop:
+    """One border and what was measured there; lengths in the frame's unit."""
+
+    figures: BorderFigures
+
+    @property
+    def ends(self) -> FloatArray:
+        """Of the border (2,2) on the map."""
+        return self.figures.border.ends
+
+    @property
+    def worst(self) -> FloatArray:
+        """The middle (2,) of its worst piece; of the border where nothing of it was observed."""
+        worst = self.figures.worst
+        return self.ends.mean(axis=0) if worst is None else self.figures.ends[worst].mean(axis=0)
+
+    @property
+    def worst_levels(self) -> float:
+        """The colour step there, NaN where nothing was observed."""
+        worst = self.figures.worst
+        return float("nan") if worst is None else float(self.figures.levels[worst])
+
+    @property
+    def length(self) -> float:
+        """From end to end."""
+        return self.figures.border.length_m
+
+    @property
+    def title(self) -> str:
+        """The two regions."""
+        return self.figures.title
+
+    def view(self, height: float) -> ViewPose:
+        """Obliquely along the border over its worst place at a height, a third of the border in view."""
+        along = (self.ends[1] - self.ends[0]) / max(float(np.linalg.norm(self.ends[1] - self.ends[0])), 1e-12)
+        elevation = np.radians(ELEVATION_DEG)
+        target = np.array([*self.worst, height])
+        back = np.array([*(-along * np.cos(elevation)), np.sin(elevation)])
+        distance = max(self.length, 1e-6) / 3 / np.tan(np.radians(ANGLE_DEG / 2))
+        return ViewPose(position=target + distance * back, focal_point=target, up=np.array([0.0, 0.0, 1.0]), angle_deg=ANGLE_DEG)
+
+
+def seam_stops(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[SeamStop, ...]:
+    """All borders between two regions, the strongest step first, those without a verdict last; BadInput for a plan of one region."""
+    return tuple(SeamStop(figures=figures) for figures in border_figures(scene, cloud_plan, splats))

@@ -1,0 +1,1 @@
+"""The model itself, drawn in processes of its own."""

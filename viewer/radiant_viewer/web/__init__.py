@@ -1,0 +1,1 @@
+"""The page for a browser, drawn on the machine that has the run."""

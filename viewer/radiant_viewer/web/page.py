@@ -1,0 +1,229 @@
+"""`WebPage`: what the page shows and what happens when somebody clicks. Import only after `web.require_web`.
+
+The browser holds the lists and asks; this machine draws. Everybody who has the page open sees the same view and the same choice.
+Nothing of the run is changed. What crosses the line: lists once, a picture per choice, frames of two views as JPEG.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from trame.app import get_server
+
+from radiant_core.errors import BadInput
+from radiant_viewer.layers.camera_layer import highlight_layer
+from radiant_viewer.layers.themes import DARK, LIGHT
+from radiant_viewer.pictures.view_pose import pose_of_camera
+from radiant_viewer.pictures.views import ground_height, seam_of
+from radiant_viewer.runs.camera_figures import sorted_rows
+from radiant_viewer.runs.run_figures import FIGURES
+from radiant_viewer.runs.run_view import RunView
+from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
+from radiant_viewer.web.layout import HEADERS, build_layout
+from radiant_viewer.web.rows import (
+    HIDDEN_AT_FIRST,
+    Row,
+    camera_headers,
+    camera_rows,
+    layer_row,
+    picture_file,
+    pictures_of,
+    run_camera_figures,
+    run_layers,
+    seam_rows,
+)
+from radiant_viewer.web.scene import WebScene
+
+MAX_MESSAGE_BYTES = 64 * 2**20
+
+
+class WebPage:
+    """The page of one run; make and serve it inside a running event loop."""
+
+    def __init__(self, run: RunView) -> None:
+        self.run = run
+        self.figures = run_camera_figures(run)
+        hidden = HIDDEN_AT_FIRST if run.kind == "run" else HIDDEN_AT_FIRST - {"Cameras by split"}
+        self.scene = WebScene(run_layers(run), hidden, self._later)
+        self.stops: tuple[SeamStop, ...] = ()
+        self.before_solo: list[str] | None = None
+        self.server: Any = get_server(f"radiant-{id(self)}", client_type="vue3")
+        self._fill_state()
+        self.images = build_layout(self.server, self)
+        self.server.state.change("visible")(self._on_visible)
+        self.server.state.change("dark")(self._on_dark)
+        self.server.state.change("sort_by")(self._on_sort)
+        self.server.state.change("panes")(self._on_panes)
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def serve(self, host: str, port: int, secret: str, ready: Callable[[int], None]) -> None:
+        """Serve until cancelled; `ready` gets the port once it is bound."""
+        self.server.cli.set_defaults(authKey=secret, host=host, trame_args="")
+        for name, value in HEADERS.items():
+            self.server.http_headers.set_header(name, value)
+
+        def on_ready(**_: object) -> None:
+            ready(self.server.port)
+            self._spawn(self._find_seams())
+
+        self.server.controller.on_server_ready.add(on_ready)
+        try:
+            await self.server.start(
+                port=port, host=host, thread=True, open_browser=False, show_connection_info=False, disable_logging=True,
+                timeout=0, exec_mode="coroutine",
+            )  # fmt: skip
+        finally:
+            self.scene.close()
+
+    def push(self) -> None:
+        """Send both views anew."""
+        for image in self.images:
+            image.update()
+
+    def select_camera(self, index: int) -> None:
+        """Mark a camera, stand where it stood, and show its pictures."""
+        cameras = self.run.scene.cameras
+        if not 0 <= index < len(cameras):
+            raise BadInput(f"there is no camera {index}: this run has {len(cameras)}.")
+        self.scene.set_mark(highlight_layer(cameras, index))
+        state = self.server.state
+        state.selected = index
+        state.pictures = pictures_of(self.run, index)
+        state.figures = [
+            {"heading": figure.heading, "value": f"{value:.{figure.decimals}f}", "meaning": figure.meaning}
+            for figure in FIGURES
+            if figure.key in self.figures.columns and np.isfinite(value := float(self.figures.columns[figure.key][index]))
+        ]
+        self.push()
+
+    def fly_to_camera(self) -> None:
+        """Look from where the chosen camera stood."""
+        index = self.server.state.selected
+        if index is None:
+            return
+        cameras = self.run.scene.cameras
+        distance = max(float(cameras.centers[index, 2]) - ground_height(self.run.scene), 0.05 * self._side())
+        pose = pose_of_camera(cameras, int(index), distance)
+        self.scene.view.look(pose, distance)
+        self.scene.map.look(pose, 0.25 * self._side())
+        self.push()
+
+    def go_to_seam(self, index: int) -> None:
+        """Stand at a stop of the seam tour; beyond either end it goes round."""
+        if not self.stops:
+            return
+        place = index % len(self.stops)
+        stop = self.stops[place]
+        self.server.state.seam = place
+        pose = stop.view(ground_height(self.run.scene))
+        self.scene.view.look(pose, stop.length)
+        self.scene.map.look(pose, 0.6 * stop.length)
+        shown = {*self.server.state.visible, "Seams"}
+        self.server.state.visible = [layer.name for layer in self.scene.layers if layer.name in shown]
+        self.push()
+
+    def toggle_solo(self, name: str) -> None:
+        """Show one layer alone; a second time brings back what was shown before."""
+        state = self.server.state
+        if state.solo == name:
+            state.solo, state.visible = "", self.before_solo or []
+            return
+        if not state.solo:
+            self.before_solo = list(state.visible)
+        state.solo, state.visible = name, [name]
+
+    def fit(self) -> None:
+        """All layers into both views."""
+        self.scene.fit()
+        self.push()
+
+    def _layer_rows(self) -> list[Row]:
+        return [layer_row(layer, self.scene.theme) for layer in reversed(self.scene.layers)]
+
+    def _side(self) -> float:
+        return float(np.ptp(self.run.scene.cameras.centers, axis=0).max())
+
+    def _fill_state(self) -> None:
+        run, state = self.run, self.server.state
+        state.trame__title = f"Radiant: {run.folder.resolve().name}"
+        state.trame__favicon = ""
+        state.title = run.folder.resolve().name
+        state.subtitle = _subtitle(run)
+        state.layers = self._layer_rows()
+        state.visible = [layer.name for layer in self.scene.layers if layer.name in self.scene.visible]
+        state.cameras, state.headers = camera_rows(self.figures), camera_headers(self.figures)
+        scored = "psnr_db" in self.figures.columns
+        state.sort_by = [{"key": "psnr_db" if scored else "name", "order": "asc"}]
+        state.order = sorted_rows(self.figures, state.sort_by[0]["key"]).tolist()
+        state.gantt = picture_file(run.folder / "pictures" / "gantt.png")
+        state.update({"dark": False, "solo": "", "seams": [], "seam": -1, "seams_note": "Measuring the seams …", "selected": None})
+        state.update({"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both"})
+
+    def _on_visible(self, visible: list[str], **_: object) -> None:
+        if set(visible) != self.scene.visible:
+            self.scene.set_visible(visible)
+            if self.server.state.solo and set(visible) != {self.server.state.solo}:
+                self.server.state.solo = ""
+            self.push()
+
+    def _on_dark(self, dark: bool, **_: object) -> None:
+        theme = DARK if dark else LIGHT
+        if theme is not self.scene.theme:
+            self.scene.set_theme(theme)
+            self.server.state.layers = self._layer_rows()
+            self.push()
+
+    def _on_sort(self, sort_by: list[dict[str, str]], **_: object) -> None:
+        key, order = (sort_by[0]["key"], sort_by[0]["order"]) if sort_by else ("name", "asc")
+        if key in self.figures.columns:
+            self.server.state.order = sorted_rows(self.figures, key, descending=order == "desc").tolist()
+
+    def _on_panes(self, **_: object) -> None:
+        # The browser says the new size first; a map keeps its scale, so that nothing jumps.
+        self._later(0.3, self.push)
+
+    async def _find_seams(self) -> None:
+        run, state = self.run, self.server.state
+        with state:
+            if run.splats is None:
+                state.seams_note = "The run has no model yet: there are no seams to measure."
+            elif len(run.cloud_plan.edge_ids) < 2:
+                state.seams_note = "The plan has one region only: there is no border and no seam."
+            if run.splats is None or len(run.cloud_plan.edge_ids) < 2:
+                return
+        # Seconds for millions of Gaussians, while the page is in use already.
+        self.stops = await asyncio.to_thread(seam_stops, run.scene, run.cloud_plan, run.splats)
+        layer = await asyncio.to_thread(seam_of, run.scene, run.cloud_plan, run.splats)
+        with state:
+            self.scene.add_layer(layer)
+            state.layers = self._layer_rows()
+            state.visible = [*state.visible, layer.name]
+            state.seams, state.seams_note = seam_rows(self.stops, run.unit), ""
+            self.push()
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def _later(self, seconds: float, call: Callable[[], None]) -> None:
+        def run() -> None:
+            call()
+            if self.server.protocol:
+                self.push()
+
+        asyncio.get_running_loop().call_later(seconds, run)
+
+
+def _subtitle(run: RunView) -> str:
+    parts = [
+        f"{len(run.scene.cameras):,} cameras",
+        f"{len(run.cloud_plan.edge_ids)} regions",
+        f"{len(run.roles.device_ids)} devices",
+        *([f"{len(run.splats):,} Gaussians"] if run.splats is not None else []),
+        *([f"held-out PSNR {np.mean(list(run.psnr_db.values())):.2f} dB"] if run.psnr_db else []),
+    ]
+    return " · ".join(parts)

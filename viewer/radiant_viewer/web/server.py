@@ -1,0 +1,81 @@
+"""`radiant inspect RUN --web`: the run as a page for a browser, drawn on this machine; for machines reached by ssh, and for showing.
+
+It binds to 127.0.0.1 and opens only for an address with its secret, 192 random bits anew each time. All it needs comes from this
+machine. Needs the `web` extra; `open_page` says so otherwise. Up in 3 s, then some 50 ms per frame.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import logging
+import os
+import secrets
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+from radiant_core.errors import BadInput
+from radiant_viewer.runs.run_view import load_run_view
+from radiant_viewer.window.desktop import install_text
+
+PORT = 8765
+LOCAL_HOST = "127.0.0.1"
+
+
+def require_web() -> None:
+    """Raise BadInput, with what to do instead, where the `web` extra is missing."""
+    missing = [name for name in ("trame", "trame_vtk", "trame_vuetify") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise BadInput(
+            f"no page can be served because {missing[0]} is not installed: {install_text('web')}, "
+            "or make pictures without a browser: radiant inspect RUN --screenshot out.png."
+        )
+
+
+def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOCAL_HOST, port: int = PORT) -> None:
+    """Serve a run until interrupted; `announce` gets the address once the page is up. Port 0 is any free one.
+
+    Raises BadInput without the extra, for a broken run, or for a host or port that cannot be bound.
+    """
+    require_web()
+    _require_free(host, port)
+    run = load_run_view(run_folder)
+    # wslink writes a line of its own to stdout without this, and trame would read our command line.
+    os.environ["WSLINK_READY_MSG"] = ""
+    # A browser that is closed in the middle of a frame is no error of anybody's.
+    for name in ("aiohttp", "wslink"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    from radiant_viewer.web.page import WebPage
+
+    secret = secrets.token_urlsafe(24)
+
+    async def serve() -> None:
+        page = WebPage(run)
+        await page.serve(host, port, secret, lambda used: announce(address_text(host, used, secret)))
+
+    asyncio.run(serve())
+
+
+def address_text(host: str, port: int, secret: str) -> str:
+    """What to open, and how from another machine."""
+    shown = LOCAL_HOST if host in ("0.0.0.0", "::") else host  # noqa: S104 (it is compared, not bound)
+    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/?secret={secret}"
+    lines = [f"open {address}"]
+    if host == LOCAL_HOST:
+        lines.append(f"from another machine first: ssh -L {port}:127.0.0.1:{port} {socket.gethostname()}")
+    else:
+        lines.append(f"{host} can be reached from outside and is not encrypted: whoever reads the address sees the run.")
+    return "\n".join([*lines, "Ctrl-C ends it."])
+
+
+def _require_free(host: str, port: int) -> None:
+    try:
+        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(place)
+    except OSError as error:
+        raise BadInput(
+            f"{host} port {port} cannot be bound ({error.strerror}): choose another --port, or a --host of this machine."
+        ) from error

@@ -1,0 +1,88 @@
+"""Measuring on the map: each click adds a corner; the length of the path and the area of its closure stand in the status bar."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_viewer.layers.layer import Label, Layer
+from radiant_viewer.layers.palette import ORANGE
+from radiant_viewer.pictures.measure import area_text, length_text, path_length, polygon_area
+from radiant_viewer.window.canvas import Canvas
+
+if TYPE_CHECKING:
+    from radiant_viewer.window.window import InspectorWindow
+
+MARK = "Measurement"
+
+
+class MeasureTool:
+    """Takes clicks on the map while it is active; `corners` (K,2) are what was clicked."""
+
+    def __init__(self, window: InspectorWindow, unit: str, height: float) -> None:
+        self._window, self._unit, self._height = window, unit, height
+        self.is_active = False
+        self.corners: FloatArray = np.zeros((0, 2))
+        window.map.click_takers.insert(0, self._on_click)
+
+    def set_active(self, active: bool) -> None:
+        """Begin anew, or end and take the drawing away."""
+        self.is_active = active
+        self.corners = np.zeros((0, 2))
+        self._window.remove_mark(MARK)
+        self._window.render_views()
+        self._window.tell("Measure: click corners on the map; Backspace takes the last one back, M ends." if active else "")
+
+    def undo(self) -> None:
+        """Take the last corner back."""
+        if self.is_active and len(self.corners):
+            self.corners = self.corners[:-1]
+            self._draw()
+
+    def add(self, corner: FloatArray) -> None:
+        """Add a corner (2,) of the map."""
+        self.corners = np.concatenate([self.corners, np.asarray(corner, np.float64)[None]])
+        self._draw()
+
+    @property
+    def text(self) -> str:
+        """Length, and area from three corners on."""
+        length = length_text(path_length(self.corners), self._unit)
+        if len(self.corners) < 3:
+            return f"Distance {length}"
+        try:
+            return f"Path {length}   ·   area {area_text(polygon_area(self.corners), self._unit)}"
+        except BadInput as error:
+            return f"Path {length}   ·   {error}"
+
+    def _on_click(self, canvas: Canvas, pixel: tuple[int, int]) -> bool:
+        if self.is_active:
+            self.add(canvas.ground_place(pixel))
+        return self.is_active
+
+    def _draw(self) -> None:
+        if not len(self.corners):
+            self._window.remove_mark(MARK)
+        else:
+            places = np.column_stack([self.corners, np.full(len(self.corners), self._height)])
+            ends = np.stack([places, np.roll(places, -1, axis=0)], axis=1)
+            ends = ends if len(places) > 2 else ends[: len(places) - 1]
+            self._window.draw_mark(
+                Layer(
+                    name=MARK,
+                    points=places,
+                    point_colors=np.tile(np.array(ORANGE, np.uint8), (len(places), 1)),
+                    point_size_px=8,
+                    point_rim=True,
+                    segments=ends,
+                    segment_colors=np.tile(np.array(ORANGE, np.uint8), (len(ends), 1)),
+                    line_width_px=2.5,
+                    in_front=True,
+                    labels=(Label(text=self.text.replace("   ·   ", ", "), position=places[-1]),),
+                )
+            )
+        self._window.render_views()
+        self._window.tell(self.text)

@@ -1,0 +1,76 @@
+"""The docks as panels: a menu that shows, hides and floats each, and a double click on a tab that floats it. Needs the `desktop` extra.
+
+A dock among tabs has no title bar, since its tab says the same; one that floats gets it back, to be moved and docked by.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QEvent, QObject
+from PySide6.QtGui import QMouseEvent
+from PySide6.QtWidgets import QDockWidget, QMainWindow, QMenu, QTabBar, QToolButton, QWidget
+
+if TYPE_CHECKING:
+    from radiant_viewer.window.window import InspectorWindow
+
+SIZE_WH = (520, 420)
+"""Of a dock that floats for the first time."""
+
+
+class Panels(QObject):
+    """`button` opens the menu; made once all docks stand."""
+
+    def __init__(self, window: InspectorWindow) -> None:
+        super().__init__(window)
+        self._window = window
+        # Tabs can be dragged out as well.
+        window.setDockOptions(window.dockOptions() | QMainWindow.DockOption.GroupedDragging)
+        self.button = QToolButton()
+        self.button.setText("Panels")
+        self.button.setToolTip("Show, hide or float a panel; a double click on its tab floats it, too")
+        self.button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+        menu = QMenu(self.button)
+        for dock in window.all_docks():
+            menu.addAction(dock.toggleViewAction())
+        menu.addSeparator()
+        for dock in window.all_docks():
+            float_action = menu.addAction(f"Float {dock.windowTitle()}")
+            float_action.setCheckable(True)
+            float_action.toggled.connect(partial(self.set_floating, dock))
+            dock.topLevelChanged.connect(partial(self._on_moved, dock))
+            dock.topLevelChanged.connect(float_action.setChecked)
+        self.button.setMenu(menu)
+        window.installEventFilter(self)
+
+    def set_floating(self, dock: QDockWidget, floating: bool) -> None:
+        """Take a dock out of the window, or put it back where it was."""
+        if dock.isFloating() == floating:
+            return
+        dock.show()
+        dock.setFloating(floating)
+        if floating:
+            dock.resize(max(dock.width(), SIZE_WH[0]), max(dock.height(), SIZE_WH[1]))
+        else:
+            dock.raise_()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Listen to tab bars, which Qt makes as they are needed."""
+        if event.type() == QEvent.Type.ChildAdded and watched is self._window:
+            for bar in self._window.findChildren(QTabBar):
+                bar.installEventFilter(self)
+        if isinstance(watched, QTabBar) and isinstance(event, QMouseEvent) and event.type() == QEvent.Type.MouseButtonDblClick:
+            title = watched.tabText(watched.tabAt(event.position().toPoint()))
+            for dock in self._window.all_docks():
+                if dock.windowTitle() == title:
+                    self.set_floating(dock, True)
+                    return True
+        return False
+
+    def _on_moved(self, dock: QDockWidget, floating: bool) -> None:
+        is_bare = dock.titleBarWidget() is not None
+        if floating and is_bare:
+            dock.setTitleBarWidget(None)  # type: ignore[arg-type]
+        elif not floating and not is_bare and self._window.tabifiedDockWidgets(dock):
+            dock.setTitleBarWidget(QWidget())

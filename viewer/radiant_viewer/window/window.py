@@ -1,0 +1,473 @@
+"""`InspectorWindow`: the Qt window over a run or a model. Import only after `desktop.require_desktop`.
+
+Map and 3D view hold the same layers; whatever selects a camera (table, click, tour) marks it in both and shows its photograph. Each dock
+and tool is a file of its own that asks the window for what it shares: the views, the selection, the theme, the status bar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtGui import QAction, QCloseEvent, QColor, QKeySequence, QPalette, QShortcut, QShowEvent
+from PySide6.QtWidgets import QApplication, QDockWidget, QFileDialog, QMainWindow, QMessageBox, QSplitter
+
+from radiant_core.errors import BadInput, RadiantError
+from radiant_core.numerics import FloatArray
+from radiant_viewer.docks.layer_dock import LayerDock
+from radiant_viewer.editing.plan_files import PlanSetting
+from radiant_viewer.editing.planning import Planning, add_planning
+from radiant_viewer.layers.camera_layer import highlight_layer
+from radiant_viewer.layers.layer import Layer, drawn_positions
+from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet, themed
+from radiant_viewer.pictures.images import Image, save_png
+from radiant_viewer.pictures.view_pose import pose_of_camera
+from radiant_viewer.runs.run_feeds import RunFeeds
+from radiant_viewer.runs.run_view import RunView, file_stamps
+from radiant_viewer.runs.subject import Subject
+from radiant_viewer.window.canvas import TOP_SLOT, Canvas
+from radiant_viewer.window.docks import Docks, add_docks, share_room
+from radiant_viewer.window.measure_tool import MeasureTool
+from radiant_viewer.window.panels import Panels
+from radiant_viewer.window.window_state import WindowState, restore
+
+HIDDEN_AT_FIRST = frozenset(
+    {"Device strips", "Gaussians", "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"}
+)
+"""Layers that cover others: one click away."""
+SELECTED = "Selected camera"
+SIZE_WH = (1280, 800)
+PICK_PX = 14
+"""A click this near to a camera selects it."""
+_Result = TypeVar("_Result")
+
+
+class InspectorWindow(QMainWindow):
+    """The window of one run or model; `wants_reload` asks whoever opened it to open it anew."""
+
+    wants_reload = Signal()
+
+    def __init__(
+        self,
+        subject: Subject,
+        feeds: RunFeeds | None = None,
+        theme: ThemeName = "light",
+        setting: PlanSetting | None = None,
+        state: WindowState | None = None,
+    ) -> None:
+        super().__init__()
+        self.subject, self.run = subject, subject.run
+        self.layers: list[Layer] = list(subject.layers)
+        drawn = drawn_positions(self.layers)
+        self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
+        self.theme: Theme = LIGHT
+        self.selected: int | None = None
+        self._marks: dict[str, Layer] = {}
+        self._was_shown = False
+        self._state = state
+        self._tried = subject.stamps
+        self._dark_button: list[QAction] = []
+        self.edit_button: QAction | None = None
+        self.setWindowTitle(f"Radiant: {subject.path.resolve().name}")
+        self.setDockOptions(self.dockOptions() | QMainWindow.DockOption.AllowNestedDocks)
+        splitter = QSplitter(Qt.Orientation.Horizontal)
+        self.map = Canvas(splitter, "Map", is_map=True, origin=self.origin, unit=subject.unit)
+        self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
+        splitter.setSizes([320, 320])
+        self.setCentralWidget(splitter)
+        # Where there are no sparse points below them, the Gaussians are the ground.
+        has_ground = any(layer.name == "Sparse points" for layer in self.layers)
+        shown = set() if has_ground else {"Gaussians"}
+        if not any(layer.name == "Cameras by region" for layer in self.layers):
+            shown.add("Cameras by split")
+        self.layer_dock = LayerDock(self, self.layers, HIDDEN_AT_FIRST - shown, self._on_visibility)
+        self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
+        self.measure = MeasureTool(self, subject.unit, subject.ground)
+        for canvas in (self.map, self.view):
+            canvas.click_takers.append(self._pick)
+        self.docks: Docks = add_docks(self, subject.run, subject.splats, feeds or RunFeeds(), subject.unit)
+        self.planning: Planning | None = add_planning(self, setting)
+        if self.docks.progress is not None:
+            self.docks.progress.polled.connect(self._on_polled)
+        self.panels = Panels(self)
+        self._add_actions()
+        self.set_theme(theme)
+        self.tell(subject.summary)
+        if setting is not None and setting.reason:
+            self.tell(f"{subject.summary}.   {setting.reason}")
+
+    def tell(self, message: str) -> None:
+        """One line in the status bar."""
+        self.statusBar().showMessage(message)
+
+    def attempt(self, action: Callable[[], _Result]) -> _Result | None:
+        """Do something a user asked for; what cannot be done is told in the status bar and in a box that can be read at leisure."""
+        try:
+            return action()
+        except RadiantError as error:
+            self.tell(str(error))
+            box = QMessageBox(QMessageBox.Icon.Warning, "Radiant", str(error), QMessageBox.StandardButton.Ok, self)
+            # Not modal: it must not stop a flight that is being written, or a test.
+            box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+            box.open()
+            return None
+
+    def set_layer_visible(self, name: str, visible: bool) -> None:
+        """Show or hide a layer in both views, as its check box does; BadInput for an unknown one."""
+        self.layer_dock.set_visible(name, visible)
+
+    def replace_layer(self, layer: Layer) -> None:
+        """Draw a layer anew, as after an edit, in the place of the one of its name."""
+        names = [other.name for other in self.layers]
+        if layer.name in names:
+            self.layers[names.index(layer.name)] = layer
+        else:
+            self.layers.append(layer)
+        self.layer_dock.update_legend(themed(layer, self.theme))
+        self._draw(layer)
+
+    def draw_on_map(self, layer: Layer) -> None:
+        """Draw a layer on the map alone, as in a drag; `replace_layer` ends it."""
+        slot = next((index for index, other in enumerate(self.layers) if other.name == layer.name), len(self.layers))
+        self.map.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
+
+    def take_run(self, run: RunView) -> None:
+        """Show the same run with another plan, as after an edit."""
+        self.run = run
+        if self.docks.cameras is not None:
+            self.docks.cameras.take_run(run)
+
+    def visible_layers(self) -> list[Layer]:
+        """Those that are drawn now, from the ground up."""
+        return [layer for layer in self.layers if self.layer_dock.is_visible(layer.name)]
+
+    def draw_mark(self, layer: Layer) -> None:
+        """Draw what a tool or a selection marks, over all layers."""
+        self._marks[layer.name] = layer
+        for canvas in (self.map, self.view):
+            canvas.draw(layer, TOP_SLOT)
+
+    def remove_mark(self, name: str) -> None:
+        """Take a mark away, if it is there."""
+        self._marks.pop(name, None)
+        for canvas in (self.map, self.view):
+            canvas.remove(name)
+
+    def select_camera(self, name: str) -> None:
+        """Select a camera everywhere; BadInput for an unknown name."""
+        if self.run is None or name not in self.run.photographs:
+            raise BadInput(f"there is no camera named {name!r} in this run: check the first column of the table.")
+        self.select_index(self.run.photographs.index(name))
+
+    def select_index(self, index: int) -> None:
+        """Select photograph `index` of `RunView.photographs`, a camera of the scene or one beyond them, through its row of the table."""
+        if self.docks.cameras is not None:
+            self.docks.cameras.select(index)
+
+    def mark_camera(self, index: int) -> None:
+        """What follows from a selected row: its mark in both views, its photograph, its line in the status bar."""
+        if self.run is None:
+            return
+        is_placed = index < len(self.run.scene.cameras)
+        self.selected = index if is_placed else None
+        if is_placed:
+            self.draw_mark(highlight_layer(self.run.scene.cameras, index))
+        else:
+            self.remove_mark(SELECTED)
+        if self.docks.photo is not None:
+            self.docks.photo.show_camera(index)
+        if self.docks.cameras is not None:
+            row = self.docks.cameras.cameras.rows[index]
+            self.tell("   ·   ".join(str(cell) for cell in row[:4] if cell))
+        if self.isVisible() and is_placed:
+            self._show_on_map(self.run.scene.cameras.centers[index])
+        self.render_views()
+
+    def fly_to_selected(self) -> None:
+        """See the scene from the selected camera."""
+        if self.run is None or self.selected is None:
+            self.tell("No camera with a known place is selected: click one in a view or in the table.")
+            return
+        center = self.run.scene.cameras.centers[self.selected]
+        distance = max(float(abs(center[2] - self.subject.ground)), 1e-3)
+        pose = pose_of_camera(self.run.scene.cameras, self.selected, distance)
+        self.view.set_pose(pose)
+        self._show_on_map(center)
+        self.render_views()
+        if self.docks.splats is not None:
+            self.raise_dock(self.docks.splats)
+
+    def _show_on_map(self, place: FloatArray) -> None:
+        """Move the map where a place (3,) lies outside of it."""
+        pixel = self.map.pixels_of(place[None])[0]
+        if not ((pixel >= 0) & (pixel <= self.map.size_wh)).all():
+            self.map.center_on(place[:2])
+
+    def raise_dock(self, dock: QDockWidget | None) -> None:
+        """Bring a dock to the front."""
+        if dock is not None:
+            dock.show()
+            dock.raise_()
+
+    @property
+    def crop_box(self) -> FloatArray | None:
+        """The box (2,3) outside of which nothing is shown, or None."""
+        return None if self.docks.crop is None else self.docks.crop.active_box
+
+    def set_theme(self, name: ThemeName) -> None:
+        """Light or dark, views included."""
+        self.theme = THEMES[name]
+        for button in self._dark_button:
+            button.blockSignals(True)
+            button.setChecked(name == "dark")
+            button.blockSignals(False)
+        QApplication.setPalette(_palette(self.theme))
+        self.setStyleSheet(style_sheet(self.theme))
+        for canvas in (self.map, self.view):
+            canvas.set_theme(self.theme)
+        for layer in self.layers:
+            self.layer_dock.update_legend(themed(layer, self.theme))
+        if self.docks.gantt is not None:
+            self.docks.gantt.follow_theme()
+        self._draw_all()
+
+    def reset_views(self) -> None:
+        """Fit all layers into both views."""
+        drawn = drawn_positions(self.layers)
+        for canvas in (self.map, self.view):
+            canvas.fit(drawn)
+        self.render_views()
+
+    def render_views(self) -> None:
+        """Draw both views now; before the window is shown there is nothing to draw into."""
+        if not self.isVisible():
+            return
+        for canvas in (self.map, self.view):
+            canvas.render()
+
+    def screenshot(self) -> Image:
+        """Map and 3D view as they are on screen, side by side (H,W,3)."""
+        images = [canvas.screenshot() for canvas in (self.map, self.view)]
+        height = min(image.shape[0] for image in images)
+        return np.concatenate([image[:height] for image in images], axis=1)
+
+    def save_screenshot(self, path: Path) -> None:
+        """Write `screenshot` as PNG; BadInput where it cannot be written."""
+        save_png(path, self.screenshot())
+        self.tell(f"Saved {path}")
+
+    def save_window_picture(self, path: Path) -> None:
+        """Write the whole window, docks included, as PNG; BadInput where it cannot be written."""
+        # Grabbed from the screen: Qt's own picture of a widget leaves out what OpenGL drew.
+        if not self.screen().grabWindow(int(self.winId())).save(str(path), "PNG"):
+            raise BadInput(f"cannot write {path}: choose a folder that exists and a name that ends in .png.")
+        self.tell(f"Saved {path}")
+
+    def reload(self) -> None:
+        """Read the run anew, in a new window in the place of this one."""
+        self.wants_reload.emit()
+
+    def all_docks(self) -> list[QDockWidget]:
+        """Every dock, in the order of the menu."""
+        planning = [] if self.planning is None else [self.planning.dock, self.planning.loads]
+        return [self.layer_dock, *planning, *self.docks.all()]
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Fit the layers once the views have their size."""
+        super().showEvent(event)
+        QTimer.singleShot(0, self._on_first_shown)
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """End what runs beside the window, then free both views before Qt takes their windows away; VTK would draw into nothing."""
+        self.end()
+        for canvas in (self.map, self.view):
+            canvas.plotter.close()
+        super().closeEvent(event)
+
+    def end(self) -> None:
+        """End what runs beside the window; edits that are being solved are kept."""
+        for dock in (self.docks.splats, self.docks.progress):
+            if dock is not None:
+                dock.end()
+        if self.docks.fly is not None:
+            self.docks.fly.stop()
+        if self.planning is not None:
+            self.planning.end()
+
+    def _on_first_shown(self) -> None:
+        if self.isVisible() and not self._was_shown:
+            self._was_shown = True
+            if self._state is not None:
+                share_room(self)
+                self.reset_views()
+                restore(self, self._state)
+                return
+            # Before the docks are laid out Qt takes a window for wider than it needs to be.
+            room = self.screen().availableSize()
+            self.resize(min(SIZE_WH[0], room.width()), min(SIZE_WH[1], room.height()))
+            share_room(self)
+            self.reset_views()
+
+    def _on_polled(self) -> None:
+        """Read the run anew once one of its stages has written something, unless somebody is in the middle of something."""
+        stamps = file_stamps(self.subject.path)
+        if stamps == self._tried or self._is_busy():
+            return
+        self._tried = stamps
+        self.reload()
+
+    def _is_busy(self) -> bool:
+        planning, fly = self.planning, self.docks.fly
+        is_editing = planning is not None and (planning.tools.is_dragging or (planning.session is not None and planning.session.is_busy))
+        is_filming = fly is not None and fly.job is not None
+        has_dialog = QApplication.activeModalWidget() is not None or QApplication.activePopupWidget() is not None
+        is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
+        return is_editing or is_filming or has_dialog or is_pressed or self.measure.is_active or self.crop_box is not None
+
+    def _add_actions(self) -> None:
+        bar = self.addToolBar("View")
+        bar.setMovable(False)
+        bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
+        photo, seams, fly, crop = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.crop
+        planning = self.planning
+        # Text, tip, key and what is done; an entry without a text has its button in a dock.
+        entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
+            ("Fit", "Fit all layers into both views", "F", self.reset_views),
+            ("Fly to", "See the scene from the selected camera", "Return", self.fly_to_selected if self.run else None),
+            ("Worst photograph", "The held-out photograph with the lowest PSNR", "W", photo.show_worst if photo else None),
+            ("", "The next worse held-out photograph", "Alt+Left", (lambda: photo.step(-1)) if photo else None),
+            ("", "The next better held-out photograph", "Alt+Right", (lambda: photo.step(1)) if photo else None),
+            ("Seam tour", "The worst seam first", "T", self._begin_tour if seams else None),
+            ("", "The next seam", "N", (lambda: seams.step(1)) if seams else None),
+            ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
+            ("", "Take the last measured corner back", "Backspace", self.measure.undo),
+            ("", "Add the 3D view as a keyframe", "K", fly.add_view if fly else None),
+            ("", "Undo the last edit of the plan", "Ctrl+Z", planning.undo if planning else None),
+            ("", "Redo it", "Ctrl+Shift+Z", planning.redo if planning else None),
+            ("", "Save the edited plan", "Ctrl+Shift+P", planning.ask_save if planning else None),
+            ("", "Save the plan's regions for a GIS, as GeoJSON", "Ctrl+G", planning.ask_regions if planning else None),
+            ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
+            ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
+            ("", "Read the run anew", "F5", self.reload),
+            ("", "Show all shortcuts", "F1", self._show_shortcuts),
+        ]
+        self.shortcuts: dict[str, str] = {}
+        for text, tip, key, action in entries:
+            if action is None:
+                continue
+            self.shortcuts[key] = tip
+            if text:
+                button = bar.addAction(text, action)
+                button.setToolTip(f"{tip} ({key})")
+                button.setShortcut(QKeySequence(key))
+            else:
+                QShortcut(QKeySequence(key), self).activated.connect(action)
+        toggles: list[tuple[str, str, str, Callable[[bool], object]]] = [
+            *([("Edit plan", "Drag edges and borders, select cameras on the map", "E", planning.set_active)] if planning else []),
+            ("Measure", "Measure distance and area on the map", "M", self.measure.set_active),
+            ("Crop", "Hide what lies outside a box", "B", self._set_cropping),
+            ("Dark", "Dark or light theme", "Ctrl+D", lambda dark: self.set_theme("dark" if dark else "light")),
+        ]
+        for text, tip, key, toggle in toggles:
+            self.shortcuts[key] = tip
+            button = bar.addAction(text)
+            button.setCheckable(True)
+            button.setToolTip(f"{tip} ({key})")
+            button.setShortcut(QKeySequence(key))
+            button.toggled.connect(toggle)
+            if text == "Dark":
+                self._dark_button.append(button)
+            if text == "Edit plan":
+                self.edit_button = button
+            if text == "Crop" and crop is not None:
+                crop.active.toggled.connect(button.setChecked)
+        bar.addWidget(self.panels.button)
+
+    def _begin_tour(self) -> None:
+        if self.docks.seams is not None:
+            self.raise_dock(self.docks.seams)
+            # What the model looks like there is what the tour is for.
+            self.raise_dock(self.docks.splats)
+            self.docks.seams.go(0)
+
+    def _set_cropping(self, active: bool) -> None:
+        if self.docks.crop is not None:
+            self.docks.crop.active.setChecked(active)
+            if active:
+                self.raise_dock(self.docks.crop)
+
+    def _draw_all(self) -> None:
+        for layer in self.layers:
+            self._draw(layer)
+        for layer in list(self._marks.values()):
+            self.draw_mark(layer)
+        self.render_views()
+
+    def _draw(self, layer: Layer) -> None:
+        slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
+        for canvas in (self.map, self.view):
+            canvas.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
+            if self.docks.crop is not None:
+                self.docks.crop.apply_to(canvas)
+
+    def _on_visibility(self) -> None:
+        for layer in self.layers:
+            for canvas in (self.map, self.view):
+                canvas.show(layer.name, self.layer_dock.is_visible(layer.name))
+        self.render_views()
+
+    def _pick(self, canvas: Canvas, pixel: tuple[int, int]) -> bool:
+        """Select the camera nearest to a click."""
+        if self.run is None or not len(self.run.scene.cameras):
+            return False
+        away = np.linalg.norm(canvas.pixels_of(self.run.scene.cameras.centers) - pixel, axis=1)
+        away = np.where(np.isfinite(away), away, np.inf)
+        index = int(np.argmin(away))
+        if away[index] > PICK_PX:
+            return False
+        self.select_index(index)
+        return True
+
+    def _ask_screenshot(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save screenshot", str(Path.cwd() / "inspect.png"), "PNG (*.png)")
+        if path:
+            self.attempt(lambda: self.save_screenshot(Path(path)))
+
+    def _ask_window_picture(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Save window", str(Path.cwd() / "window.png"), "PNG (*.png)")
+        if path:
+            # The dialog must be off the screen first.
+            QTimer.singleShot(300, lambda: self.attempt(lambda: self.save_window_picture(Path(path))))
+
+    def _show_shortcuts(self) -> None:
+        rows = "".join(f"<tr><td><b>{key}</b>&nbsp;&nbsp;</td><td>{tip}</td></tr>" for key, tip in self.shortcuts.items())
+        box = QMessageBox(QMessageBox.Icon.NoIcon, "Shortcuts", f"<table>{rows}</table>", QMessageBox.StandardButton.Close, self)
+        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        box.open()
+
+
+def _palette(theme: Theme) -> QPalette:
+    """Qt's colours of a theme."""
+    roles = {
+        QPalette.ColorRole.Window: theme.panel,
+        QPalette.ColorRole.Base: theme.field,
+        QPalette.ColorRole.AlternateBase: theme.panel,
+        QPalette.ColorRole.Button: theme.panel,
+        QPalette.ColorRole.ToolTipBase: theme.field,
+        QPalette.ColorRole.WindowText: theme.text,
+        QPalette.ColorRole.Text: theme.text,
+        QPalette.ColorRole.ButtonText: theme.text,
+        QPalette.ColorRole.ToolTipText: theme.text,
+        QPalette.ColorRole.PlaceholderText: theme.soft_text,
+        QPalette.ColorRole.Highlight: theme.accent,
+        QPalette.ColorRole.HighlightedText: theme.field,
+    }
+    palette = QPalette()
+    for role, color in roles.items():
+        palette.setColor(role, QColor(*color))
+    for role in (QPalette.ColorRole.WindowText, QPalette.ColorRole.Text, QPalette.ColorRole.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, role, QColor(*theme.soft_text))
+    return palette

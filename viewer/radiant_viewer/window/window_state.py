@@ -1,0 +1,76 @@
+"""`WindowState`: how somebody has set up a window, carried over when the run it shows is read anew. Needs the `desktop` extra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QRect
+
+from radiant_core.numerics import FloatArray
+from radiant_viewer.pictures.view_pose import ViewPose
+
+if TYPE_CHECKING:
+    from radiant_viewer.window.window import InspectorWindow
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WindowState:
+    """Where both views stand, which layers are shown, what is selected, and which docks are in front or float where."""
+
+    pose: ViewPose
+    map_middle: FloatArray
+    map_half_height: float
+    visible: dict[str, bool]
+    solo: str | None
+    camera: str | None
+    in_front: tuple[str, ...]
+    floating: dict[str, QRect]
+    keyframes: tuple[ViewPose, ...]
+    is_editing: bool
+
+
+def state_of(window: InspectorWindow) -> WindowState:
+    """What `restore` brings back in another window of the same run."""
+    camera = window.map.plotter.camera
+    selected = None if window.run is None or window.selected is None else window.run.scene.cameras.names[window.selected]
+    docks = window.all_docks()
+    planning = window.planning
+    return WindowState(
+        pose=window.view.pose,
+        map_middle=window.map.pose.focal_point[:2],
+        map_half_height=float(camera.parallel_scale),
+        visible=window.layer_dock.checked(),
+        solo=window.layer_dock.solo,
+        camera=selected,
+        in_front=tuple(dock.objectName() for dock in docks if not dock.visibleRegion().isEmpty()),
+        floating={dock.objectName(): dock.geometry() for dock in docks if dock.isFloating()},
+        keyframes=tuple(window.docks.fly.keyframes) if window.docks.fly is not None else (),
+        is_editing=planning is not None and planning.tools.is_active,
+    )
+
+
+def restore(window: InspectorWindow, state: WindowState) -> None:
+    """Set a window up as another one was; what only one of them has stays as it is."""
+    for dock in window.all_docks():
+        if dock.objectName() in state.floating:
+            dock.setFloating(True)
+            dock.setGeometry(state.floating[dock.objectName()])
+        if dock.objectName() in state.in_front:
+            dock.raise_()
+    known = window.layer_dock.checked()
+    for name, visible in state.visible.items():
+        if name in known:
+            window.set_layer_visible(name, visible)
+    if state.solo in known:
+        window.layer_dock.set_solo(state.solo)
+    if state.is_editing and window.edit_button is not None:
+        window.edit_button.setChecked(True)
+    if window.docks.fly is not None:
+        for pose in state.keyframes:
+            window.docks.fly.add_keyframe(pose)
+    if window.run is not None and state.camera in window.run.scene.cameras.names:
+        window.select_camera(state.camera)
+    window.view.set_pose(state.pose)
+    window.map.center_on(state.map_middle, state.map_half_height)
+    window.render_views()
