@@ -123,7 +123,8 @@ def test_a_killed_worker_is_named_and_resuming_finishes(tmp_path: Path) -> None:
 
 
 def test_a_worker_ends_when_its_executor_is_gone(tmp_path: Path) -> None:
-    sleeper = "import time; from radiant_app.workers import nodes, worker; nodes.run_node = lambda *_: print('here', flush=True) or time.sleep(60)\n"
+    sleeper = "import time; from radiant_app.workers import nodes, worker\n"
+    sleeper += "nodes.run_node = lambda *_: print('here', flush=True) or time.sleep(60)\n"
     command = [sys.executable, "-c", sleeper + f"worker.main(['device', {str(tmp_path)!r}, 'devices/1', 'key'])"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None and process.stderr is not None

@@ -42,7 +42,7 @@ PROTOCOL = [CORE / "io" / f"{name}.py" for name in ("acceptance", "delivery", "s
 PARTS = {
     "plan": sorted((CORE / "plan").glob("*.py")),
     "io": sorted(path for path in (CORE / "io").glob("*.py") if path not in PROTOCOL),
-    "upload": [*PROTOCOL, CORE / "aggregate" / "arrival.py", APP / "delivering.py", APP / "inbox.py"],
+    "upload": [*PROTOCOL, CORE / "aggregate" / "arrival.py", APP / "workers" / "delivering.py", APP / "workers" / "inbox.py"],
 }
 PACKAGE_TESTS = {
     "plan": ["tests/core/plan", "tests/app/test_plan_options.py", "tests/app/test_profile_file.py", "tests/app/test_system_file.py"],
