@@ -15,8 +15,9 @@ import os
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, Self
 
@@ -147,8 +148,17 @@ def content_key(*parts: Any) -> str:
     dataclasses, and Paths: a file counts by its bytes, a folder by the names and bytes of its files, never by where it lies.
     Raises TypeError on anything else.
     """
+    return _digest_of(_canonical_bytes(list(parts)))
+
+
+def key_of_files(sha256_of: Mapping[str, str]) -> str:
+    """`content_key` of a folder that holds files with these hashes, by their paths inside it."""
+    return _digest_of(chain(_tagged("list", b"1"), _tagged("path", b""), _canonical_bytes(sha256_of)))
+
+
+def _digest_of(pieces: Iterable[bytes]) -> str:
     digest = hashlib.sha256()
-    for piece in _canonical_bytes(list(parts)):
+    for piece in pieces:
         digest.update(piece)
     return digest.hexdigest()
 

@@ -1,18 +1,22 @@
-"""What nodes decided, as the report lists it: one function per topic. Once per node."""
+"""What nodes decide, as the report lists it: one function per topic. Once per node."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from radiant_app.workers.cloud_task import BY_PRESET
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 
 if TYPE_CHECKING:
+    from radiant_core.aggregate.balance import Balance
+    from radiant_core.aggregate.config import AggregateConfig
+    from radiant_core.aggregate.retrain import Joined
     from radiant_core.aggregate.synthetic_views import Rendered
     from radiant_core.train.config import TrainConfig
     from radiant_core.train.shapes import ShapeCounts
+
+BY_PRESET = "the preset follows 3DGS and the paper, which add and skip nothing here"
 
 
 def sky_decision(stage: str, share: float, *, wanted: bool) -> Decision:
@@ -111,3 +115,52 @@ def join_memory_decision(stage: str, needed_bytes: float, statistics_bytes: int 
     reason = f"retraining them is predicted to take {needed_bytes / 1e6:,.0f} MB"
     unit = "MB allowed"
     return Decision(stage=stage, topic="memory", choice=choice, figure=memory_bytes / 1e6, unit=unit, reason=reason, forced=True)
+
+
+def join_decisions(stage: str, aggregate: AggregateConfig, num_models: int, joined: Joined) -> list[Decision]:
+    """What was retrained of the joined models and what was skipped, with the figures that decided."""
+
+    def decided(choice: str, figure: float, unit: str, reason: str) -> Decision:
+        forced = aggregate.preset == "paper"
+        return Decision(stage=stage, topic="retraining", choice=choice, figure=figure, unit=unit, reason=reason, forced=forced)
+
+    steps = joined.trained.num_steps
+    if num_models == 1 and not steps:
+        return [decided("skipped", 1.0, "models", "a single model would only learn from its own pictures")]
+    if aggregate.preset == "paper":
+        return [decided(f"{steps:,} steps on all Gaussians and whole pictures", float(steps), "steps", BY_PRESET)]
+    exposures = [] if joined.balance is None else [exposures_decision(stage, joined.balance)]
+    if not joined.num_shown:
+        reason = "no view shows enough that a second model knows: models are cut at their borders"
+        return [*exposures, decided("skipped", 0.0, "% contested", reason)]
+    if not steps:
+        reason = f"models that agree to {aggregate.agreement_db:g} dB have no seam that could be seen: they are cut at their borders"
+        return [*exposures, decided("skipped", joined.agreement_db or 0.0, "dB", reason)]
+    shown = f"{joined.num_shown} of {joined.num_views} views"
+    share = 100 * joined.contested_share
+    left = f"{joined.num_given:,} Gaussians became {len(joined.splats):,}"
+    reason = "only what a second model knows too can be joined better"
+    return [*exposures, decided(f"{steps:,} steps on {shown}; {left}", share, "% contested", reason)]
+
+
+def exposures_decision(stage: str, balance: Balance) -> Decision:
+    """Whether models were balanced, with how far the one that differs most is off."""
+    choice = "models are balanced by a gain and an offset per channel" if balance.needed else "left as they are"
+    if not balance.num_pairs:
+        reason = "no two models show the same place"
+    else:
+        reason = f"{'more' if balance.needed else 'no more'} than models of one exposure differ by"
+    unit = "of 255 from the mean of all models, at mid grey"
+    unchanged = not balance.needed
+    topic = "exposures of the models"
+    return Decision(stage=stage, topic=topic, choice=choice, figure=balance.levels, unit=unit, reason=reason, changes_nothing=unchanged)
+
+
+def faint_decision(stage: str, aggregate: AggregateConfig, pooled: Joined) -> Decision:
+    """How many of the Gaussians were left out where another model owns the place."""
+    num_left_out = pooled.num_given - len(pooled.splats)
+    share = 100 * num_left_out / max(pooled.num_given, 1)
+    choice = f"{num_left_out:,} of {pooled.num_given:,} left out" if num_left_out else "all are kept"
+    reason = f"another model owns their place, and faded they would be fainter than {aggregate.faint_opacity:g}"
+    kept = not num_left_out
+    return Decision(stage=stage, topic="faint Gaussians", choice=choice, figure=share, unit="% of all", reason=reason, changes_nothing=kept)

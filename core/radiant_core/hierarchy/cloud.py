@@ -1,0 +1,150 @@
+"""What the cloud does: join the edges' models into the scene (paper Sec. III-D). Once per run.
+
+admit ─→ retrain   all models together, on what each shows at its edge's virtual cameras
+      ├→ cut       at the borders of the regions, where memory, time or a count of cameras forbid that; a warning says so
+      └→ crop-merge  where the settings ask for it, or the paper's preset meets its limits
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, shown_alike_db
+from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs, kept_statistics_bytes
+from radiant_core.aggregate.crop_merge import crop_merge
+from radiant_core.aggregate.ownership import Claims, claims_of_cells
+from radiant_core.aggregate.retrain import Joined, cut_at_borders, retrain_on_synthetic_views
+from radiant_core.aggregate.synthetic_views import Rendered, Teacher
+from radiant_core.cameras import Cameras
+from radiant_core.decisions import Decision
+from radiant_core.hierarchy.decisions import blind_spots_decision, join_decisions
+from radiant_core.hierarchy.device import training_summary
+from radiant_core.hierarchy.joining import CUT_COSTS, JOIN_AGAIN, Arrivals, admit, join_key
+from radiant_core.hierarchy.messages import CloudTask, EdgeModel, SceneModel
+from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
+from radiant_core.plan.system import Cloud
+from radiant_core.splats import Splats
+from radiant_core.train.trainer import FitOptions
+
+MACHINE_SHARE = 0.8
+"""Of the memory that is free where the cloud runs, what joining may take unless the system file sets a limit: the rest is others'."""
+
+
+def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter: Reporter, machine: Machine = Machine()) -> SceneModel:
+    """Join the edges' models into the scene.
+
+    Args:
+        task: regions, settings and limits.
+        models: by edge, in the order of the task; text where the transport refuses one, with the reason.
+        reporter: hears decisions, warnings and progress.
+        machine: free memory, which limits the join where the task does not, and checkpoints.
+
+    Returns:
+        The scene, or one without Gaussians where every edge was refused.
+    """
+    arrivals = admit(models, task.num_dealt, reporter)
+    found = {"corrections": arrivals.corrections, "refused": arrivals.refused, "uncertainty": arrivals.uncertainty}
+    if not arrivals.models:
+        return SceneModel(splats=None, **found)
+    rows = [task.edges.index(name) for name in arrivals.senders]
+    sites, weights = np.array(task.sites)[rows], np.array(task.weights)[rows]
+    cut_for_memory = False
+    if task.aggregate.cloud == "retrain":
+        choice = _choose(task, arrivals, rows, reporter, machine)
+        cut_for_memory = choice.cut_for_memory
+        if choice.retrains or task.aggregate.preset != "paper":
+            options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
+            teachers = cloud_teachers(models, arrivals, task.train.long_side_px, reporter)
+            joined = _join(task, teachers, claims_of_cells(sites, weights), options, choice, reporter)
+            return SceneModel(splats=joined.splats, summary=training_summary(joined.trained), cut_for_memory=cut_for_memory, **found)
+    merged = crop_merge(arrivals.models, sites, weights, fill_blind_spots=task.aggregate.fill_blind_spots)
+    reporter.decide(blind_spots_decision(reporter.stage, merged, wanted=task.aggregate.fill_blind_spots))
+    counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
+    return SceneModel(splats=merged.splats, summary=counts, cut_for_memory=cut_for_memory, **found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Choice:
+    """Whether the cloud retrains, within which limits, and whether its machine's free memory alone forbids it."""
+
+    retrains: bool
+    limits: Cloud
+    cut_for_memory: bool
+
+
+def _choose(task: CloudTask, arrivals: Arrivals, rows: Sequence[int], reporter: Reporter, machine: Machine) -> _Choice:
+    """Whether the models are retrained; without a limit in the task it is `MACHINE_SHARE` of the machine's free memory."""
+    times_s = None if task.edge_times_s is None else [task.edge_times_s[row] for row in rows]
+    needs = cloud_needs(arrivals.models, arrivals.cameras, task.train.long_side_px, times_s)
+    given = task.limits or Cloud()
+    limits, memory_of = given, "the cloud's limit"
+    free_bytes = machine.free_bytes()
+    if given.memory_bytes is None and np.isfinite(free_bytes):
+        limits = replace(given, memory_bytes=MACHINE_SHARE * free_bytes)
+        memory_of = f"{MACHINE_SHARE:.0%} of what this machine has free, a limit"
+    retrains, decision = choose_at_cloud(needs, limits, reporter.stage, memory_of=memory_of)
+    reporter.decide(decision)
+    if retrains:
+        return _Choice(retrains=True, limits=limits, cut_for_memory=False)
+    by_machine = choose_at_cloud(needs, given, reporter.stage)[0]
+    reporter.warn(_cut_warning(decision, by_machine=by_machine, can_join_again=arrivals.uncertainty is None))
+    return _Choice(retrains=False, limits=limits, cut_for_memory=by_machine)
+
+
+def _cut_warning(decision: Decision, *, by_machine: bool, can_join_again: bool) -> str:
+    lift = (
+        "free memory there and go on with --resume" if by_machine else "raise that limit under [cloud] in the system file of the next run"
+    )
+    again = f"; or {JOIN_AGAIN}" if can_join_again else ""
+    return f"{decision.choice}: {decision.reason}. {CUT_COSTS} To join them {lift}{again}."
+
+
+def _join(
+    task: CloudTask, teachers: list[Teacher], claims: Claims | None, options: FitOptions, choice: _Choice, reporter: Reporter
+) -> Joined:
+    """The teachers' models retrained together, or cut at the borders of the regions."""
+    most_bytes = float("inf") if choice.limits.memory_bytes is None else choice.limits.memory_bytes
+    if choice.retrains:
+        whole = replace(options, statistics_bytes=_statistics_bytes(task, teachers, most_bytes) or 0)
+        joined = retrain_on_synthetic_views(teachers, task.train, task.aggregate, whole, claims)
+        for decision in join_decisions(reporter.stage, task.aggregate, len(teachers), joined):
+            reporter.decide(decision)
+        return joined
+    # What an edge only pooled, for a cloud that was expected to join, is still joined by itself where that fits.
+    alone = replace(options, checkpoints=None)
+    for index, teacher in enumerate(teachers):
+        if teacher.pooled and (left := _statistics_bytes(task, [teacher], most_bytes)) is not None:
+            joined = retrain_on_synthetic_views([teacher], task.train, task.aggregate, replace(alone, statistics_bytes=left))
+            teachers[index] = replace(teacher, splats=joined.splats)
+    return cut_at_borders(teachers, claims)
+
+
+def _statistics_bytes(task: CloudTask, chosen: Sequence[Teacher], most_bytes: float) -> int | None:
+    models, cameras = [teacher.splats for teacher in chosen], [teacher.cameras for teacher in chosen]
+    return kept_statistics_bytes(models, cameras, task.train.long_side_px, most_bytes)
+
+
+def cloud_teachers(models: Mapping[str, EdgeModel | str], arrivals: Arrivals, long_side_px: int, reporter: Reporter) -> list[Teacher]:
+    """The edges' models with their virtual cameras and the pictures there that they sent; what is wrong with those is a warning."""
+    teachers = []
+    for name, model, own in zip(arrivals.senders, arrivals.models, arrivals.cameras, strict=True):
+        sent = models[name]
+        views = sent.views if isinstance(sent, EdgeModel) else ()
+        pictures, refusal = _checked_pictures(model, own.scaled(long_side_px), views)
+        if refusal is not None:
+            reporter.warn(f"the pictures of {name} are left out, its model's are shown instead: {refusal}")
+        teachers.append(Teacher(splats=model, cameras=own, rendered=pictures, pooled=bool(pictures) or refusal is not None))
+    return teachers
+
+
+def _checked_pictures(model: Splats, cameras: Cameras, views: tuple[Any, ...] | str) -> tuple[Rendered, str | None]:
+    """An edge's pictures by index of the camera; none, and why, where they are broken or show something else than the model does."""
+    if isinstance(views, str):
+        return {}, views
+    if views and (agreement_db := shown_alike_db(model, cameras, views)) < MIN_AGREEMENT_DB:
+        return {}, f"they differ from what its model shows ({agreement_db:.1f} dB, expected {MIN_AGREEMENT_DB:g} or more)."
+    return dict(enumerate(views)), None

@@ -1,0 +1,140 @@
+"""What a device does: fit Gaussians to its photographs (paper Sec. III-A). Once per device.
+
+    scene, photographs ─ leave out what adds nothing ─ settle size and limits ─ first Gaussians ─ fit → DeviceModel
+
+The only place that prepares a training: device nodes, `radiant train` and the benchmarks call it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+
+from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.decisions import Decision
+from radiant_core.hierarchy.decisions import density_decision, fill_decision, shapes_decision, sky_decision
+from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
+from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
+from radiant_core.render.contract import resolve_backend
+from radiant_core.render.gsplat_backend import free_vram_bytes
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_core.train.checkpoint import training_key
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.initialize import first_splats, sky_share
+from radiant_core.train.memory import memory_plan, within_memory, within_vram
+from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+from radiant_core.train.needs import fit_to_scene
+from radiant_core.train.trainer import FitOptions, TrainResult, fit_splats
+from radiant_core.train.views import TrainingViews
+from radiant_core.train.worth import worth_training
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PreparedTraining:
+    """A training that is ready to begin."""
+
+    task: DeviceTask
+    scene: SfmScene
+    """That of the task without photographs that add nothing."""
+    views: TrainingViews
+    config: TrainConfig
+    initial: Splats
+    options: FitOptions
+
+    @property
+    def key(self) -> str:
+        """Hash of all that decides the bits of the model."""
+        return training_key(self.initial, self.views, self.config, self.options)
+
+
+def train_device(
+    task: DeviceTask, views: TrainingViews, reporter: Reporter, machine: Machine = Machine(), validation: TrainingViews | None = None
+) -> DeviceModel:
+    """Train the model of one device.
+
+    Args:
+        task: the scene and the settings.
+        views: the photographs of the scene's cameras, in their order, at the training size.
+        reporter: hears decisions, warnings and progress.
+        machine: memory, checkpoints and clock.
+        validation: views that only choose which state of the model is returned.
+
+    Raises:
+        BadInput: the photographs or the settings cannot be used.
+        StageFailed: the training diverges.
+    """
+    prepared = prepare_training(task, views, reporter, machine, validation)
+    result = fit_prepared(prepared, reporter)
+    return device_model(prepared, result)
+
+
+def prepare_training(
+    task: DeviceTask, views: TrainingViews, reporter: Reporter, machine: Machine = Machine(), validation: TrainingViews | None = None
+) -> PreparedTraining:
+    """Everything up to the first step of `train_device`, with the decisions taken on the way."""
+    config, statistics_bytes = task.train, STATISTICS_BUDGET_BYTES
+    if task.memory_bytes is not None:
+        cameras = views.cameras if validation is None else concatenate_cameras([views.cameras, validation.cameras])
+        masked, limit = views.weights is not None, int(task.memory_bytes)
+        plan = memory_plan(config, cameras, limit, machine.base_bytes, validated=validation is not None, masked=masked)
+        config, decision = within_memory(config, plan, limit, reporter.stage, config.max_num_splats)
+        reporter.decide(decision)
+        statistics_bytes = plan.statistics_bytes
+    scene, views, decisions = worth_training(task.scene, views, config)
+    _decide(reporter, decisions)
+    config, decisions = fit_to_scene(config, scene, views)
+    _decide(reporter, decisions)
+    config, decisions = _within_cuda(config, views.cameras, task.backend, reporter.stage)
+    _decide(reporter, decisions)
+    reporter.decide(sky_decision(reporter.stage, sky_share(views.cameras), wanted=config.sky))
+    initial, num_filled = first_splats(scene, views, config)
+    reporter.decide(fill_decision(reporter.stage, num_filled, len(scene.points), wanted=config.fill_in))
+    bare = FitOptions(backend=task.backend, validation=validation)
+    options = fit_options(task.backend, reporter, machine, lambda: training_key(initial, views, config, bare))
+    options = replace(options, validation=validation, statistics_bytes=statistics_bytes)
+    return PreparedTraining(task=task, scene=scene, views=views, config=config, initial=initial, options=options)
+
+
+def _within_cuda(config: TrainConfig, cameras: Cameras, backend: str, stage: str) -> tuple[TrainConfig, Sequence[Decision]]:
+    free_bytes = free_vram_bytes(resolve_backend(backend))  # pyright: ignore[reportArgumentType]
+    return (config, ()) if free_bytes is None else within_vram(config, cameras, free_bytes, stage)
+
+
+def _decide(reporter: Reporter, decisions: Sequence[Decision]) -> None:
+    for decision in decisions:
+        reporter.decide(replace(decision, stage=reporter.stage))
+
+
+def fit_prepared(prepared: PreparedTraining, reporter: Reporter) -> TrainResult:
+    """Take the steps of a prepared training; reports what density control did and which steps could not be taken."""
+    config, initial = prepared.config, prepared.initial
+    result = fit_splats(initial, prepared.views, config, prepared.options)
+    if config.densify != "none":
+        reporter.decide(density_decision(reporter.stage, result.density, len(initial), len(result.splats)))
+    if any(asdict(result.shapes).values()):
+        reporter.decide(shapes_decision(reporter.stage, config, result.shapes))
+    if result.num_rolled_back:
+        reporter.warn(f"{result.num_rolled_back} of {result.num_steps:,} steps ended in something not finite and were not taken")
+    return result
+
+
+def device_model(prepared: PreparedTraining, result: TrainResult) -> DeviceModel:
+    """The message of a trained model."""
+    summary = {**training_summary(result), "num_photographs": len(prepared.views), "num_points": len(prepared.scene.points)}
+    return DeviceModel(splats=result.splats, cameras=prepared.task.scene.cameras, initial=prepared.initial, summary=summary)
+
+
+def training_summary(result: TrainResult) -> dict[str, float | int]:
+    """What a node keeps of a training's figures."""
+    return {
+        "num_splats": len(result.splats),
+        "model_bytes": result.splats.num_bytes,
+        "num_steps": result.num_steps,
+        "num_rolled_back": result.num_rolled_back,
+        "train_s": result.seconds,
+        "first_loss": result.first_loss,
+        "last_loss": result.last_loss,
+        **asdict(result.density),
+        **asdict(result.shapes),
+    }

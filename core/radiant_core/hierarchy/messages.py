@@ -1,0 +1,173 @@
+"""The messages between the tiers: what a node is asked to do, and the model it answers with. Once per node.
+
+    DeviceTask, photographs  ── train_device ──→  DeviceModel
+    EdgeTask, DeviceModels   ── join_edge ─────→  EdgeModel
+    CloudTask, EdgeModels    ── join_cloud ────→  SceneModel
+
+`radiant_core.io.messages` writes and reads them. A field that is `UNKEYED` changes no bit of a node's result and stands
+in no key; one that is `in_file` travels as a file of that name beside the JSON; one that is `LOCAL` does not travel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.cameras import Cameras, concatenate_cameras
+from radiant_core.errors import BadInput
+from radiant_core.frames import FrameUncertainty, Sim3
+from radiant_core.io.upload import UploadFormat
+from radiant_core.plan.system import Cloud
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig
+
+Renderer = Literal["gsplat", "native", "reference"]
+"""A backend of `radiant_core.render` that a run has chosen; "auto" is resolved before a task is written."""
+Id = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+Positive = Annotated[float, Field(gt=0)]
+Count = Annotated[int, Field(ge=0)]
+Pair = tuple[float, float]
+
+UNKEYED: Mapping[str, Any] = {"keyed": False}
+LOCAL: Mapping[str, Any] = {"local": True}
+Views = tuple[tuple[NDArray[np.uint8], NDArray[np.uint8]], ...]
+"""Images (H,W,3) and weights (H,W)."""
+CHECKPOINT_EVERY_S = 10.0
+"""Seconds between two checkpoints of a training, unless a run says otherwise."""
+NO_CAMERAS = concatenate_cameras([])
+
+
+def in_file(name: str) -> Mapping[str, Any]:
+    """Metadata of a field that travels as the file `name`."""
+    return {"file": name}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """What every node that trains or joins is given."""
+
+    train: TrainConfig
+    backend: Renderer
+    checkpoint_every_s: Positive = field(default=CHECKPOINT_EVERY_S, metadata=UNKEYED)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceSettings(Training):
+    """How a device trains, wherever its scene comes from."""
+
+    upload: UploadFormat = "float32"
+    memory_bytes: Positive | None = None
+    """What the process may hold, which limits the number of Gaussians; None: no limit."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DeviceTask(DeviceSettings):
+    """Train a model of the photographs that the cameras of `scene` took."""
+
+    scene: SfmScene = field(metadata=in_file("scene.safetensors"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DeviceModel:
+    """A device's model as its edge receives it. No pixel, no path, no EXIF."""
+
+    splats: Splats = field(metadata=in_file("model.safetensors"))
+    cameras: Cameras = field(metadata=in_file("cameras.safetensors"))
+    uncertainty: FrameUncertainty | None = None
+    """How well its frame is known; None where the frame is exact."""
+    rendered: Mapping[int, Any] = field(default_factory=dict, metadata=LOCAL)
+    """Synthetic views at its cameras that a teacher process rendered already."""
+    received: Mapping[str, str] = field(default_factory=dict, metadata=LOCAL)
+    """SHA-256 of the files that it arrived as; the seed of the edge's virtual cameras is made of them."""
+    initial: Splats | None = field(default=None, metadata=LOCAL)
+    """The Gaussians before training; they stay on the device."""
+    summary: Mapping[str, float | int] = field(default_factory=dict, metadata=LOCAL)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudOutlook:
+    """What an edge knows of its cloud: its limits, and the edge's share of all cameras (0 to 1]."""
+
+    limits: Cloud
+    share: Annotated[float, Field(gt=0, le=1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeTask(Training):
+    """Join the models of `devices`, whose strips of the region are `strips`."""
+
+    devices: Annotated[tuple[Id, ...], Field(min_length=1)]
+    num_dealt: tuple[Count, ...]
+    """Photographs dealt to each device: it may send at most as many cameras."""
+    strips: tuple[tuple[Pair, ...], ...]
+    aggregate: AggregateConfig
+    upload: UploadFormat = "float32"
+    memory_bytes: Positive | None = None
+    cloud: CloudOutlook | None = None
+    """None where the edge joins by itself: its cloud cuts, or there is no other edge."""
+    teachers: tuple[Id, ...] = field(default=(), metadata=UNKEYED)
+    """Devices whose views teacher processes render."""
+
+    def __post_init__(self) -> None:
+        if not len(self.devices) == len(self.num_dealt) == len(self.strips):
+            raise BadInput(f"an edge task has {len(self.devices)} devices, {len(self.num_dealt)} counts and {len(self.strips)} strips.")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EdgeModel:
+    """An edge's model as the cloud receives it: nothing of it names, counts or locates a device."""
+
+    splats: Splats | None = field(metadata=in_file("model.safetensors"))
+    """None where no device's model could be used; such a model is not sent."""
+    cameras: Cameras = field(default=NO_CAMERAS, metadata=in_file("virtual_cameras.safetensors"))
+    """Virtual cameras, where the cloud asks for some."""
+    views: Views | str = field(default=(), metadata=in_file("virtual_views.safetensors"))
+    """Pictures of the devices' models at those cameras; none of an edge that joined; text: why they cannot be used."""
+    uncertainty: FrameUncertainty | None = None
+    corrections: Mapping[str, Sim3 | None] = field(default_factory=dict, metadata=LOCAL)
+    """How each device's model was moved; None for one that was refused."""
+    refused: Mapping[str, str] = field(default_factory=dict, metadata=LOCAL)
+    """Devices whose models were refused, with the reasons."""
+    received: Mapping[str, str] = field(default_factory=dict, metadata=LOCAL)
+    """As of a device's model."""
+    summary: Mapping[str, float | int] = field(default_factory=dict, metadata=LOCAL)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudTask(Training):
+    """Join the models of `edges`, whose regions are the power cells of `sites` with `weights`."""
+
+    edges: Annotated[tuple[Id, ...], Field(min_length=1)]
+    num_dealt: tuple[Count, ...]
+    """Photographs dealt below each edge: it may send at most as many virtual cameras."""
+    sites: tuple[Pair, ...]
+    weights: tuple[float, ...]
+    aggregate: AggregateConfig
+    limits: Cloud | None = None
+    edge_times_s: tuple[float, ...] | None = None
+    """Seconds that each edge took to join; only where the cloud's time is limited."""
+
+    def __post_init__(self) -> None:
+        lengths = {len(self.edges), len(self.num_dealt), len(self.sites), len(self.weights), len(self.edge_times_s or self.edges)}
+        if len(lengths) != 1:
+            raise BadInput(f"a cloud task of {len(self.edges)} edges has {sorted(lengths)} entries: give one per edge.")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneModel:
+    """The scene, and what became of each edge's model."""
+
+    splats: Splats | None
+    corrections: Mapping[str, Sim3 | None] = field(default_factory=dict)
+    refused: Mapping[str, str] = field(default_factory=dict)
+    uncertainty: FrameUncertainty | None = None
+    summary: Mapping[str, float | int] = field(default_factory=dict)
+    cut_for_memory: bool = False
+    """Whether models were cut because the machine had too little free memory, so that another try may join them."""

@@ -1,0 +1,108 @@
+"""`Recipe`: what a run has decided before its first node starts, and the task of every node that follows from it. Once per run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.aggregate.config import AggregateConfig
+from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudOutlook, CloudTask, DeviceSettings, EdgeTask, Renderer
+from radiant_core.io.upload import UploadFormat
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.system import System
+from radiant_core.train.config import TrainConfig
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recipe:
+    """The plan of a run and its settings."""
+
+    system: System
+    cloud_plan: CloudPlan
+    edge_plans: tuple[EdgePlan, ...]
+    train: TrainConfig
+    aggregate: AggregateConfig
+    backend: Renderer
+    upload: UploadFormat = "float32"
+    checkpoint_every_s: float = CHECKPOINT_EVERY_S
+
+    def with_plan(self, cloud_plan: CloudPlan, edge_plans: tuple[EdgePlan, ...]) -> Recipe:
+        """The same settings by another plan."""
+        return replace(self, cloud_plan=cloud_plan, edge_plans=edge_plans)
+
+    def plan_of(self, device: str) -> EdgePlan:
+        """The plan of the edge that a device belongs to."""
+        return next(plan for plan in self.edge_plans if device in plan.device_ids)
+
+    def cameras_of(self, device: str) -> NDArray[np.int64]:
+        """Rows of the planned cameras that a device trains on."""
+        return self.plan_of(device).cameras_of(device)
+
+    def device_settings(self, device: str) -> DeviceSettings:
+        """How a device trains."""
+        return DeviceSettings(
+            train=self.train,
+            backend=self.backend,
+            checkpoint_every_s=self.checkpoint_every_s,
+            upload=self.upload,
+            memory_bytes=next(own.memory_bytes for own in self.system.devices if own.id == device),
+        )
+
+    def edge_task(self, edge: str, num_dealt: Mapping[str, int], teachers: Sequence[str] = ()) -> EdgeTask:
+        """Join the models of the devices that delivered one; `num_dealt` counts the photographs of each."""
+        plan = next(plan for plan in self.edge_plans if plan.edge_id == edge)
+        strips = [plan.strips[plan.device_ids.index(device)].tolist() for device in num_dealt]
+        return EdgeTask(
+            devices=tuple(num_dealt),
+            num_dealt=tuple(num_dealt.values()),
+            strips=tuple(tuple((float(x), float(y)) for x, y in strip) for strip in strips),
+            train=self.train,
+            aggregate=self.aggregate,
+            backend=self.backend,
+            checkpoint_every_s=self.checkpoint_every_s,
+            upload=self.upload,
+            memory_bytes=next(own.memory_bytes for own in self.system.edges if own.id == edge),
+            cloud=self._outlook_of(edge),
+            teachers=tuple(teachers),
+        )
+
+    def _outlook_of(self, edge: str) -> CloudOutlook | None:
+        counts = self.cloud_plan.counts
+        # A lone edge joins its models as the cloud would.
+        if not self.aggregate.edges_pool or np.count_nonzero(counts) < 2:
+            return None
+        return CloudOutlook(limits=self.system.cloud, share=float(counts[self.cloud_plan.edge_ids.index(edge)] / counts.sum()))
+
+    def cloud_task(self, num_dealt: Mapping[str, int], joined: Mapping[str, Mapping[str, float | int]]) -> CloudTask:
+        """Join the models of the edges that delivered one.
+
+        Args:
+            num_dealt: photographs dealt below each edge.
+            joined: summary of each edge's join, whose seconds count where the cloud's time is limited.
+        """
+        rows = [self.cloud_plan.edge_ids.index(edge) for edge in num_dealt]
+        retrains, limits = self.aggregate.cloud == "retrain", self.system.cloud
+        # Measured times differ from run to run: they are dealt only where they decide.
+        timed = retrains and limits.time_s is not None
+        return CloudTask(
+            edges=tuple(num_dealt),
+            num_dealt=tuple(num_dealt.values()),
+            sites=tuple((float(x), float(y)) for x, y in self.cloud_plan.sites[rows]),
+            weights=tuple(float(weight) for weight in self.cloud_plan.weights[rows]),
+            train=self.train,
+            aggregate=self.aggregate,
+            backend=self.backend,
+            checkpoint_every_s=self.checkpoint_every_s,
+            limits=limits if retrains else None,
+            edge_times_s=tuple(self._join_s(edge, joined[edge]) for edge in num_dealt) if timed else None,
+        )
+
+    def _join_s(self, edge: str, summary: Mapping[str, float | int]) -> float:
+        """Seconds that the edge's retraining took; by its cost curve where it did none."""
+        if summary["num_steps"]:
+            return float(summary["train_s"])
+        row = self.cloud_plan.edge_ids.index(edge)
+        return float(self.system.edges[row].aggregate_s(int(self.cloud_plan.counts[row])))

@@ -1,0 +1,75 @@
+"""`Reporter`: who hears what a node decides and how far it is. `Machine`: what the node may use where it runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from radiant_core.decisions import Decision
+from radiant_core.train.trainer import Checkpoints, FitOptions, TrainProgress
+
+
+class Reporter(Protocol):
+    """Hears a node while it works."""
+
+    @property
+    def stage(self) -> str:
+        """Name of the node, which its decisions carry."""
+        ...
+
+    def decide(self, decision: Decision) -> None:
+        """Something was skipped or chosen."""
+        ...
+
+    def warn(self, message: str) -> None:
+        """Something that a user should know; nothing stops."""
+        ...
+
+    def progress(self, done: float, total: float, note: str = "") -> None:
+        """How far the node is."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorder:
+    """A reporter that keeps decisions and warnings in lists."""
+
+    stage: str = ""
+    decisions: list[Decision] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def decide(self, decision: Decision) -> None:
+        """Keep a decision."""
+        self.decisions.append(decision)
+
+    def warn(self, message: str) -> None:
+        """Keep a warning."""
+        self.warnings.append(message)
+
+    def progress(self, done: float, total: float, note: str = "") -> None:
+        """Nobody watches."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """What a node may use of the machine it runs on; no bit of a result depends on it, unless memory is short."""
+
+    base_bytes: int = 0
+    """What the process holds before it loads photographs; counts where a task limits its memory."""
+    free_bytes: Callable[[], float] = lambda: float("inf")
+    """What the process may still take."""
+    checkpoints: Callable[[Callable[[], str]], Checkpoints | None] = lambda key: None
+    """Where the state of a training with that key is saved against interruption; None: nowhere."""
+    clock: Callable[[], float] = time.monotonic
+    """What a training's seconds are measured by."""
+
+
+def fit_options(backend: str, reporter: Reporter, machine: Machine, key: Callable[[], str]) -> FitOptions:
+    """How a node's training renders, reports and saves its state."""
+
+    def report(progress: TrainProgress) -> None:
+        reporter.progress(progress.step, progress.num_steps, f"loss {progress.loss:.4f}")
+
+    return FitOptions(backend=backend, report=report, checkpoints=machine.checkpoints(key), clock=machine.clock)  # pyright: ignore[reportArgumentType]

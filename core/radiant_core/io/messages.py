@@ -1,0 +1,282 @@
+"""The codec of messages: the only place that writes and reads what crosses between nodes. Once per node and message.
+
+    a task       task.json, and files of the arrays that its fields name (`in_file`)
+    DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json where its frame is uncertain
+    EdgeModel    the same with virtual_cameras.safetensors, virtual_views.safetensors
+
+Types and unknown keys are refused by pydantic in its strict mode: no number as text, nothing infinite. Values are checked
+by the dataclasses themselves.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, fields
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+
+from radiant_core.aggregate.arrival import MAX_SPLATS
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.frames import FrameUncertainty
+from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel
+from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
+from radiant_core.io.run_store import MAX_JSON_BYTES, file_sha256, parse_json, read_bounded, read_json, write_json
+from radiant_core.io.upload import UploadFormat, load_upload, num_uploaded, save_upload, upload_problem
+from radiant_core.io.view_file import load_views, save_views
+from radiant_core.splats import Splats
+
+Message = TypeVar("Message")
+TASK_NAME = "task.json"
+MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
+"""What a node keeps, and what it sends where that is not the same file. Where it arrives both are called by the first name."""
+CAMERAS_NAME, FRAME_NAME, SUMMARY_NAME = "cameras.safetensors", "frame.json", "summary.json"
+VIRTUAL_CAMERAS, VIRTUAL_VIEWS = "virtual_cameras.safetensors", "virtual_views.safetensors"
+NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
+"""The summary of a node that delivers no model."""
+MAX_FRAME_BYTES = 1 << 12
+MAX_UNCERTAINTY = 1e6
+"""In m, rad or as a share: more is no frame."""
+
+
+class Strict(BaseModel):
+    """Base of what stands in a file: no unknown keys, no numbers written as text, nothing infinite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+@cache
+def _model(kind: type[Any]) -> type[Strict]:
+    """The pydantic model of the fields of a dataclass that stand in JSON."""
+    hints = get_type_hints(kind, include_extras=True)
+    # Everything is written, so everything has to be there.
+    return create_model(kind.__name__, __base__=Strict, **{name: (hints[name], ...) for name in _json_names(kind)})
+
+
+@cache
+def _json_names(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind) if not {"file", "local"} & set(field.metadata))
+
+
+def message_record(message: Any) -> dict[str, Any]:
+    """The message as JSON's values, without the fields that travel as files or not at all."""
+    kind = type(message)
+    values = {name: getattr(message, name) for name in _json_names(kind)}
+    return _model(kind).model_construct(**values).model_dump(mode="json")
+
+
+def message_of(kind: type[Message], record: Mapping[str, Any], name: str = "message") -> Message:
+    """The message of the dataclass `kind` that `message_record` wrote, for dataclasses without files.
+
+    Raises:
+        BadInput: a field is missing, unknown or of another kind; `name` is what the sentence calls the message.
+    """
+    return kind(**_parsed(kind, json.dumps(record).encode(), name))
+
+
+def task_key(task: Any) -> dict[str, Any]:
+    """What of a task decides the bits of its result, as JSON's values; its files count by their bytes, elsewhere."""
+    record = message_record(task)
+    return {field.name: record[field.name] for field in fields(task) if field.name in record and field.metadata.get("keyed", True)}
+
+
+def save_task(folder: Path, task: Any) -> list[str]:
+    """Write a task into a node's folder; the names of the files."""
+    names = [TASK_NAME]
+    write_json(folder / TASK_NAME, message_record(task))
+    for field in fields(task):
+        if "file" in field.metadata:
+            save_scene(folder / field.metadata["file"], getattr(task, field.name))
+            names.append(field.metadata["file"])
+    return names
+
+
+def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
+    """The task that `save_task` wrote into a node's folder.
+
+    Raises:
+        BadInput: a file is missing, damaged, or no task of this kind; `name` is what the sentence calls the task.
+    """
+    path = folder / TASK_NAME
+    data = read_bounded(path, MAX_JSON_BYTES)
+    try:
+        parse_json(data)
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{path} is not valid JSON ({error}): send the task again.") from error
+    values = _parsed(kind, data, f"{path}: {name}")
+    for field in fields(kind):  # pyright: ignore[reportArgumentType]
+        if "file" in field.metadata:
+            values[field.name] = load_scene(folder / field.metadata["file"])
+    return kind(**values)
+
+
+def _parsed(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
+    try:
+        parsed = _model(kind).model_validate_json(data)
+    except ValidationError as error:
+        raise BadInput(f"{name}: {problem_sentence(error)}") from error
+    return {field: getattr(parsed, field) for field in _json_names(kind)}
+
+
+def problem_sentence(error: ValidationError, kind: str = "message") -> str:
+    """The first problem that pydantic found: key path, what came, what is expected."""
+    problem = error.errors(include_url=False)[0]
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")
+    if problem["type"] == "missing":
+        return f"{key} is missing: add it."
+    if problem["type"] == "extra_forbidden":
+        return f"{key} is not a key of a {kind}: remove it or correct its spelling."
+    text = repr(problem["input"])
+    expected = problem["msg"].replace("Input should be", "expected")
+    return f"{key} is {text if len(text) <= 60 else text[:57] + '…'}; {expected[0].lower()}{expected[1:]}: correct it."
+
+
+def save_device_model(folder: Path, model: DeviceModel, upload: UploadFormat, warn: Callable[[str], None]) -> list[str]:
+    """Write a device's model into its folder; the names of the files."""
+    save_cameras(folder / CAMERAS_NAME, model.cameras)
+    return [*_save_model(folder, model.splats, model.summary, upload, warn), CAMERAS_NAME]
+
+
+def save_edge_model(folder: Path, model: EdgeModel, upload: UploadFormat, warn: Callable[[str], None]) -> list[str]:
+    """Write an edge's model into its folder; the names of the files."""
+    if model.splats is None:
+        write_json(folder / SUMMARY_NAME, {**NOTHING, "num_models": 0})
+        return [SUMMARY_NAME]
+    names = _save_model(folder, model.splats, model.summary, upload, warn)
+    if not len(model.cameras):
+        return names
+    save_cameras(folder / VIRTUAL_CAMERAS, model.cameras)
+    save_views(folder / VIRTUAL_VIEWS, () if isinstance(model.views, str) else model.views)
+    return [*names, VIRTUAL_CAMERAS, VIRTUAL_VIEWS]
+
+
+def save_frame(folder: Path, uncertainty: FrameUncertainty | None, missing: str | None = None) -> str:
+    """Write how well a model's frame is known, or why there is no model; the name of the file."""
+    status = {"status": "placed", "reason": ""} if missing is None else {"status": "missing", "reason": missing}
+    write_json(folder / FRAME_NAME, {**status, "uncertainty": None if uncertainty is None else asdict(uncertainty)})
+    return FRAME_NAME
+
+
+def _save_model(
+    folder: Path, splats: Splats, summary: Mapping[str, float | int], upload: UploadFormat, warn: Callable[[str], None]
+) -> list[str]:
+    save_splats(folder / MODEL_NAME, splats)
+    write_json(folder / SUMMARY_NAME, dict(summary))
+    names = [MODEL_NAME, SUMMARY_NAME]
+    if upload == "float32":
+        return names
+    problem = upload_problem(splats, upload)
+    if problem is not None:
+        warn(f"the model is uploaded as float32 instead of {upload}: {problem}")
+    save_upload(folder / UPLOAD_NAME, splats, upload if problem is None else "float32")
+    return [*names, UPLOAD_NAME]
+
+
+def sent_files(folder: Path) -> dict[str, Path]:
+    """What a node with a model sends: name where it arrives → file in its folder.
+
+    A frame is sent where it is uncertain, virtual cameras where an edge has drawn some.
+    """
+    upload = folder / UPLOAD_NAME
+    sent = {MODEL_NAME: upload if upload.is_file() else folder / MODEL_NAME}
+    sent |= {name: folder / name for name in (CAMERAS_NAME, VIRTUAL_CAMERAS, VIRTUAL_VIEWS) if (folder / name).is_file()}
+    if (folder / FRAME_NAME).is_file() and read_json(folder / FRAME_NAME, ("uncertainty",))["uncertainty"] is not None:
+        sent[FRAME_NAME] = folder / FRAME_NAME
+    return sent
+
+
+def load_device_model(place: Path) -> DeviceModel | str:
+    """The device's model that arrived in a folder, or why it cannot be used, one sentence."""
+    try:
+        return DeviceModel(
+            splats=_load_model(place),
+            cameras=_cameras_in(place / CAMERAS_NAME),
+            uncertainty=load_uncertainty(place),
+            received=_hashes(place),
+        )
+    except BadInput as error:
+        return str(error)
+
+
+def load_edge_model(place: Path, long_side_px: int) -> EdgeModel | str:
+    """The edge's model that arrived in a folder, its pictures of that long side, or why it cannot be used, one sentence."""
+    try:
+        cameras = _cameras_in(place / VIRTUAL_CAMERAS)
+        return EdgeModel(
+            splats=_load_model(place),
+            cameras=cameras,
+            views=_views_in(place / VIRTUAL_VIEWS, cameras.scaled(long_side_px)),
+            uncertainty=load_uncertainty(place),
+            received=_hashes(place),
+        )
+    except BadInput as error:
+        return str(error)
+
+
+def _load_model(place: Path) -> Splats:
+    # Said by the file's head, before memory is taken for the rest.
+    count = num_uploaded(place / MODEL_NAME)
+    if not 0 < count <= MAX_SPLATS:
+        raise BadInput(f"it has {count:,} Gaussians, expected 1 to {MAX_SPLATS:,}.")
+    return load_upload(place / MODEL_NAME)
+
+
+def _cameras_in(path: Path) -> Cameras:
+    return load_cameras(path) if path.is_file() else NO_CAMERAS
+
+
+def _views_in(path: Path, cameras: Cameras) -> tuple[Any, ...] | str:
+    if not path.is_file():
+        return ()
+    try:
+        return tuple(load_views(path, [(int(width), int(height)) for width, height in cameras.sizes_wh]))
+    except BadInput as error:
+        return str(error)
+
+
+def _hashes(place: Path) -> dict[str, str]:
+    return {path.relative_to(place).as_posix(): file_sha256(path) for path in place.rglob("*") if path.is_file()}
+
+
+def load_uncertainty(place: Path) -> FrameUncertainty | None:
+    """How well the frame of a model is known; None where it is exact, or nothing says so.
+
+    Raises:
+        BadInput: the file says anything else.
+    """
+    path = place / FRAME_NAME
+    if not path.is_file():
+        return None
+    found = read_json(path, ("uncertainty",), MAX_FRAME_BYTES)["uncertainty"]
+    names = {field.name for field in fields(FrameUncertainty)}
+    if found is None:
+        return None
+    if (
+        not isinstance(found, dict)
+        or found.keys() != names
+        or not all(type(value) in (int, float) and 0 < value <= MAX_UNCERTAINTY for value in found.values())
+    ):
+        raise BadInput(f"{path} says an uncertainty that is none, expected {', '.join(sorted(names))} of more than 0.")
+    return FrameUncertainty(**{name: float(value) for name, value in found.items()})
+
+
+def passed_on(model: DeviceModel | EdgeModel, upload: UploadFormat, long_side_px: int) -> DeviceModel | EdgeModel | str:
+    """The model as its receiver reads it, after the same bytes that a delivery has."""
+    with TemporaryDirectory(prefix="radiant-message-") as name:
+        sender, receiver = Path(name) / "sender", Path(name) / "receiver"
+        sender.mkdir()
+        receiver.mkdir()
+        save_frame(sender, model.uncertainty)
+        if isinstance(model, DeviceModel):
+            save_device_model(sender, model, upload, lambda message: None)
+        else:
+            save_edge_model(sender, model, upload, lambda message: None)
+        for file, path in sent_files(sender).items():
+            shutil.copyfile(path, receiver / file)
+        return load_device_model(receiver) if isinstance(model, DeviceModel) else load_edge_model(receiver, long_side_px)
