@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPoint, Point
 
-from radiant_app.run.sources import scored_scene_of
+from radiant_app.workers.sources import scored_scene_of
 from radiant_app.workers.nodes import load_images
 from radiant_core import __version__
 from radiant_core.cameras import Cameras

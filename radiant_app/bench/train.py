@@ -26,7 +26,7 @@ from radiant_app.bench.runner import BenchOptions
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay, tracked
-from radiant_app.run.sources import masks_of_scene, scored_scene_of
+from radiant_app.workers.sources import masks_of_scene, scored_scene_of
 from radiant_app.workers.nodes import load_images, load_training_views, sfm_progress
 from radiant_core import __version__
 from radiant_core.errors import BadInput
@@ -231,7 +231,7 @@ def _config(preset: str, long_side_px: int) -> TrainConfig:
 
 
 def _load(source: Path, work: Path) -> _Source:
-    from radiant_app.run.sources import reconstruct_source
+    from radiant_app.workers.sources import reconstruct_source
 
     try:
         scene, _, images = scored_scene_of(source)

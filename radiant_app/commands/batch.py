@@ -28,9 +28,12 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.job_file import RECORDS, Job, load_jobs
 from radiant_app.files.run_folder import new_folder, require_empty
-from radiant_app.run.sources import all_files
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.tasks import JobTask
+from radiant_app.workers.sources import all_files
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
+from radiant_core.io.messages import save_task
 from radiant_core.io.run_store import SEAL_NAME, RunLock, content_key, read_json, write_atomic, write_json
 
 Status = Literal["done", "skipped", "failed", "interrupted", "running", "not started"]
@@ -113,13 +116,13 @@ def run_batch(path: Path, out: Path | None, display: Display, *, resume: bool = 
     return BatchResult(folder=folder, jobs=tuple(results))
 
 
-def run_job(folder: Path, stage: str, emit: Listener) -> Sequence[str]:
-    """Worker kind "run": `radiant run` with the arguments of task.json, its events sent on."""
+def run_job(folder: Path, task: JobTask, reporter: EventReporter) -> Sequence[str]:
+    """Worker kind "run": `radiant run` with the arguments of its task, its events sent on."""
     from radiant_app.cli.app import app, interrupt_on_signals
 
     # Asked to stop, the run stops its own workers and says so in its manifest, as after Ctrl-C.
     interrupt_on_signals()
-    code = app(["run", *read_json(folder / "task.json", ("arguments",))["arguments"]], standalone_mode=False, obj=emit)
+    code = app(["run", *task.arguments], standalone_mode=False, obj=reporter.emit)
     if code:
         sys.exit(code)
     return []
@@ -129,7 +132,7 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
     record = folder / RECORDS / job.name
     record.mkdir(parents=True, exist_ok=True)
     arguments = [*job.arguments, *(["--resume"] if resume else [])]
-    write_json(record / "task.json", {"arguments": arguments})
+    save_task(record, JobTask(arguments=tuple(arguments)))
     if not all((job.out / name).is_file() for name in PRODUCTS):
         (record / SEAL_NAME).unlink(missing_ok=True)
     key = content_key(__version__, job.arguments, all_files(job.source, job.out), *job.input_files)

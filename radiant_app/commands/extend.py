@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.sources import DELIVERED, has_scene, load_scene_of
+from radiant_app.workers.sources import DELIVERED, has_scene, load_scene_of
 from radiant_app.workers.inbox import moved_cameras, sim3_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras

@@ -153,7 +153,7 @@ def _planned_scene(scene: Path) -> SfmScene:
     """The cameras of a scene that a plan deals: those that are not held out."""
     # Imported here: half a second that a window of a run need not wait for.
     from radiant_app.commands.steps import training_part
-    from radiant_app.run.sources import load_scene_of
+    from radiant_app.workers.sources import load_scene_of
 
     return training_part(load_scene_of(scene))
 

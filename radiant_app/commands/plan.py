@@ -38,7 +38,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import placed_by_raster, planned_from_raster, raster_decision
 from radiant_app.run.config import PlanMethod
 from radiant_app.run.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
-from radiant_app.run.sources import load_scene_of
+from radiant_app.workers.sources import load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson

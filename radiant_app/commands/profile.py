@@ -26,7 +26,7 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
 from radiant_app.run.predictions import planned_training, training_key_of
-from radiant_app.run.sources import detect_source, has_scene, images_of_scene, load_scene_of
+from radiant_app.workers.sources import detect_source, has_scene, images_of_scene, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_json

@@ -26,7 +26,7 @@ from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.prediction_error import SYSTEM_NAME, curves_note, gantt_rows, measured_seconds
 from radiant_app.run.predictions import depends_on_training, planned_training, with_camera_limits
-from radiant_app.run.sources import DELIVERED, load_scene_of
+from radiant_app.workers.sources import DELIVERED, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.csv_cells import cell_of_text

@@ -41,7 +41,7 @@ def sfm(  # noqa: PLR0913
 
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`.
     """
-    from radiant_app.run.sources import reconstruct_source, sfm_task
+    from radiant_app.workers.sources import reconstruct_source, sfm_task
 
     task = sfm_task(source, {"matching": matching}, masks, placement or {})
     with sfm_folder(out, task, resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):

@@ -31,7 +31,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 from pydantic import Field, ValidationError, create_model
 
 from radiant_app.files.toml_file import Strict, load_toml, sentence
-from radiant_app.run.sources import detect_source
+from radiant_app.workers.sources import detect_source
 from radiant_core.errors import BadInput
 
 RECORDS = "jobs"

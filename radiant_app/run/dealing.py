@@ -7,39 +7,28 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.run.sources import masks_of_scene
-from radiant_app.workers.cloud_task import forget_cut, pool_settings, retrain_settings
+from radiant_app.run.photographs import Photographs
 from radiant_app.workers.delivering import DELIVERIES, give_task, introduce, introduce_teacher
-from radiant_app.workers.evaluation import LPIPS_NAME
-from radiant_app.workers.inbox import REFUSED_NAME, VIRTUAL_CAMERAS, VIRTUAL_VIEWS
-from radiant_app.workers.nodes import MASKS
-from radiant_app.workers.task_schema import SIGNED
+from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
+from radiant_app.workers.nodes import MASKS, forget_cut
+from radiant_app.workers.sources import masks_of_scene
+from radiant_app.workers.tasks import SIGNED, TeacherTask
 from radiant_core import __version__
-from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
-from radiant_core.cameras import Cameras
+from radiant_core.frames import Sim3
+from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.io.messages import FRAME_NAME, SUMMARY_NAME, TASK_NAME, save_task, sent_files, task_key
 from radiant_core.io.photos.masks import mask_name
-from radiant_core.io.records import save_cameras, save_scene
-from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
+from radiant_core.io.run_store import content_key, is_sealed, read_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
-from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.system import System
-from radiant_core.scene import SfmScene
-from radiant_core.train.config import TrainConfig
-
-MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
-"""What a device or edge keeps, and what it sends where that is not the same file. In an inbox both are called by the first name."""
 
 ENDED = "its process ended before it was done; the warnings say how."
-
-Filled = tuple[dict[str, Any], Sequence[Path]]
-"""The content of a node's task.json and the files it may read besides."""
 
 
 @dataclass(kw_only=True)
@@ -47,271 +36,180 @@ class Dealer:
     """Prepares the nodes of one planned run."""
 
     run: Path
-    system: System
-    cloud_plan: CloudPlan
-    edge_plans: tuple[EdgePlan, ...]
-    train: TrainConfig
-    aggregate: AggregateConfig
-    backend: str
-    upload: UploadFormat = "float32"
-    checkpoint_every_s: float = 10.0
+    recipe: Recipe
+    photographs: Photographs
     ledger: list[dict[str, Any]] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     """Node id → the key it is sealed with when it is done, so that only what this run finished is used."""
+
+    def __post_init__(self) -> None:
+        self.photographs.follow(self.recipe)
+
+    def take_plan(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
+        """Go on by another plan, in which devices that have begun keep what they have."""
+        self.recipe = self.recipe.with_plan(cloud, edges)
+        self.photographs.follow(self.recipe)
 
     def prepare(self, node: Tree) -> NodeTask | None:
         """Fill the node's folder and say what to run there; None where nothing arrived that could be joined."""
         folder = self.run / node.id
         folder.mkdir(parents=True, exist_ok=True)
-        fills = {"device": self.fill_device, "teacher": self.fill_teacher, "edge": self.fill_edge, "cloud": self.fill_cloud}
+        fills = {"device": self._fill_device, "teacher": self._fill_teacher, "edge": self._fill_edge, "cloud": self._fill_cloud}
         filled = fills[node.tier](node, folder)
         if filled is None:
             return None
-        task, inputs = filled
-        task |= self._crossing(node)
-        key = content_key(__version__, task, *inputs)
-        # A teacher is a part of its edge: what it is sent counts once, when the edge takes it.
+        task, beside = filled
+        self._introduce(node)
+        names = save_task(folder, task)
+        inputs = [*(folder / name for name in names if name != TASK_NAME), *beside]
+        key = content_key(__version__, task_key(task), *inputs)
+        # A teacher is a part of its edge: what it receives counts once, when the edge takes it.
         if node.tier == "teacher":
             _drop_other_views(folder, key)
         else:
-            self.ledger.append({"node": node.id, "tier": node.tier, **received([*inputs, folder / DELIVERIES])})
-        # What changes no bit of the result is not in the key: who rendered a view, how often a training is saved.
-        unkeyed: dict[str, Any] = {"checkpoint_every_s": self.checkpoint_every_s}
-        if node.tier == "edge":
-            unkeyed["teachers"] = [child.name for child in node.children if child.tier == "teacher"]
-        write_json(folder / "task.json", {**task, **unkeyed})
-        kind = self.kinds[node.tier]
+            self._enter(node, [*inputs, folder / DELIVERIES])
+        kind = self.photographs.kind if node.tier == "device" else node.tier
         if kind in SIGNED:
             # What lies in an inbox was signed by those who sent it.
-            beside = [path.relative_to(folder).as_posix() for path in inputs if path.name != "inbox"]
-            give_task(self.run, self._above(node), node.id, SIGNED[kind], folder, ["task.json", *beside])
+            signed = [path.relative_to(folder).as_posix() for path in inputs if path.name != "inbox"]
+            give_task(self.run, self._above(node), node.id, SIGNED[kind], folder, [TASK_NAME, *signed])
         self.keys[node.id] = key
         return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
-    def take_plan(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
-        """Go on by another plan, in which devices that have begun keep what they have."""
-        self.cloud_plan, self.edge_plans = cloud, edges
+    def _enter(self, node: Tree, inputs: Sequence[Path]) -> None:
+        """Count in the ledger what a node receives or fetches."""
+        entry: dict[str, Any] = {"node": node.id, "tier": node.tier, **received(inputs)}
+        if node.tier == "device" and (fetched := self.photographs.fetched(node.name)):
+            entry |= {name: received(fetched)[name] for name in ("num_photographs", "photograph_bytes")}
+        self.ledger.append(entry)
 
-    @property
-    def kinds(self) -> dict[str, str]:
-        """Which worker runs the nodes of a tier."""
-        return {"device": "device", "teacher": "teacher", "edge": "edge", "cloud": "cloud"}
-
-    def _crossing(self, node: Tree) -> dict[str, Any]:
-        """What a node's task says of signatures, after making its key and exchanging it with the one above."""
+    def _introduce(self, node: Tree) -> None:
+        """Make a node's key and exchange it with the one above."""
         if node.tier == "teacher":
             (device,) = node.children
-            introduce_teacher(self.run, node.id, f"edges/{self._edge_of(device.name)}", device.name)
-            return {"signed": True}
-        introduce(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.edge_plans])
+            introduce_teacher(self.run, node.id, self._above(device), device.name)
+            return
+        introduce(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.recipe.edge_plans])
         if node.tier == "cloud":
-            return {"signed": True}
-        edge = node.name if node.tier == "edge" else self._edge_of(node.name)
-        devices = next(plan.device_ids for plan in self.edge_plans if plan.edge_id == edge)
-        introduce(self.run, f"edges/{edge}", "cloud", [f"devices/{device}" for device in devices])
-        sends: dict[str, Any] = {"sends": self.sends(node.tier)}
-        if node.tier == "edge":
-            return {**sends, "signed": True}
-        introduce(self.run, node.id, f"edges/{edge}")
-        return sends
+            return
+        edge = node.id if node.tier == "edge" else self._above(node)
+        devices = next(plan.device_ids for plan in self.recipe.edge_plans if f"edges/{plan.edge_id}" == edge)
+        introduce(self.run, edge, "cloud", [f"devices/{device}" for device in devices])
+        if node.tier == "device":
+            introduce(self.run, node.id, edge)
 
     def _above(self, node: Tree) -> str:
         """Whom the tasks of a device or edge come from."""
-        return "cloud" if node.tier == "edge" else f"edges/{self._edge_of(node.name)}"
+        return "cloud" if node.tier == "edge" else f"edges/{self.recipe.plan_of(node.name).edge_id}"
 
-    def _edge_of(self, device: str) -> str:
-        return next(plan.edge_id for plan in self.edge_plans if device in plan.device_ids)
+    def _fill_device(self, node: Tree, folder: Path) -> tuple[Any, list[Path]]:
+        return self.photographs.fill(node.name, folder, self.recipe)
 
-    def sends(self, tier: str) -> list[str]:
-        """Files that a device or edge sends beside its model."""
-        if tier == "device":
-            return ["cameras.safetensors"]
-        return [VIRTUAL_CAMERAS, VIRTUAL_VIEWS] if self.aggregate.cloud == "retrain" else []
-
-    def deal_record(self, sender: str, receiver: Path) -> None:
-        """The signed record of what a device or edge sends."""
-        deal_files(self.run / sender, [RECORD_NAME, SIGNATURE_NAME], receiver / DELIVERIES / Path(sender).name)
-
-    def fill_device(self, node: Tree, folder: Path) -> Filled:
-        """Settings and files of a device."""
-        raise NotImplementedError
-
-    def memory_bytes_of(self, device: str) -> float | None:
-        """What the training of a device may hold, as the system says."""
-        return next(own.memory_bytes for own in self.system.devices if own.id == device)
-
-    def deal_device(self, device: str, place: Path) -> None:
-        """What an edge gets of a device: its model as it was uploaded, and its cameras."""
-        raise NotImplementedError
-
-    def num_dealt(self, device: str) -> int:
-        """How many photographs a device was dealt to train on: it sends no more cameras."""
-        raise NotImplementedError
-
-    def delivered(self, node: Tree) -> bool:
-        """Whether a device or edge is done in this run and has a model."""
-        return self.is_done(node.id)
-
-    def is_done(self, node_id: str) -> bool:
-        """Whether the node with this id is done in this run."""
-        return node_id in self.keys and is_sealed(self.run / node_id, self.keys[node_id])
-
-    def refused_by(self, node_id: str) -> dict[str, str]:
-        """Whose uploads an edge or the cloud refused, and why."""
-        record = self.run / node_id / REFUSED_NAME
-        return read_json(record) if record.is_file() else {}
-
-    def fill_teacher(self, node: Tree, folder: Path) -> Filled | None:
+    def _fill_teacher(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         """What the teacher's device uploaded."""
         (device,) = node.children
         if not self.delivered(device):
             return None
         shutil.rmtree(folder / "inbox", ignore_errors=True)
-        self.deal_device(node.name, folder / "inbox")
-        self.deal_record(device.id, folder)
-        task = {"long_side_px": self.train.long_side_px, "backend": self.backend, "num_dealt": self.num_dealt(node.name)}
+        self._deliver(device.id, folder, folder / "inbox")
+        recipe = self.recipe
+        task = TeacherTask(
+            long_side_px=recipe.train.long_side_px,
+            backend=recipe.backend,
+            num_dealt=self.photographs.num_dealt(node.name),
+            checkpoint_every_s=recipe.checkpoint_every_s,
+        )
         return task, [folder / "inbox"]
 
-    def fill_edge(self, node: Tree, folder: Path) -> Filled | None:
+    def _fill_edge(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         """What its devices uploaded."""
-        devices = self._delivered_of(node)
+        num_dealt = {device: self.photographs.num_dealt(device) for device in self._delivered_of(node)}
+        self._empty_inbox(folder)
+        if not num_dealt:
+            return None
+        for device in num_dealt:
+            self._deliver(f"devices/{device}", folder, folder / "inbox" / device)
+        teachers = [child.name for child in node.children if child.tier == "teacher"]
+        return self.recipe.edge_task(node.name, num_dealt, teachers), [folder / "inbox"]
+
+    def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
+        """What the edges uploaded."""
+        edges = [edge for edge in node.children if self.delivered(edge)]
+        self._empty_inbox(folder)
+        if not edges:
+            return None
+        forget_cut(folder)
+        num_dealt = {edge.name: sum(map(self.photographs.num_dealt, self._delivered_of(edge))) for edge in edges}
+        for edge in edges:
+            self._deliver(edge.id, folder, folder / "inbox" / edge.name)
+        joined = {edge.name: read_json(self.run / edge.id / SUMMARY_NAME, ("train_s", "num_steps")) for edge in edges}
+        return self.recipe.cloud_task(num_dealt, joined), [folder / "inbox"]
+
+    def _empty_inbox(self, folder: Path) -> None:
         for place in ("inbox", DELIVERIES):
             shutil.rmtree(folder / place, ignore_errors=True)
-        if not devices:
-            return None
-        for device in devices:
-            self.deal_device(device, folder / "inbox" / device)
-            self.deal_record(f"devices/{device}", folder)
-        task = {
-            "devices": devices,
-            "num_dealt": [self.num_dealt(device) for device in devices],
-            "strips": [self._strip_of(device) for device in devices],
-            "train": asdict(self.train),
-            "aggregate": asdict(self.aggregate),
-            "backend": self.backend,
-            "upload": self.upload,
-            "memory_bytes": next(edge.memory_bytes for edge in self.system.edges if edge.id == node.name),
-            "cloud": pool_settings(node.name, self.cloud_plan, self.system, self.aggregate),
-        }
-        return task, [folder / "inbox"]
+
+    def _deliver(self, sender: str, receiver: Path, place: Path) -> None:
+        """Copy what a device or edge sends into `place`, and its signed record into the receiver's folder."""
+        place.mkdir(parents=True, exist_ok=True)
+        for name, path in sent_files(self.run / sender).items():
+            shutil.copyfile(path, place / name)
+        deal_files(self.run / sender, [RECORD_NAME, SIGNATURE_NAME], receiver / DELIVERIES / Path(sender).name)
 
     def _delivered_of(self, edge: Tree) -> list[str]:
         """The devices below an edge that are done and have a model."""
         leaves = [next(iter(child)) for child in edge.children]
         return [device.name for device in leaves if self.delivered(device)]
 
-    def _strip_of(self, device: str) -> list[list[float]]:
-        plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
-        return plan.strips[plan.device_ids.index(device)].tolist()
-
-    def fill_cloud(self, node: Tree, folder: Path) -> Filled | None:
-        """What the edges uploaded, and the plan's borders."""
-        num_dealt = {edge.name: sum(map(self.num_dealt, self._delivered_of(edge))) for edge in node.children if self.delivered(edge)}
-        edges = list(num_dealt)
-        for place in ("inbox", DELIVERIES):
-            shutil.rmtree(folder / place, ignore_errors=True)
-        if not edges:
-            return None
-        forget_cut(folder)
-        for edge in edges:
-            self.deal_edge(edge, folder / "inbox" / edge)
-            self.deal_record(f"edges/{edge}", folder)
-        rows = [self.cloud_plan.edge_ids.index(edge) for edge in edges]
-        task = {
-            "edges": edges,
-            "num_dealt": list(num_dealt.values()),
-            "sites": self.cloud_plan.sites[rows].tolist(),
-            "weights": self.cloud_plan.weights[rows].tolist(),
-            "train": asdict(self.train),
-            "backend": self.backend,
-            **retrain_settings(self.run, edges, self.cloud_plan, self.system, self.aggregate),
-        }
-        return task, [folder / "inbox"]
-
-    def deal_edge(self, edge: str, place: Path) -> None:
-        """What the cloud gets of an edge: its model as it was uploaded, and virtual cameras with their pictures where it retrains."""
-        self.deal_upload(self.run / "edges" / edge, place)
-        deal_files(self.run / "edges" / edge, self.sends("edge"), place)
-
-    def deal_upload(self, sender: Path, place: Path) -> None:
-        """The model that a device or edge sends."""
-        place.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(sender / (MODEL_NAME if self.upload == "float32" else UPLOAD_NAME), place / MODEL_NAME)
-
-
-@dataclass(kw_only=True)
-class SharedDealer(Dealer):
-    """Deals the photographs of one owner. `scene` holds the training cameras, the plan's indices point into them."""
-
-    images: Path
-    """Folder of the undistorted photographs."""
-    scene: SfmScene
-
     def delivered(self, node: Tree) -> bool:
-        """Whether a device or edge is done and has a model: an edge has none where all that arrived was refused."""
-        if not self.is_done(node.id):
-            return False
-        return node.tier != "edge" or read_json(self.run / node.id / "frame.json", ("status",))["status"] == "placed"
+        """Whether a node is done in this run and has a model: one may have none where all that arrived was refused."""
+        return self.has_model(node.id)
+
+    def has_model(self, node_id: str) -> bool:
+        """As `delivered`, by the node's id."""
+        frame = self.run / node_id / FRAME_NAME
+        return self.is_done(node_id) and (not frame.is_file() or read_json(frame, ("status",))["status"] == "placed")
+
+    def is_done(self, node_id: str) -> bool:
+        """Whether the node with this id is done in this run."""
+        return node_id in self.keys and is_sealed(self.run / node_id, self.keys[node_id])
+
+    def moves(self) -> dict[str, list[Sim3]]:
+        """Devices whose model is in the scene → the similarities from their own frame to the scene's, first to last."""
+        found = {}
+        for edge, to_cloud in load_corrections(self.run / "cloud").items():
+            if to_cloud is not None:
+                moved = load_corrections(self.run / "edges" / edge)
+                found |= {device: [move, to_cloud] for device, move in moved.items() if move is not None}
+        return found
 
     def missing(self) -> dict[str, str]:
         """Devices with photographs whose model is not in the scene, and why."""
-        cloud = self.refused_by("cloud")
-        found: dict[str, str] = {}
-        for plan in self.edge_plans:
-            edge, refused = plan.edge_id, self.refused_by(f"edges/{plan.edge_id}")
-            for device in (device for device in plan.device_ids if len(plan.cameras_of(device))):
-                if not self.is_done(f"devices/{device}"):
-                    found[device] = f"{ENDED} Its {len(plan.cameras_of(device))} photographs are in no model."
-                elif device in refused:
-                    found[device] = f"edges/{edge} refused {device}: {refused[device]}"
-                elif not self.is_done(f"edges/{edge}"):
-                    found[device] = f"edges/{edge}: {ENDED}"
-                elif edge in cloud:
-                    found[device] = f"cloud refused {edge}: {cloud[edge]}"
-        return found
+        present = set(self.moves()) if self.has_model("cloud") else set()
+        return {device: self._reason(device) for device in self.photographs.devices() if device not in present}
 
-    def fill_device(self, node: Tree, folder: Path) -> Filled:
-        """The device's photographs and its part of the scene."""
-        own = self.scene.restricted_to(self._camera_indices(node.name))
-        deal_files(self.images, own.cameras.names, folder / "photos")
-        save_scene(folder / "scene.safetensors", own)
-        memory = {"memory_bytes": self.memory_bytes_of(node.name)}
-        task = {"train": asdict(self.train), "backend": self.backend, "upload": self.upload, **memory}
-        masks = deal_masks(self.run, own.cameras.names, folder)
-        return task, [folder / "photos", folder / "scene.safetensors", *masks]
-
-    def deal_device(self, device: str, place: Path) -> None:
-        """Its upload, and its cameras in the owner's scene."""
-        self.deal_upload(self.run / "devices" / device, place)
-        deal_files(self.run / "devices" / device, self.sends("device"), place)
-
-    def num_dealt(self, device: str) -> int:
-        """By the plan."""
-        return len(self._camera_indices(device))
-
-    def _camera_indices(self, device: str) -> Any:
-        plan = next(plan for plan in self.edge_plans if device in plan.device_ids)
-        return plan.cameras_of(device)
-
-
-def evaluation_task(run: Path, images: Path, cameras: Cameras, backend: str, lpips_network: str | None) -> NodeTask:
-    """Prepare evaluation/: the finished scene, the held-out photographs and their cameras; the untrained scene, and weights for LPIPS where
-    a network is named, are already there."""
-    folder = run / "evaluation"
-    deal_files(images, cameras.names, folder / "photos")
-    masks = deal_masks(run, cameras.names, folder)
-    deal_files(run / "cloud", ["scene.ply"], folder)
-    deal_files(run, ["plan.json"], folder)
-    save_cameras(folder / "cameras.safetensors", cameras)
-    task = {"backend": backend, "seams": True, "lpips": lpips_network}
-    write_json(folder / "task.json", task)
-    names = ["photos", "scene.ply", "plan.json", "cameras.safetensors", "initial.safetensors", *([LPIPS_NAME] if lpips_network else [])]
-    inputs = [*(folder / name for name in names), *masks]
-    return NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=content_key(__version__, task, *inputs))
+    def _reason(self, device: str) -> str:
+        node = f"devices/{device}"
+        if node not in self.keys:
+            return "it has no photograph to train on whose place is known."
+        if not self.is_done(node):
+            return f"{ENDED} Its {self.photographs.num_dealt(device)} photographs are in no model."
+        frame = self.run / node / FRAME_NAME
+        if not self.has_model(node):
+            return read_json(frame, ("reason",))["reason"]
+        edge = self.recipe.plan_of(device).edge_id
+        for tier, name in ((f"edges/{edge}", device), ("cloud", edge)):
+            if not self.is_done(tier):
+                return f"{tier}: {ENDED}"
+            record = self.run / tier / REFUSED_NAME
+            refused = read_json(record) if record.is_file() else {}
+            if name in refused:
+                return f"{tier} refused {name}: {refused[name]}"
+        return f"edges/{edge} delivered nothing."
 
 
 def _drop_other_views(teacher: Path, key: str) -> None:
-    """What a teacher left of another model, or half-written: its edge takes whatever view lies there."""
+    """Remove what a teacher left of another model, or half-written: its edge takes whatever view lies there."""
     if not is_sealed(teacher, key):
         shutil.rmtree(teacher / "views", ignore_errors=True)
 

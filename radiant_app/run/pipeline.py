@@ -30,7 +30,7 @@ from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.promises import promises_of
 from radiant_app.run.rescue import Rescue, plan_key, replanned
 from radiant_app.run.source_key import source_key
-from radiant_app.run.sources import detect_source, sfm_task
+from radiant_app.workers.sources import detect_source, sfm_task
 from radiant_app.run.stages import (
     Progress,
     counted,

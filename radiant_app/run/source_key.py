@@ -17,7 +17,7 @@ from typing import Any
 
 from radiant_app.events import Listener, Warned
 from radiant_app.run.config import RunConfig
-from radiant_app.run.sources import all_files, detect_source
+from radiant_app.workers.sources import all_files, detect_source
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap.model import image_names, model_files

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_core.errors import BadInput
+from radiant_core.io.messages import sent_files as model_files
 from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
 from radiant_core.io.transport.acceptance import Acceptance, LastTask, Offer
 from radiant_core.io.transport.delivery import (
@@ -161,12 +162,14 @@ def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
     return save_delivery(folder, delivery, folder / IDENTITY)
 
 
-def signed_upload(folder: Path, task: dict[str, Any]) -> list[str]:
-    """Sign the model that a node sends and what its task says besides; the names written. Nothing where its task sends nothing."""
-    if "sends" not in task:
-        return []
-    model = folder / ("model.safetensors" if task["upload"] == "float32" else "upload.safetensors")
-    return deliver(folder, {"model.safetensors": model, **{name: folder / name for name in task["sends"]}})
+def is_of_a_run(folder: Path) -> bool:
+    """Whether a folder is that of a run's node, which takes and sends nothing unsigned."""
+    return (folder / IDENTITY / POST_NAME).is_file()
+
+
+def signed_upload(folder: Path) -> list[str]:
+    """Sign the model that a node of a run sends; the names written. Nothing in a folder that was made by hand."""
+    return deliver(folder, model_files(folder)) if is_of_a_run(folder) else []
 
 
 def refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:

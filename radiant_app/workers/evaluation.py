@@ -7,14 +7,15 @@ Seam masks come from the scene's own depth here; a comparison of methods has to 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.events import Event, StageProgress, Warned
-from radiant_app.workers.nodes import MASKS
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.tasks import EvaluateTask
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import (
@@ -29,47 +30,48 @@ from radiant_core.evaluate.image_error import (
     psnr_db,
 )
 from radiant_core.evaluate.image_pair import Used
-from radiant_core.evaluate.lpips import Lpips, load_lpips
+from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
 from radiant_core.evaluate.seam_error import band_and_interior_psnr_db, seam_masks
 from radiant_core.io.photos.listing import load_photograph
 from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_splats
-from radiant_core.io.run_store import read_json, write_atomic, write_json
+from radiant_core.io.run_store import write_atomic, write_json
 from radiant_core.render.rendered_view import RenderedView, render_views
 
+MASKS = "masks"
+"""Folder of masks beside a node's photographs, where there are any."""
 LPIPS_NAME = "lpips.safetensors"
 """Weights for LPIPS, laid where a scene is scored."""
 PICTURE_KINDS = ("photographs", "renders", "differences")
 """Folders with one PNG per held-out photograph."""
 
 
-def run_evaluate(folder: Path, stage: str, emit: Callable[[Event], None]) -> Sequence[str]:
+def run_evaluate(folder: Path, task: EvaluateTask, reporter: EventReporter) -> Sequence[str]:
     """Score scene.ply in `folder` on the photographs there; writes result.json and three pictures per photograph."""
-    task = read_json(folder / "task.json")
     cameras = load_cameras(folder / "cameras.safetensors")
     scene, initial = load_ply(folder / "scene.ply"), load_splats(folder / "initial.safetensors")
-    lpips = given_lpips(folder, task)
-    cameras, used = scored_part(cameras, folder / MASKS, lambda message: emit(Warned(stage=stage, message=message)))
+    lpips = given_lpips(folder, task.lpips)
+    cameras, used = scored_part(cameras, folder / MASKS, reporter.warn)
     photographs = [load_photograph(folder / "photos" / name, size) for name, size in _names_and_sizes(cameras)]
-    report = _reporter(stage, 3 * len(cameras), emit)
-    rendered = [report(view) for view in render_views(scene, cameras, task["backend"])]
-    untrained = [report(view) for view in render_views(initial, cameras, task["backend"])]
+    report = _counting(3 * len(cameras), reporter)
+    rendered = [report(view) for view in render_views(scene, cameras, task.backend)]
+    untrained = [report(view) for view in render_views(initial, cameras, task.backend)]
     rows, pictures = [], []
     for view, before, photo, pixels in zip(rendered, untrained, photographs, used, strict=True):
         rows.append(image_row(view, photo, before=before, lpips=lpips, used=pixels))
         pictures += save_comparison(folder, view, photo, pixels)
         report(view)
     result = {**summary_of(rows, lpips_network=lpips.network if lpips else None), "num_gaussians": len(scene)}
-    if task["seams"]:
+    if task.seams:
         result |= _seam_figures(folder / "plan.json", cameras, rendered, photographs, used)
     write_json(folder / "result.json", result)
     return ["result.json", *pictures]
 
 
-def given_lpips(folder: Path, task: Mapping[str, Any]) -> Lpips | None:
+def given_lpips(folder: Path, network: LpipsNetwork | None) -> Lpips | None:
     """The network that a task names, its weights dealt into `folder`; None where none is named."""
-    return load_lpips(folder / LPIPS_NAME, task["lpips"]) if task["lpips"] else None
+    return load_lpips(folder / LPIPS_NAME, network) if network else None
 
 
 def image_row(
@@ -170,13 +172,12 @@ def _names_and_sizes(cameras: Cameras) -> list[tuple[str, tuple[int, int]]]:
     return [(name, (int(w), int(h))) for name, (w, h) in zip(cameras.names, cameras.sizes_wh, strict=True)]
 
 
-def _reporter(stage: str, total: int, emit: Callable[[Event], None]) -> Callable[[RenderedView], RenderedView]:
-    done = 0
+def _counting(total: int, reporter: EventReporter) -> Callable[[RenderedView], RenderedView]:
+    """What passes views on and reports how many of `total` it has seen."""
+    seen = count(1)
 
     def report(view: RenderedView) -> RenderedView:
-        nonlocal done
-        done += 1
-        emit(StageProgress(stage=stage, done=done, total=total, note=view.name))
+        reporter.progress(next(seen), total, view.name)
         return view
 
     return report

@@ -14,23 +14,25 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.workers.delivering import signed_upload
-from radiant_app.workers.inbox import NOTHING, moved_cameras, numbered, sim3_of
-from radiant_app.workers.nodes import load_images, place_of, read_notes, sfm_progress, train_device
+from radiant_app.workers.nodes import read_notes, remove_checkpoints, trained_device
 from radiant_app.workers.own_names import OwnNames, own_names
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.sources import place_of
+from radiant_app.workers.tasks import FieldTask, PlacingTask, PositionsTask, ScoreTask
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.frames import WGS84_SEMI_MAJOR_M
+from radiant_core.frames import WGS84_SEMI_MAJOR_M, FrameUncertainty
+from radiant_core.io.messages import NOTHING, load_uncertainty, save_device_model, save_frame, task_key
 from radiant_core.io.photos.copies import copies_count, file_copies
 from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras, save_scene, save_splats
@@ -38,48 +40,40 @@ from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_js
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.config import SfmConfig, SfmResult
 
-if TYPE_CHECKING:
-    from radiant_core.sfm.config import SfmResult
-
-Emit = Callable[[Event], None]
-PLACING = ("frames", "source", "names", "held_out", "copy", "origin", "sfm", "model", "photographs")
-"""What of a device's task decides its scene, with the hash of its photographs."""
-SPOKEN = ("checkpoint_every_s", "changed")
-"""What of a device's task decides nothing of its result: sizes and times of photographs speak for what they hold."""
 MADE_FROM = "made_from.json"
 
 
-def run_positions(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) -> Sequence[str]:
     """GPS positions of the photographs in the folder that task.json names, copies left out; no pixel is decoded.
 
     Of a device's own folder only counts come out: how many training photographs lie in each cell of a raster, and how high about.
     """
-    task = read_json(folder / "task.json", ("photographs", "cell_m", "held_out", "owned"))
-    photographs = Path(task["photographs"])
+    photographs = Path(task.source)
     found = photograph_positions(photographs)
     copies = file_copies({name: photographs / name for name in found})
-    if not task["owned"]:
-        # Of its own a device tells when it has decoded them: of broken files none is a copy.
-        _tell_copies(len(copies), len(found), (stage, emit))
+    if not task.owned:
+        # Of its own a device reports when it has decoded them: of broken files none is a copy.
+        _warn_of_copies(len(copies), len(found), reporter)
     low = [name for name, place in found.items() if place is not None and np.isnan(place[2])]
     if low:
-        told = f"{len(low)} of {len(found)} photographs have GPS without altitude, and a device's frame needs one"
-        emit(Warned(stage=stage, message=f"{told}: they count as without a position."))
+        counted = f"{len(low)} of {len(found)} photographs have GPS without altitude, and a device's frame needs one"
+        reporter.warn(f"{counted}: they count as without a position.")
     found = {name: None if name in low else place for name, place in found.items() if name not in copies}
-    if task["cell_m"] is None:
+    if task.cell_m is None:
         write_json(folder / "positions.json", {"photographs": found})
         return ["positions.json"]
-    held_out = set(task["held_out"])
+    held_out = set(task.held_out)
     placed = {name: place for name, place in found.items() if place is not None}
     training = np.array([place for name, place in placed.items() if name not in held_out], np.float64).reshape(-1, 3)
-    told = {**told_raster(training, task["cell_m"]), "num_photographs": len(found), "num_unplaced": len(found) - len(placed)}
-    write_json(folder / "raster.json", told)
+    counts = {"num_photographs": len(found), "num_unplaced": len(found) - len(placed)}
+    write_json(folder / "raster.json", {**raster_record(training, task.cell_m), **counts})
     return ["raster.json"]
 
 
-def told_raster(lat_lon_alt: FloatArray, cell_m: float) -> dict[str, Any]:
-    """What a device tells of positions (P,3) deg, deg, m: `cells` as [lat, lon] of their middles and a count, one `altitude_m` for all.
+def raster_record(lat_lon_alt: FloatArray, cell_m: float) -> dict[str, Any]:
+    """What a device sends of positions (P,3) deg, deg, m: `cells` as [lat, lon] of their middles and a count, one `altitude_m` for all.
 
     Cells lie on the parallels and meridians, so that they say nothing of where the device began.
     """
@@ -97,58 +91,64 @@ def told_raster(lat_lon_alt: FloatArray, cell_m: float) -> dict[str, Any]:
     }
 
 
-def run_field(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+def run_field(folder: Path, task: FieldTask, reporter: EventReporter) -> Sequence[str]:
     """Structure from motion, frame and model of one device's own photographs."""
-    task = read_json(folder / "task.json")
-    task["photographs"] = _photographs_key(task)
-    key = content_key(__version__, {name: value for name, value in task.items() if name not in SPOKEN}, *_poses_in(folder))
-    made_from = {"key": key, "photographs": task["photographs"]}
-    kept = _kept(folder, made_from, stage, emit)
-    made = kept if kept is not None else _made(folder, task, stage, emit)
+    photographs = _photographs_key(task.placing)
+    key = content_key(__version__, task_key(replace(task, changed=())), photographs, *_poses_in(folder))
+    made_from = {"key": key, "photographs": photographs}
+    kept = _kept(folder, made_from, reporter)
+    made = kept if kept is not None else _made(folder, task, photographs, reporter)
     write_json(folder / MADE_FROM, made_from)
-    uploaded = signed_upload(folder, task) if read_json(folder / "frame.json", ("status",))["status"] == "placed" else []
+    uploaded = signed_upload(folder) if read_json(folder / "frame.json", ("status",))["status"] == "placed" else []
     return [*made, MADE_FROM, *uploaded]
 
 
-def _kept(folder: Path, made_from: dict[str, str], stage: str, emit: Emit) -> Sequence[str] | None:
+def _kept(folder: Path, made_from: dict[str, str], reporter: EventReporter) -> Sequence[str] | None:
     """The files of a device that is done with just these photographs, whenever they were touched since; None where it is to begin."""
     if not (folder / MADE_FROM).is_file() or not (folder / SEAL_NAME).is_file():
         return None
     before, sealed = read_json(folder / MADE_FROM, ("key", "photographs")), read_json(folder / SEAL_NAME, ("key", "files"))
     if before["photographs"] != made_from["photographs"]:
-        emit(Warned(stage=stage, message="its photographs changed since its model was made: it is made again."))
+        reporter.warn("its photographs changed since its model was made: it is made again.")
     if before != made_from or not is_sealed(folder, sealed["key"]):
         return None
-    for event in read_notes(folder, stage):
-        emit(event)
+    for event in read_notes(folder, reporter.stage):
+        reporter.emit(event)
     return [name for name in sealed["files"] if name not in ("notes.json", MADE_FROM, RECORD_NAME, SIGNATURE_NAME)]
 
 
-def _made(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> Sequence[str]:
+def _made(folder: Path, task: FieldTask, photographs: str, reporter: EventReporter) -> Sequence[str]:
     """The files of a device that begins."""
     try:
-        placed = _placed_once(folder, task, stage, emit)
-        held = np.isin(placed.scene.cameras.names, task["held_out"])
+        placed = _placed_once(folder, task.placing, photographs, reporter)
+        held = np.isin(placed.scene.cameras.names, task.placing.held_out)
         training = placed.scene.restricted_to(np.flatnonzero(~held))
         if len(training.cameras) < 2:
             raise BadInput(f"{len(training.cameras)} of its training photographs could be placed, expected at least 2.")
-        initial, outputs = train_device(folder, training, placed.images, task, (stage, emit))
+        from radiant_core.hierarchy.messages import device_task
+
+        device = device_task(task, training)
+        model = trained_device(folder, device, placed.images, reporter)
     except (BadInput, StageFailed) as error:
         # The reason stands in frame.json, which others read.
-        return _missing(folder, stage, own_names("field", folder).without(str(error)), emit)
-    save_splats(folder / "initial.safetensors", initial)
+        return _missing(folder, own_names("field", folder).without(str(error)), reporter)
+    from radiant_core.hierarchy.joining import numbered
+
+    assert model.initial is not None
+    save_splats(folder / "initial.safetensors", model.initial)
     save_scene(folder / "scene.safetensors", training)
     save_cameras(folder / "held_out.safetensors", placed.scene.cameras.select(held))
-    save_cameras(folder / "cameras.safetensors", numbered(training.cameras, folder.name))
-    write_json(folder / "frame.json", {"status": "placed", "reason": "", "uncertainty": placed.uncertainty})
+    frame = save_frame(folder, placed.uncertainty)
     write_json(folder / "own.json", {"images": str(placed.images)})
-    arrays = ("initial", "scene", "held_out", "cameras")
-    return [*outputs, *(f"{name}.safetensors" for name in arrays), "frame.json", "own.json"]
+    sent = replace(model, cameras=numbered(training.cameras, folder.name), uncertainty=placed.uncertainty)
+    names = save_device_model(folder, sent, task.upload, reporter.warn)
+    remove_checkpoints(folder)
+    return [*names, *(f"{name}.safetensors" for name in ("initial", "scene", "held_out")), frame, "own.json"]
 
 
-def _photographs_key(task: dict[str, Any]) -> str:
+def _photographs_key(task: PlacingTask) -> str:
     """Hash of the photographs that a device's task names; one that cannot be read counts as such."""
-    paths = [Path(task["source"]) / name for name in (*task["names"], *task["held_out"])]
+    paths = [Path(task.source) / name for name in (*task.names, *task.held_out)]
     return content_key([path if path.is_file() and os.access(path, os.R_OK) else None for path in paths])
 
 
@@ -156,11 +156,10 @@ def _poses_in(folder: Path) -> list[Path]:
     return [path for path in (folder / "poses", folder / "poses.safetensors") if path.exists()]
 
 
-def _missing(folder: Path, stage: str, reason: str, emit: Emit) -> Sequence[str]:
-    emit(Warned(stage=stage, message=f"no model of this device: {reason}"))
-    write_json(folder / "frame.json", {"status": "missing", "reason": reason, "uncertainty": None})
+def _missing(folder: Path, reason: str, reporter: EventReporter) -> Sequence[str]:
+    reporter.warn(f"no model of this device: {reason}")
     write_json(folder / "summary.json", {**NOTHING, "num_photographs": 0, "num_points": 0})
-    return ["frame.json", "summary.json"]
+    return [save_frame(folder, None, reason), "summary.json"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,60 +168,55 @@ class _Placed:
 
     scene: SfmScene
     images: Path
-    uncertainty: dict[str, float] | None
+    uncertainty: FrameUncertainty | None
 
 
-def _placed_once(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
-    """As `_placed`, or what an earlier process of this task placed, from placed/: the points come out in another order every time, and a
-    training goes on from its checkpoints only with the same scene."""
-    place, placing = folder / "placed", {name: value for name, value in task.items() if name in PLACING}
-    key = content_key(__version__, placing, *_poses_in(folder))
+def _placed_once(folder: Path, task: PlacingTask, photographs: str, reporter: EventReporter) -> _Placed:
+    """As `_placed`, or what an earlier process of this task placed, from placed/: the points come out in another order every
+    time, and a training goes on from its checkpoints only with the same scene."""
+    place = folder / "placed"
+    key = content_key(__version__, task_key(task), photographs, *_poses_in(folder))
     if not is_sealed(place, key) or not (folder / read_json(place / "record.json", ("images",))["images"]).is_dir():
-        placed = _placed(folder, task, stage, emit)
+        placed = _placed(folder, task, reporter)
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
         save_scene(place / "scene.safetensors", placed.scene)
-        write_json(place / "record.json", {"images": place_of(placed.images, folder), "uncertainty": placed.uncertainty})
-        seal(place, key, ["scene.safetensors", "record.json"])
-    record = read_json(place / "record.json", ("images", "uncertainty"))
-    return _Placed(scene=load_scene(place / "scene.safetensors"), images=folder / record["images"], uncertainty=record["uncertainty"])
+        write_json(place / "record.json", {"images": place_of(placed.images, folder)})
+        seal(place, key, ["scene.safetensors", "record.json", save_frame(place, placed.uncertainty)])
+    images = folder / read_json(place / "record.json", ("images",))["images"]
+    return _Placed(scene=load_scene(place / "scene.safetensors"), images=images, uncertainty=load_uncertainty(place))
 
 
-def _placed(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
-    photos = Path(task["source"])
-    if task["copy"]:
+def _placed(folder: Path, task: PlacingTask, reporter: EventReporter) -> _Placed:
+    photos = Path(task.source)
+    if task.copy:
         photos = folder / "photos"
         shutil.rmtree(photos, ignore_errors=True)
-        for name in [*task["names"], *task["held_out"]]:
+        for name in [*task.names, *task.held_out]:
             (photos / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(Path(task["source"]) / name, photos / name)
-    return (
-        _placed_by_gps(folder, photos, task, stage, emit)
-        if task["frames"] == "gps"
-        else _placed_by_poses(folder, photos, task, stage, emit)
-    )
+            shutil.copyfile(Path(task.source) / name, photos / name)
+    return (_placed_by_gps if task.frames == "gps" else _placed_by_poses)(folder, photos, task, reporter)
 
 
-def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
-    from radiant_core.sfm.config import SfmConfig
+def _placed_by_gps(folder: Path, photos: Path, task: PlacingTask, reporter: EventReporter) -> _Placed:
     from radiant_core.sfm.reconstruct import reconstruct
     from radiant_core.sfm.world_frame.device_frame import RefusedFrame, device_frame
 
-    result = reconstruct(photos, folder / "sfm", SfmConfig(**task["sfm"]), lambda progress: emit(sfm_progress(stage, progress)))
-    for message in _told(result, own_names("field", folder)):
-        emit(Warned(stage=stage, message=message))
+    result = reconstruct(photos, folder / "sfm", SfmConfig(**asdict(task.sfm)), reporter.sfm_progress)
+    for message in _without_names(result, own_names("field", folder)):
+        reporter.warn(message)
     for decision in (decision for decision in result.decisions if decision.topic == "memory"):
-        emit(Decided(decision=replace(decision, stage=stage)))
+        reporter.decide(decision)
     positions = {name: place for name, place in photograph_positions(photos).items() if place is not None and np.isfinite(place[2])}
-    frame = device_frame(result.scene, positions, np.array(task["origin"]), task["sfm"]["seed"])
+    frame = device_frame(result.scene, positions, np.array(task.origin), task.sfm.seed)
     if isinstance(frame, RefusedFrame):
         raise BadInput(f"its frame is refused: {frame.reason}")
-    emit(Decided(decision=_frame_decision(stage, asdict(frame.uncertainty), frame.num_inliers)))
-    _draw_frame(folder, frame.scene.cameras, positions, task["origin"], frame.sigma_m)
-    return _Placed(scene=frame.scene, images=result.undistorted_folder, uncertainty=asdict(frame.uncertainty))
+    reporter.decide(_frame_decision(reporter.stage, frame.uncertainty, frame.num_inliers))
+    _draw_frame(folder, frame.scene.cameras, positions, task.origin, frame.sigma_m)
+    return _Placed(scene=frame.scene, images=result.undistorted_folder, uncertainty=frame.uncertainty)
 
 
-def _told(result: SfmResult, names: OwnNames) -> Sequence[str]:
+def _without_names(result: SfmResult, names: OwnNames) -> Sequence[str]:
     """The warnings of structure from motion, of a device's own folder with numbers in place of names."""
     if names.source is None:
         return result.warnings
@@ -243,73 +237,68 @@ def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[flo
     save_png(folder / "frame.png", frame_picture(gps_m, cameras.named(names).centers, f"Frame of {folder.name} by GPS", detail))
 
 
-def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
-    from radiant_core.sfm.config import SfmConfig
+def _placed_by_poses(folder: Path, photos: Path, task: PlacingTask, reporter: EventReporter) -> _Placed:
     from radiant_core.sfm.copies import without_repeats
     from radiant_core.sfm.known_poses import pinhole_photographs, scene_from_poses, without_copies
     from radiant_core.sfm.memory import within_memory
 
-    def report(progress: Any) -> None:
-        emit(sfm_progress(stage, progress))
-
-    config = SfmConfig(**task["sfm"])
-    work = folder / "sfm"
-    if task["model"] is None:
+    config = SfmConfig(**asdict(task.sfm))
+    if task.poses == "poses.safetensors":
         cameras = load_cameras(folder / "poses.safetensors")
     else:
-        cameras, photos = pinhole_photographs(folder / "poses", photos, folder / "pinhole", config.threads, report)
+        cameras, photos = pinhole_photographs(folder / "poses", photos, folder / "pinhole", config.threads, reporter.sfm_progress)
     given = len(cameras)
     cameras, _ = without_copies(cameras, photos)
     config, decisions = within_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])
     for decision in decisions:
-        emit(Decided(decision=replace(decision, stage=stage)))
-    scene, _ = without_repeats(scene_from_poses(cameras, photos, work, config, report), photos)
-    _tell_copies(given - len(scene.cameras), given, (stage, emit))
+        reporter.decide(decision)
+    scene, _ = without_repeats(scene_from_poses(cameras, photos, folder / "sfm", config, reporter.sfm_progress), photos)
+    _warn_of_copies(given - len(scene.cameras), given, reporter)
     return _Placed(scene=scene, images=photos, uncertainty=None)
 
 
-def _tell_copies(num_copies: int, num_photographs: int, reporting: tuple[str, Emit]) -> None:
-    """Say how many photographs are left out as copies of others; their names stay on the device."""
-    stage, emit = reporting
-    for told in copies_count(num_copies, num_photographs):
-        emit(Warned(stage=stage, message=told))
+def _warn_of_copies(num_copies: int, num_photographs: int, reporter: EventReporter) -> None:
+    """How many photographs are left out as copies of others; their names stay on the device."""
+    for message in copies_count(num_copies, num_photographs):
+        reporter.warn(message)
 
 
-def _frame_decision(stage: str, uncertainty: dict[str, float], num_positions: int) -> Decision:
+def _frame_decision(stage: str, uncertainty: FrameUncertainty, num_positions: int) -> Decision:
     return Decision(
         stage=stage,
         topic="frame",
         choice="metric, from the device's own GPS",
-        figure=uncertainty["position_m"],
+        figure=uncertainty.position_m,
         unit="m",
-        reason=f"from {num_positions} positions; scale known to {uncertainty['scale']:.2%}, "
-        f"rotation to {np.degrees(uncertainty['rotation_rad']):.2f}°",
+        reason=f"from {num_positions} positions; scale known to {uncertainty.scale:.2%}, "
+        f"rotation to {np.degrees(uncertainty.rotation_rad):.2f}°",
     )
 
 
-def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
     """Score the downloaded scene on the photographs that this device held out, and say how much its own synthetic views give away."""
     from radiant_app.workers.evaluation import given_lpips, image_row, region_width, save_comparison
     from radiant_core.evaluate.seam_error import seam_masks, seam_sums
+    from radiant_core.hierarchy.joining import moved_cameras
     from radiant_core.io.ply import load_ply
     from radiant_core.render.rendered_view import render_views
+    from radiant_core.train.photographs import load_images
 
-    task = read_json(folder / "task.json")
     own = folder.parent
     images = Path(read_json(own / "own.json", ("images",))["images"])
-    held_out = load_cameras(own / "held_out.safetensors").scaled(task["long_side_px"])
-    leakage = _leakage(own, images, task, (stage, emit))
+    held_out = load_cameras(own / "held_out.safetensors").scaled(task.long_side_px)
+    leakage = _leakage(own, images, task, reporter)
     result: dict[str, Any] = {"images": [], "leakage": leakage, "seam_sums": np.zeros((2, 3)).tolist()}
     if len(held_out):
         names = [f"{own.name}/held-out-{index:04d}" for index in range(len(held_out))]
         photographs = [image.astype(np.float32) / np.float32(255) for image in load_images(images, held_out)]
         cameras = held_out
-        for move in task["corrections"]:
-            cameras = moved_cameras(cameras, sim3_of(move))
+        for move in task.corrections:
+            cameras = moved_cameras(cameras, move.sim3)
         cameras = replace(cameras, names=tuple(names))
-        rendered = list(render_views(load_ply(folder / "inbox" / "scene.ply"), cameras, task["backend"]))
-        untrained = list(render_views(load_splats(own / "initial.safetensors"), held_out, task["backend"]))
-        lpips = given_lpips(folder / "inbox", task)
+        rendered = list(render_views(load_ply(folder / "inbox" / "scene.ply"), cameras, task.backend))
+        untrained = list(render_views(load_splats(own / "initial.safetensors"), held_out, task.backend))
+        lpips = given_lpips(folder / "inbox", task.lpips)
         result["images"] = [
             image_row(view, photo, before=before, lpips=lpips) for view, before, photo in zip(rendered, untrained, photographs, strict=True)
         ]
@@ -323,17 +312,17 @@ def run_score(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     return ["result.json"]
 
 
-def _leakage(own: Path, images: Path, task: dict[str, Any], reporting: tuple[str, Emit]) -> dict[str, float]:
+def _leakage(own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:
     """PSNR and SSIM of what the edge can render of this device's model at its training poses, against the photographs it never sees."""
     from radiant_core.evaluate.image_error import psnr_db, ssim
     from radiant_core.render.rendered_view import render_views
+    from radiant_core.train.photographs import load_images
 
-    stage, emit = reporting
-    cameras = load_scene(own / "scene.safetensors").cameras.scaled(task["long_side_px"])
+    cameras = load_scene(own / "scene.safetensors").cameras.scaled(task.long_side_px)
     figures = []
-    for done, view in enumerate(render_views(load_splats(own / "model.safetensors"), cameras, task["backend"]), 1):
+    for done, view in enumerate(render_views(load_splats(own / "model.safetensors"), cameras, task.backend), 1):
         photograph = load_images(images, cameras.select([done - 1]))[0] / 255.0
         figures.append((psnr_db(view.image, photograph), ssim(view.image, photograph)))
-        emit(StageProgress(stage=stage, done=done, total=len(cameras), note="synthetic views against photographs"))
+        reporter.progress(done, len(cameras), "synthetic views against photographs")
     mean = np.mean(figures, axis=0)
     return {"psnr_db": float(mean[0]), "ssim": float(mean[1]), "num_images": len(figures)}

@@ -1,4 +1,4 @@
-"""What a worker computes in its folder: one function per kind of node. Each reads only files below the folder it is given.
+"""What a worker does in its folder: read a message, call one function, write its answer. One function per kind of node.
 
 | kind     | reads                                               | writes                                   |
 |----------|-----------------------------------------------------|------------------------------------------|
@@ -9,80 +9,50 @@
 | cloud    | task.json, inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors | scene.ply, summary.json |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
 | run      | task.json, a whole run's source                     | that run's folder: a job of a batch      |
+
+`field_nodes.py` has those of devices that place their own photographs. Each reads only files below its folder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.workers.cloud_task import (
-    CUT_COSTS,
-    JOIN_AGAIN,
-    edge_pools,
-    exposures_decision,
-    faint_decision,
-    join_decisions,
-    joined_at_cloud,
-    virtual_cameras_of,
-)
-from radiant_app.workers.delivering import refusals, signed_upload
-from radiant_app.workers.inbox import NOTHING, VIRTUAL_CAMERAS, VIRTUAL_VIEWS, Inbox, dealt_to, read_inbox, save_frames, too_many_cameras
-from radiant_app.workers.memory import base_bytes_in, resident_bytes
-from radiant_app.workers.node_decisions import (
-    blind_spots_decision,
-    density_decision,
-    fill_decision,
-    join_memory_decision,
-    shapes_decision,
-    sky_decision,
-    teachers_decision,
-)
+from radiant_app.events import Decided, Event, Warned
+from radiant_app.workers.delivering import is_of_a_run, refusals, signed_upload
+from radiant_app.workers.memory import available_bytes, base_bytes_in, resident_bytes
 from radiant_app.workers.own_names import own_names
-from radiant_core import __version__
-from radiant_core.cameras import Cameras
+from radiant_app.workers.reporting import Emit, EventReporter
+from radiant_app.workers.tasks import TASKS, SfmTask, TeacherTask, received_task
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
-from radiant_core.io.photos.listing import load_photograph
-from radiant_core.io.photos.masks import pixel_weights
-from radiant_core.io.ply import save_ply
-from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
-from radiant_core.io.run_store import content_key, read_json, write_json
-from radiant_core.io.transport.upload import UploadFormat, save_upload, upload_problem
-from radiant_core.scene import SfmScene
-from radiant_core.splats import Splats, morton_order
+from radiant_core.io.records import save_scene
+from radiant_core.io.run_store import SEAL_NAME, read_json, write_json
 
 if TYPE_CHECKING:
-    from radiant_core.aggregate.synthetic_views import Rendered
-    from radiant_core.sfm.config import SfmProgress
-    from radiant_core.train.checkpoint import CheckpointFolder
-    from radiant_core.train.config import TrainConfig
-    from radiant_core.train.trainer import FitOptions, TrainResult
-    from radiant_core.train.views import TrainingViews
+    from radiant_core.hierarchy.messages import CloudTask, DeviceModel, DeviceTask, EdgeTask
+    from radiant_core.hierarchy.reporter import Machine
 
-Emit = Callable[[Event], None]
 CHECKPOINTS = "checkpoints"
 """Folder of a training's checkpoints inside its node's; gone when the node is done."""
-CHECKPOINT_EVERY_S = 10.0
-UNKEYED = ("teachers", "checkpoint_every_s")
-"""What a task.json says that changes no bit of the result: who rendered a view, how often a training is saved."""
-_OTHER_KINDS = ("positions", "field", "score", "regions", "evaluate", "run")
 MASKS = "masks"
 """Folder of masks beside a node's photographs, where there are any."""
+CUT_NAME = "cut_for_memory"
+"""An empty file in the cloud's folder: its models are cut because its machine had too little memory."""
+
+Work = Callable[[Path, Any, EventReporter], Sequence[str]]
+"""What a kind of node does in its folder with its task; the names of the files it made, relative to the folder."""
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Run one node and return the names of the files it made, relative to `folder`; decisions and warnings also go to notes.json.
+    """Run one node and return the names of the files it made; decisions and warnings also go to notes.json.
 
-    What a device says of photographs of its own is told without their names.
+    What a device reports of photographs of its own names none of their files.
     """
-    runner = _runner_of(kind)
+    if kind not in TASKS:
+        raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join(TASKS)}.")
     notes: dict[str, list[Any]] = {"decisions": [], "warnings": []}
     names = own_names(kind, folder)
 
@@ -94,22 +64,19 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
             notes["warnings"].append(event.message)
         emit(event)
 
-    outputs = runner(folder, stage, emit_and_note)
+    outputs = _work_of(kind)(folder, received_task(kind, folder), EventReporter(stage=stage, emit=emit_and_note))
     write_json(folder / "notes.json", notes)
     return [*outputs, "notes.json"]
 
 
-def _runner_of(kind: str) -> Callable[[Path, str, Emit], Sequence[str]]:
-    """What runs nodes of a kind; imports no more than that needs: most nodes are short, and starting a process is most of their time."""
-    own = {"sfm": run_sfm, "device": run_device, "teacher": run_teacher, "edge": run_edge, "cloud": run_cloud}
-    if kind in own:
-        return own[kind]
+def _work_of(kind: str) -> Work:
+    """What nodes of a kind do; imports no more than that needs: most nodes are short, and starting a process is most of their time."""
     if kind in ("positions", "field", "score"):
         from radiant_app.workers.field_nodes import run_field, run_positions, run_score
 
         return {"positions": run_positions, "field": run_field, "score": run_score}[kind]
     if kind == "regions":
-        from radiant_app.run.cloud_planning import run_regions
+        from radiant_app.workers.regions import run_regions
 
         return run_regions
     if kind == "evaluate":
@@ -120,7 +87,7 @@ def _runner_of(kind: str) -> Callable[[Path, str, Emit], Sequence[str]]:
         from radiant_app.commands.batch import run_job
 
         return run_job
-    raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join((*own, *_OTHER_KINDS))}.")
+    return {"sfm": run_sfm, "device": run_device, "teacher": run_teacher, "edge": run_edge, "cloud": run_cloud}[kind]
 
 
 def read_notes(folder: Path, stage: str) -> list[Event]:
@@ -130,364 +97,134 @@ def read_notes(folder: Path, stage: str) -> list[Event]:
     return [*decided, *(Warned(stage=stage, message=message) for message in notes["warnings"])]
 
 
-def run_sfm(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Structure from motion on the source that task.json names."""
-    from radiant_app.run.sources import reconstruct_source
+def run_sfm(folder: Path, task: SfmTask, reporter: EventReporter) -> Sequence[str]:
+    """Structure from motion on the source that the task names."""
+    from radiant_app.workers.sources import reconstruct_source, sfm_record
 
-    task = read_json(folder / "task.json")
-    result = reconstruct_source(task, folder, lambda progress: emit(sfm_progress(stage, progress)))
+    result = reconstruct_source(task, folder, reporter.sfm_progress)
     for decision in result.decisions:
-        emit(Decided(decision=decision))
+        reporter.emit(Decided(decision=decision))
     for message in result.warnings:
-        emit(Warned(stage=stage, message=message))
+        reporter.warn(message)
     save_scene(folder / "scene.safetensors", result.scene)
     write_json(folder / "result.json", sfm_record(result, folder))
     # Images that were pinhole already stay where they are, outside of this folder: they are the owner's and not sealed.
-    own = [path for name in ("undistorted", "masks") for path in sorted((folder / name).rglob("*")) if path.is_file()]
+    own = [path for name in ("undistorted", MASKS) for path in sorted((folder / name).rglob("*")) if path.is_file()]
     return ["scene.safetensors", "result.json", *(str(path.relative_to(folder)) for path in own)]
 
 
-def run_device(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+def run_device(folder: Path, task: DeviceTask, reporter: EventReporter) -> Sequence[str]:
     """Train one model from the folder's own photographs and points."""
-    task = read_json(folder / "task.json", ("train", "backend", "upload"))
-    scene = load_scene(folder / "scene.safetensors")
-    outputs = train_device(folder, scene, folder / "photos", task, (stage, emit))[1]
-    save_cameras(folder / "cameras.safetensors", scene.cameras)
-    return [*outputs, "cameras.safetensors", *signed_upload(folder, task)]
+    model = trained_device(folder, task, folder / "photos", reporter)
+    return finished_device(folder, task, model, reporter)
 
 
-def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, Any], running: tuple[str, Emit]) -> tuple[Splats, list[str]]:
-    """Train a model from a scene and its photographs by the settings of a task; `running` is stage and listener.
+def trained_device(folder: Path, task: DeviceTask, images: Path, reporter: EventReporter) -> DeviceModel:
+    """The model of a device whose photographs lie in `images` and whose state is saved in `folder`."""
+    from radiant_core.hierarchy.device import train_device
+    from radiant_core.train.photographs import load_training_views
 
-    Returns the Gaussians before training and the names of the files written.
-    """
-    from radiant_core.train.checkpoint import training_key
-    from radiant_core.train.config import TrainConfig
-    from radiant_core.train.memory import memory_plan, within_memory
-
-    stage, emit = running
-    config, options = TrainConfig(**task["train"]), fit_options(stage, task["backend"], emit)
-    cameras = scene.cameras.scaled(config.long_side_px)
-    if task["memory_bytes"] is not None:
-        base_bytes = base_bytes_in(folder, resident_bytes())
-        plan = memory_plan(config, cameras, int(task["memory_bytes"]), base_bytes, masked=(folder / MASKS).is_dir())
-        config, decision = within_memory(config, plan, int(task["memory_bytes"]), stage, config.max_num_splats)
-        emit(Decided(decision=decision))
-        options = replace(options, statistics_bytes=plan.statistics_bytes)
-    views = load_training_views(images, cameras, folder / MASKS)
-    scene, views = without_useless(scene, views, config, running)
-    config = needed(scene, views, config, task["backend"], running)
-    initial = first_model(scene, views, config, running)
-    checkpoints = checkpoints_in(folder, training_key(initial, views, config, options), task, running)
-    result = fit(initial, views, config, replace(options, checkpoints=checkpoints), running)
-    save_splats(folder / "model.safetensors", result.splats)
-    summary = {**training_summary(result), "num_photographs": len(views), "num_points": len(scene.points)}
-    write_json(folder / "summary.json", summary)
-    uploaded = _save_upload(folder, result.splats, task["upload"], stage, emit)
-    checkpoints.remove()
-    return initial, ["model.safetensors", "summary.json", *uploaded]
+    machine = machine_in(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
+    views = load_training_views(images, task.scene.cameras.scaled(task.train.long_side_px), folder / MASKS)
+    return train_device(task, views, reporter, machine)
 
 
-def checkpoints_in(folder: Path, key: str, task: Mapping[str, Any], running: tuple[str, Emit]) -> CheckpointFolder:
-    """Checkpoints of the training with this key in a node's folder, without those that an older plan or other settings left there."""
+def finished_device(folder: Path, task: DeviceTask, model: DeviceModel, reporter: EventReporter) -> list[str]:
+    """Write and sign a device's model; the names of the files."""
+    from radiant_core.io.messages import save_device_model
+
+    names = save_device_model(folder, model, task.upload, reporter.warn)
+    remove_checkpoints(folder)
+    return [*names, *signed_upload(folder)]
+
+
+def machine_in(folder: Path, checkpoint_every_s: float, reporter: EventReporter, *, limited: bool = False) -> Machine:
+    """What a node may use of this machine; `limited`: whether its memory is, so that what the process holds already counts."""
+    from radiant_core.hierarchy.reporter import Machine
     from radiant_core.train.checkpoint import CheckpointFolder
 
-    stage, emit = running
-    checkpoints = CheckpointFolder(
-        folder / CHECKPOINTS,
-        key,
-        every_s=task.get("checkpoint_every_s", CHECKPOINT_EVERY_S),
-        warn=lambda message: emit(Warned(stage=stage, message=message)),
-    )
-    checkpoints.remove_foreign()
-    return checkpoints
+    def checkpoints(key: Callable[[], str]) -> CheckpointFolder:
+        kept = CheckpointFolder(folder / CHECKPOINTS, key(), every_s=checkpoint_every_s, warn=reporter.warn)
+        # Those that an older plan or other settings left there.
+        kept.remove_foreign()
+        return kept
+
+    base_bytes = base_bytes_in(folder, resident_bytes()) if limited else 0
+    return Machine(base_bytes=base_bytes, free_bytes=available_bytes, checkpoints=checkpoints)
 
 
-def without_useless(
-    scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]
-) -> tuple[SfmScene, TrainingViews]:
-    """Scene and views without the photographs that add nothing; tells which were left out."""
-    from radiant_core.train.worth import worth_training
+def remove_checkpoints(folder: Path) -> None:
+    """Remove the checkpoints of a node that is done."""
+    from radiant_core.train.checkpoint import CheckpointFolder
 
-    stage, emit = running
-    scene, views, decisions = worth_training(scene, views, config)
-    for decision in decisions:
-        emit(Decided(decision=replace(decision, stage=stage)))
-    return scene, views
+    CheckpointFolder(folder / CHECKPOINTS, "").remove()
 
 
-def needed(scene: SfmScene, views: TrainingViews, config: TrainConfig, backend: Any, running: tuple[str, Emit]) -> TrainConfig:
-    """The configuration as this scene needs it and a CUDA device can hold it; tells what was decided."""
-    from radiant_core.render.contract import resolve_backend
-    from radiant_core.render.gsplat_backend import free_vram_bytes
-    from radiant_core.train.memory import within_vram
-    from radiant_core.train.needs import fit_to_scene
+def run_teacher(folder: Path, task: TeacherTask, reporter: EventReporter) -> Sequence[str]:
+    """Render what one device's model shows at its cameras, for the retraining of its edge; may be stopped at any time.
 
-    stage, emit = running
-    config, decisions = fit_to_scene(config, scene, views)
-    free_bytes = free_vram_bytes(resolve_backend(backend))
-    if free_bytes is not None:
-        config, more = within_vram(config, views.cameras, free_bytes, stage)
-        decisions = (*decisions, *more)
-    for decision in decisions:
-        emit(Decided(decision=replace(decision, stage=stage)))
-    return config
-
-
-def first_model(scene: SfmScene, views: TrainingViews, config: TrainConfig, running: tuple[str, Emit]) -> Splats:
-    """The Gaussians before training; tells what was added to the sparse points and why."""
-    from radiant_core.train.initialize import first_splats, sky_share
-
-    stage, emit = running
-    emit(Decided(decision=sky_decision(stage, sky_share(views.cameras), wanted=config.sky)))
-    initial, num_filled = first_splats(scene, views, config)
-    emit(Decided(decision=fill_decision(stage, num_filled, len(scene.points), wanted=config.fill_in)))
-    return initial
-
-
-def fit(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions, running: tuple[str, Emit]) -> TrainResult:
-    """`fit_splats`; tells what density control did and which steps could not be taken."""
-    from radiant_core.train.trainer import fit_splats
-
-    stage, emit = running
-    result = fit_splats(initial, views, config, options)
-    if config.densify != "none":
-        emit(Decided(decision=density_decision(stage, result.density, len(initial), len(result.splats))))
-    if any(asdict(result.shapes).values()):
-        emit(Decided(decision=shapes_decision(stage, config, result.shapes)))
-    if result.num_rolled_back:
-        message = f"{result.num_rolled_back} of {result.num_steps:,} steps ended in something not finite and were not taken"
-        emit(Warned(stage=stage, message=message))
-    return result
-
-
-def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Render what one device's model shows at its cameras, for the retraining of its edge; may be stopped at any time."""
-    from radiant_core.aggregate.arrival import load_arrived
+    What its edge refuses it does not render: the edge says why.
+    """
+    from radiant_app.workers.inbox import teacher_view_name
     from radiant_core.aggregate.synthetic_views import views_in_bytes
+    from radiant_core.hierarchy.joining import model_problem
+    from radiant_core.hierarchy.messages import DeviceModel
+    from radiant_core.io.messages import load_device_model
     from radiant_core.io.view_file import save_view
 
-    task = read_json(folder / "task.json", ("long_side_px", "backend"))
-    if task.get("signed") and refusals(folder, [folder.name], {folder.name: folder / "inbox"}):
-        # Its edge refuses it too, and says why.
+    if is_of_a_run(folder) and refusals(folder, [folder.name], {folder.name: folder / "inbox"}):
         return []
-    cameras = load_cameras(folder / "inbox" / "cameras.safetensors").scaled(task["long_side_px"])
-    if too_many_cameras(cameras, task.get("num_dealt")):
-        # Its edge refuses it too, and says why.
+    model = load_device_model(folder / "inbox")
+    if not isinstance(model, DeviceModel) or model_problem(model, task.num_dealt):
         return []
-    model = load_arrived(folder / "inbox" / "model.safetensors", cameras)
-    if isinstance(model, str):
-        # Its edge refuses it too, and says why.
-        return []
+    cameras = model.cameras.scaled(task.long_side_px)
     (folder / "views").mkdir(exist_ok=True)
     names = []
-    for name, (image, weight) in zip(cameras.names, views_in_bytes(model, cameras, task["backend"]), strict=True):
-        names.append(_view_name(len(names)))
+    for name, (image, weight) in zip(cameras.names, views_in_bytes(model.splats, cameras, task.backend), strict=True):
+        names.append(teacher_view_name(len(names)))
         save_view(folder / names[-1], image, weight)
-        emit(StageProgress(stage=stage, done=len(names), total=len(cameras), note=name))
+        reporter.progress(len(names), len(cameras), name)
     return names
 
 
-def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Join the devices' models by retraining on what each shows at its own cameras, or leave that to the cloud."""
-    from radiant_core.aggregate.balance import balanced, exposure_balance
-    from radiant_core.aggregate.config import AggregateConfig
-    from radiant_core.aggregate.ownership import claims_of_polygons
-    from radiant_core.aggregate.pooling import pictures_of, pooled
-    from radiant_core.aggregate.retrain import cut_at_borders, retrain_on_synthetic_views
-    from radiant_core.aggregate.synthetic_views import Teacher
-    from radiant_core.io.view_file import save_views
-    from radiant_core.train.config import TrainConfig
+def run_edge(folder: Path, task: EdgeTask, reporter: EventReporter) -> Sequence[str]:
+    """Join the devices' models, or pool them for the cloud."""
+    from radiant_app.workers.inbox import received_device_models, save_arrivals
+    from radiant_core.hierarchy.edge import join_edge
+    from radiant_core.io.messages import save_edge_model
 
-    task = read_json(folder / "task.json")
-    signed, dealt = task.get("signed", False), dealt_to(task["devices"], task)
-    inbox = read_inbox(folder, task["devices"], stage, emit, signed=signed, dealt=dealt)
-    if not inbox.models:
-        return _nothing_placed(folder, inbox)
-    train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
-    left = edge_pools(task, inbox, stage)
-    # A device's model shows the same at its own cameras wherever both were moved to.
-    rendered = [
-        load_views(folder / "teachers" / name, own.scaled(train.long_side_px)) if name in task["teachers"] else {}
-        for name, own in zip(inbox.senders, inbox.cameras, strict=True)
+    models = received_device_models(folder, task)
+    model = join_edge(task, models, reporter, machine_in(folder, task.checkpoint_every_s, reporter))
+    names = [
+        *save_edge_model(folder, model, task.upload, reporter.warn),
+        *save_arrivals(folder, model.corrections, model.refused, model.uncertainty),
     ]
-    if len(inbox.models) > 1 and left is None:
-        emit(Decided(decision=teachers_decision(stage, rendered, inbox.cameras)))
-    checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
-    options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
-    strips = [np.array(task["strips"][task["devices"].index(name)]).reshape(-1, 2) for name in inbox.senders]
-    asked = zip(inbox.models, inbox.cameras, rendered, strict=True)
-    teachers = [Teacher(splats=model, cameras=own, rendered=ready) for model, own, ready in asked]
-    claims = claims_of_polygons(strips)
-    if left is not None:
-        balance = exposure_balance(teachers, task["backend"])
-        teachers = balanced(teachers, balance)
-        joined = pooled(teachers, aggregate, claims)
-        decisions = [exposures_decision(stage, balance), faint_decision(stage, aggregate, joined), left]
-    elif (kept := _edge_statistics_bytes(inbox, train, task.get("memory_bytes"), (stage, emit))) is None:
-        joined, decisions = cut_at_borders(teachers, claims), []
-    else:
-        options = replace(options, statistics_bytes=kept)
-        joined = retrain_on_synthetic_views(teachers, train, aggregate, options, claims)
-        decisions = join_decisions(stage, aggregate, len(inbox.models), joined)
-    for decision in decisions:
-        emit(Decided(decision=decision))
-    result = joined.trained
-    # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
-    splats = result.splats.select(morton_order(result.splats.means))
-    save_splats(folder / "model.safetensors", splats)
-    write_json(folder / "summary.json", {**training_summary(result), "num_models": len(inbox.models)})
-    virtual, near = virtual_cameras_of(folder, inbox.cameras, splats)
-    save_cameras(folder / VIRTUAL_CAMERAS, virtual)
-    shown = {} if left is None else pictures_of(teachers, virtual, near, train.long_side_px, task["backend"])
-    save_views(folder / VIRTUAL_VIEWS, [shown[index] for index in sorted(shown)])
-    uploaded = _save_upload(folder, splats, task["upload"], stage, emit)
-    outputs = ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, VIRTUAL_VIEWS, *save_frames(folder, inbox), *uploaded]
-    checkpoints.remove()
-    return [*outputs, *signed_upload(folder, task)]
+    remove_checkpoints(folder)
+    return names if model.splats is None else [*names, *signed_upload(folder)]
 
 
-def _edge_statistics_bytes(inbox: Inbox, train: TrainConfig, memory_bytes: float | None, running: tuple[str, Emit]) -> int | None:
-    """What the loss may keep where the models in the inbox are retrained within the edge's limit of memory, with a decision; None where
-    they are cut, with a warning."""
-    from radiant_core.aggregate.cloud_choice import cloud_needs, kept_statistics_bytes
-    from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
+def run_cloud(folder: Path, task: CloudTask, reporter: EventReporter) -> Sequence[str]:
+    """Join the edges' models into the scene."""
+    from radiant_app.workers.inbox import received_edge_models, save_arrivals
+    from radiant_core.hierarchy.cloud import join_cloud
+    from radiant_core.io.messages import NOTHING
+    from radiant_core.io.ply import save_ply
 
-    if memory_bytes is None or len(inbox.models) < 2:
-        return STATISTICS_BUDGET_BYTES
-    stage, emit = running
-    left = kept_statistics_bytes(inbox.models, inbox.cameras, train.long_side_px, memory_bytes)
-    needed_bytes = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, None).memory_bytes
-    decision = join_memory_decision(stage, needed_bytes, left, memory_bytes)
-    emit(Decided(decision=decision))
-    if left is None:
-        allowed = f"memory_gb of this edge allows {memory_bytes / 1e6:,.0f} MB"
-        lift = f"To join them raise it in the system file of the next run; or {JOIN_AGAIN}"
-        message = f"{decision.choice}: {decision.reason}, and {allowed}. {CUT_COSTS} {lift}."
-        emit(Warned(stage=stage, message=message))
-    return left
-
-
-def run_cloud(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
-    """Join the edges' models: retrained where that is asked for and within the limits, else cut at their borders."""
-    from radiant_core.aggregate.config import AggregateConfig
-    from radiant_core.aggregate.crop_merge import crop_merge
-
-    task = read_json(folder / "task.json")
-    aggregate = AggregateConfig(**task["aggregate"])
-    signed, dealt = task.get("signed", False), dealt_to(task["edges"], task)
-    inbox = read_inbox(folder, task["edges"], stage, emit, signed=signed, dealt=dealt)
-    if not inbox.models:
-        return _nothing_placed(folder, inbox)
-    outputs = ["scene.ply", "summary.json", *save_frames(folder, inbox)]
-    if aggregate.cloud == "retrain":
-        checkpoints = checkpoints_in(folder, _inbox_key(folder, task), task, (stage, emit))
-        options = replace(fit_options(stage, task["backend"], emit), checkpoints=checkpoints)
-        joined = joined_at_cloud(folder, task, inbox, emit, options)
-        if joined is not None:
-            save_ply(folder / "scene.ply", joined.splats)
-            write_json(folder / "summary.json", training_summary(joined.trained))
-            checkpoints.remove()
-            return outputs
-    rows = [task["edges"].index(name) for name in inbox.senders]
-    sites, weights = np.array(task["sites"])[rows], np.array(task["weights"])[rows]
-    merged = crop_merge(inbox.models, sites, weights, fill_blind_spots=aggregate.fill_blind_spots)
-    emit(Decided(decision=blind_spots_decision(stage, merged, wanted=aggregate.fill_blind_spots)))
-    save_ply(folder / "scene.ply", merged.splats)
-    counts = {"num_splats": len(merged.splats), "num_filled": merged.num_filled, "num_dropped": merged.num_dropped}
-    write_json(folder / "summary.json", counts)
-    return outputs
+    models = received_edge_models(folder, task.edges, task.train.long_side_px)
+    (folder / CUT_NAME).unlink(missing_ok=True)
+    scene = join_cloud(task, models, reporter, machine_in(folder, task.checkpoint_every_s, reporter))
+    names = ["summary.json", *save_arrivals(folder, scene.corrections, scene.refused, scene.uncertainty)]
+    write_json(folder / "summary.json", dict(scene.summary) if scene.splats is not None else {**NOTHING, "num_models": 0})
+    if scene.splats is None:
+        return names
+    if scene.cut_for_memory:
+        (folder / CUT_NAME).touch()
+    save_ply(folder / "scene.ply", scene.splats)
+    remove_checkpoints(folder)
+    return ["scene.ply", *names]
 
 
-def _inbox_key(folder: Path, task: Mapping[str, Any]) -> str:
-    """Key of a training on what was sent to this node: all of its task that can change a bit of the result."""
-    return content_key(__version__, {name: value for name, value in task.items() if name not in UNKEYED}, folder / "inbox")
-
-
-def _nothing_placed(folder: Path, inbox: Inbox) -> Sequence[str]:
-    """What an edge or the cloud leaves when every model was refused: why."""
-    write_json(folder / "summary.json", {**NOTHING, "num_models": 0})
-    return ["summary.json", *save_frames(folder, inbox)]
-
-
-def load_views(teacher: Path, cameras: Cameras) -> Rendered:
-    """The views that a teacher has written for `cameras`, all or the first ones; raises as `load_view`."""
-    from radiant_core.io.view_file import load_view
-
-    sizes = {index: (int(width), int(height)) for index, (width, height) in enumerate(cameras.sizes_wh)}
-    written = {index: size for index, size in sizes.items() if (teacher / _view_name(index)).exists()}
-    return {index: load_view(teacher / _view_name(index), *size) for index, size in written.items()}
-
-
-def sfm_record(result: Any, folder: Path) -> dict[str, Any]:
-    """What result.json in `folder` says of an `SfmResult`: where photographs and masks are, which photographs have no pose."""
-    masks = {} if result.masks_folder is None else {"masks": place_of(result.masks_folder, folder)}
-    return {"images": place_of(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks}
-
-
-def place_of(images: Path, folder: Path) -> str:
-    """The images' folder relative to `folder` where it lies inside, so that a run can be moved; absolute otherwise."""
-    images, folder = images.resolve(), folder.resolve()
-    return str(images.relative_to(folder) if images.is_relative_to(folder) else images)
-
-
-def load_images(folder: Path, cameras: Cameras) -> tuple[NDArray[np.uint8], ...]:
-    """The photographs (H,W,3) of `cameras` by name, reduced to the cameras' sizes."""
-    return tuple(
-        (load_photograph(folder / name, (int(width), int(height))) * 255).round().astype(np.uint8)
-        for name, (width, height) in zip(cameras.names, cameras.sizes_wh, strict=True)
-    )
-
-
-def load_training_views(images: Path, cameras: Cameras, masks: Path | None) -> TrainingViews:
-    """The photographs of `cameras` by name with what masks leave of them, reduced to the cameras' sizes."""
-    from radiant_core.train.views import TrainingViews
-
-    return TrainingViews(cameras=cameras, images=load_images(images, cameras), weights=pixel_weights(masks, cameras))
-
-
-def fit_options(stage: str, backend: Any, emit: Emit) -> FitOptions:
-    """How a node's training renders and tells how far it is."""
-    from radiant_core.train.trainer import FitOptions
-
-    def report(progress: Any) -> None:
-        emit(StageProgress(stage=stage, done=progress.step, total=progress.num_steps, note=f"loss {progress.loss:.4f}"))
-
-    return FitOptions(backend=backend, report=report)
-
-
-def _view_name(index: int) -> str:
-    return f"views/{index:05d}.safetensors"
-
-
-def _save_upload(folder: Path, splats: Splats, upload: UploadFormat, stage: str, emit: Emit) -> list[str]:
-    """Write what is sent in place of model.safetensors, if it is not that file itself; the names written."""
-    if upload == "float32":
-        return []
-    problem = upload_problem(splats, upload)
-    if problem is not None:
-        emit(Warned(stage=stage, message=f"the model is uploaded as float32 instead of {upload}: {problem}"))
-    save_upload(folder / "upload.safetensors", splats, upload if problem is None else "float32")
-    return ["upload.safetensors"]
-
-
-def training_summary(result: Any) -> dict[str, float | int]:
-    """What a node's summary.json keeps of a `TrainResult`."""
-    return {
-        "num_splats": len(result.splats),
-        "model_bytes": result.splats.num_bytes,
-        "num_steps": result.num_steps,
-        "num_rolled_back": result.num_rolled_back,
-        "train_s": result.seconds,
-        "first_loss": result.first_loss,
-        "last_loss": result.last_loss,
-        **asdict(result.density),
-        **asdict(result.shapes),
-    }
-
-
-def sfm_progress(stage: str, progress: SfmProgress) -> StageProgress:
-    """An event of how far structure from motion is."""
-    return StageProgress(
-        stage=stage, done=progress.done, total=progress.total, phase=progress.phase, step=progress.step, num_steps=progress.num_steps
-    )
+def forget_cut(folder: Path) -> None:
+    """Unseal a cloud that cut its models for want of its machine's memory: there may be more by now."""
+    if (folder / CUT_NAME).is_file():
+        (folder / SEAL_NAME).unlink(missing_ok=True)

@@ -80,13 +80,16 @@ def own_names(kind: str, folder: Path) -> OwnNames:
     notes = place / NOTES_NAME
     if kind not in ("positions", "field", "score"):
         return OwnNames(notes=notes)
-    key = "photographs" if kind == "positions" else "source"
     try:
-        task = read_json(place / "task.json", (key, "held_out"))
+        task = read_json(place / "task.json")
     except RadiantError:
-        # Without it no photograph is opened: what the node says is about the task.
+        # Without it no photograph is opened: what the node reports is about the task.
         return OwnNames(notes=notes)
-    if task.get("copy", False):
+    # Not parsed as a message: names are taken out of the sentence about a task that is none, too.
+    task = task.get("placing", task) if isinstance(task, dict) else {}
+    source = task.get("source") if isinstance(task, dict) else None
+    if not isinstance(source, str) or task.get("copy", False):
         return OwnNames(notes=notes)
-    given = tuple(name for name in (*task.get("names", ()), *task["held_out"]) if isinstance(name, str) and name)
-    return OwnNames(notes=notes, source=Path(task[key]), given=given)
+    listed = [names for key in ("names", "held_out") if isinstance(names := task.get(key), list)]
+    given = tuple(name for names in listed for name in names if isinstance(name, str) and name)
+    return OwnNames(notes=notes, source=Path(source), given=given)

@@ -26,7 +26,7 @@ from radiant_app.report.html import TIERS
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import RunConfig
 from radiant_app.run.pipeline import RunResult, run
-from radiant_app.run.sources import all_files
+from radiant_app.workers.sources import all_files
 from radiant_app.workers.inbox import read_inbox
 from radiant_app.workers.memory import resident_bytes
 from radiant_app.workers.nodes import run_cloud, run_device, run_edge

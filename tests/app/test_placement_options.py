@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from radiant_app.cli.app import app
 from radiant_app.commands.train import TrainRequest, train
 from radiant_app.run.config import RunConfig
-from radiant_app.run.sources import reconstruct_source, sfm_task
+from radiant_app.workers.sources import reconstruct_source, sfm_task
 from radiant_core.errors import BadInput
 
 GIVEN: list[dict[str, Any]] = [{"up": "ground"}, {"distance": "a.jpg,b.jpg,3"}, {"height_m": 40.0}]

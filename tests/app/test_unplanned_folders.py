@@ -15,7 +15,7 @@ import tifffile
 from radiant_app.commands.inspect import run_setting
 from radiant_app.commands.train import TrainRequest
 from radiant_app.files.run_folder import Manifest
-from radiant_app.run.sources import scored_scene_of
+from radiant_app.workers.sources import scored_scene_of
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model

@@ -5,20 +5,17 @@ What crosses between two nodes passes through the codec, so that the bits are th
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Mapping
 
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.device import train_device
 from radiant_core.hierarchy.edge import join_edge
-from radiant_core.hierarchy.messages import DeviceModel, DeviceSettings, DeviceTask, SceneModel
+from radiant_core.hierarchy.messages import DeviceModel, DeviceTask, EdgeModel, SceneModel, device_task
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.hierarchy.reporter import Machine, Recorder, Reporter
 from radiant_core.io.messages import passed_on
 from radiant_core.scene import SfmScene
 from radiant_core.train.views import TrainingViews
-
-Trainer = Callable[[DeviceTask, TrainingViews], DeviceModel]
 
 
 def run_in_process(
@@ -33,26 +30,21 @@ def run_in_process(
 
     `train` may be replaced by a function that keeps models it has trained before.
     """
-    edges = {}
+    sent: dict[str, EdgeModel | str] = {}
+    num_dealt: dict[str, int] = {}
+    joined: dict[str, Mapping[str, float | int]] = {}
     for plan in recipe.edge_plans:
-        num_dealt = {device: len(plan.cameras_of(device)) for device in plan.device_ids if len(plan.cameras_of(device))}
+        dealt = {device: len(rows) for device in plan.device_ids if len(rows := plan.cameras_of(device))}
         models = {}
-        for device in num_dealt:
-            rows = recipe.cameras_of(device)
+        for device in dealt:
+            rows = plan.cameras_of(device)
             task = device_task(recipe.device_settings(device), scene.restricted_to(rows))
             model = train(task, views.select(rows), reporter_of(f"devices/{device}"))
             models[device] = passed_on(model, recipe.upload, recipe.train.long_side_px)
-        if models:
-            edges[plan.edge_id] = (
-                join_edge(recipe.edge_task(plan.edge_id, num_dealt), models, reporter_of(f"edges/{plan.edge_id}")),
-                sum(num_dealt.values()),
-            )
-    placed = {edge: model for edge, (model, _) in edges.items() if model.splats is not None}
-    task = recipe.cloud_task({edge: edges[edge][1] for edge in placed}, {edge: model.summary for edge, model in placed.items()})
-    sent = {edge: passed_on(model, recipe.upload, recipe.train.long_side_px) for edge, model in placed.items()}
-    return join_cloud(task, sent, reporter_of("cloud"), machine)
-
-
-def device_task(settings: DeviceSettings, scene: SfmScene) -> DeviceTask:
-    """The task of a device with that scene."""
-    return DeviceTask(scene=scene, **{field.name: getattr(settings, field.name) for field in fields(settings)})
+        if not models:
+            continue
+        edge = join_edge(recipe.edge_task(plan.edge_id, dealt), models, reporter_of(f"edges/{plan.edge_id}"))
+        if edge.splats is not None:
+            sent[plan.edge_id] = passed_on(edge, recipe.upload, recipe.train.long_side_px)
+            num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
+    return join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)

@@ -83,24 +83,25 @@ def received_files(arrived: Mapping[str, Arrival]) -> dict[str, str]:
 def _usable(name: str, model: DeviceModel | EdgeModel, num_dealt: int) -> tuple[Splats, Cameras, FrameUncertainty | None] | str:
     # Under numbers: one that gives its cameras another's names would end the joining for both.
     own = numbered(model.cameras, name)
-    if reason := too_many_cameras(own, num_dealt):
-        return reason
-    if model.uncertainty is not None and not len(own):
-        return "it says how unsure its frame is, but sends no cameras to refine it by."
-    if model.splats is None:
-        return "it sends no model."
-    return check_splats(model.splats, own) or (model.splats, own, model.uncertainty)
+    return model_problem(model, num_dealt) or (_given(model.splats), own, model.uncertainty)
 
 
-def too_many_cameras(cameras: Cameras, num_dealt: int) -> str | None:
-    """Why a sender with these cameras is refused, or None.
+def _given(splats: Splats | None) -> Splats:
+    assert splats is not None
+    return splats
 
-    Joining takes time and memory per camera, so that one sender could spend what is there for all. Fewer are usual: some
-    photographs are held out, have no pose, or add nothing.
+
+def model_problem(model: DeviceModel | EdgeModel, num_dealt: int) -> str | None:
+    """Why a model is refused by itself, one sentence, or None.
+
+    More cameras than photographs were dealt are refused: joining takes time and memory per camera, so that one sender could
+    spend what is there for all. Fewer are usual: some photographs are held out, have no pose, or add nothing.
     """
-    if len(cameras) <= num_dealt:
-        return None
-    return f"it sends {len(cameras):,} cameras, where {num_dealt:,} photographs were dealt to it."
+    if len(model.cameras) > num_dealt:
+        return f"it sends {len(model.cameras):,} cameras, where {num_dealt:,} photographs were dealt to it."
+    if model.uncertainty is not None and not len(model.cameras):
+        return "it says how unsure its frame is, but sends no cameras to refine it by."
+    return "it sends no model." if model.splats is None else check_splats(model.splats, model.cameras)
 
 
 def _in_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncertainty | None]], reporter: Reporter) -> Arrivals:

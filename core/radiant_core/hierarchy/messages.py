@@ -11,7 +11,7 @@ in no key; one that is `in_file` travels as a file of that name beside the JSON;
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -22,7 +22,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import FrameUncertainty, Sim3
-from radiant_core.io.upload import UploadFormat
+from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
@@ -72,6 +72,11 @@ class DeviceTask(DeviceSettings):
     """Train a model of the photographs that the cameras of `scene` took."""
 
     scene: SfmScene = field(metadata=in_file("scene.safetensors"))
+
+
+def device_task(settings: DeviceSettings, scene: SfmScene) -> DeviceTask:
+    """The task of a device with that scene."""
+    return DeviceTask(scene=scene, **{each.name: getattr(settings, each.name) for each in fields(DeviceSettings)})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.hierarchy.messages import CHECKPOINT_EVERY_S, CloudOutlook, CloudTask, DeviceSettings, EdgeTask, Renderer
-from radiant_core.io.upload import UploadFormat
+from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.train.config import TrainConfig

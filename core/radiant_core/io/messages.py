@@ -19,20 +19,22 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar, get_type_hints
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
 from radiant_core.aggregate.arrival import MAX_SPLATS
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.frames import FrameUncertainty
+from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import MAX_JSON_BYTES, file_sha256, parse_json, read_bounded, read_json, write_json
-from radiant_core.io.upload import UploadFormat, load_upload, num_uploaded, save_upload, upload_problem
+from radiant_core.io.transport.upload import UploadFormat, load_upload, num_uploaded, save_upload, upload_problem
 from radiant_core.io.view_file import load_views, save_views
 from radiant_core.splats import Splats
 
 Message = TypeVar("Message")
+Model = TypeVar("Model", DeviceModel, EdgeModel)
 TASK_NAME = "task.json"
 MODEL_NAME, UPLOAD_NAME = "model.safetensors", "upload.safetensors"
 """What a node keeps, and what it sends where that is not the same file. Where it arrives both are called by the first name."""
@@ -56,7 +58,8 @@ def _model(kind: type[Any]) -> type[Strict]:
     """The pydantic model of the fields of a dataclass that stand in JSON."""
     hints = get_type_hints(kind, include_extras=True)
     # Everything is written, so everything has to be there.
-    return create_model(kind.__name__, __base__=Strict, **{name: (hints[name], ...) for name in _json_names(kind)})
+    given: dict[str, Any] = {name: (hints[name], ...) for name in _json_names(kind)}
+    return create_model(kind.__name__, __base__=Strict, **given)
 
 
 @cache
@@ -266,7 +269,7 @@ def load_uncertainty(place: Path) -> FrameUncertainty | None:
     return FrameUncertainty(**{name: float(value) for name, value in found.items()})
 
 
-def passed_on(model: DeviceModel | EdgeModel, upload: UploadFormat, long_side_px: int) -> DeviceModel | EdgeModel | str:
+def passed_on(model: Model, upload: UploadFormat, long_side_px: int) -> Model | str:
     """The model as its receiver reads it, after the same bytes that a delivery has."""
     with TemporaryDirectory(prefix="radiant-message-") as name:
         sender, receiver = Path(name) / "sender", Path(name) / "receiver"
@@ -279,4 +282,15 @@ def passed_on(model: DeviceModel | EdgeModel, upload: UploadFormat, long_side_px
             save_edge_model(sender, model, upload, lambda message: None)
         for file, path in sent_files(sender).items():
             shutil.copyfile(path, receiver / file)
-        return load_device_model(receiver) if isinstance(model, DeviceModel) else load_edge_model(receiver, long_side_px)
+        arrived: Any = load_device_model(receiver) if isinstance(model, DeviceModel) else load_edge_model(receiver, long_side_px)
+        return arrived
+
+
+def sim3_record(move: Sim3) -> dict[str, Any]:
+    """A similarity as JSON's values."""
+    return {"scale": move.scale, "rotation": move.rotation.tolist(), "translation": move.translation.tolist()}
+
+
+def sim3_of(record: Mapping[str, Any]) -> Sim3:
+    """The similarity that `sim3_record` wrote."""
+    return Sim3(scale=record["scale"], rotation=np.array(record["rotation"]), translation=np.array(record["translation"]))

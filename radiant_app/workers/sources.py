@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
+from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.config import SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.world_frame.placement import Placement
 
 SourceKind = Literal["photographs", "colmap", "mill19"]
 
@@ -40,31 +42,37 @@ def all_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 
 
-def sfm_task(source: Path, sfm: dict[str, Any], masks: Path | None, placement: dict[str, Any]) -> dict[str, Any]:
-    """What structure from motion is told: the source, fields of `SfmConfig`, a folder of masks, fields of `Placement` that differ from its
-    own. Raises BadInput for a placement that makes no sense."""
-    from radiant_core.sfm.world_frame.placement import Placement
-
-    chosen, usual = asdict(Placement(**placement)), asdict(Placement())
-    told = {name: value for name, value in chosen.items() if value != usual[name]}
-    return {"source": str(source.resolve()), "sfm": sfm, "masks": None if masks is None else str(masks.resolve()), "placement": told}
+def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placement) -> SfmTask:
+    """Structure from motion of a source within a folder of masks, if there is one."""
+    return SfmTask(source=str(source.resolve()), sfm=sfm, masks=None if masks is None else str(masks.resolve()), placement=placement)
 
 
-def reconstruct_source(task: dict[str, Any], folder: Path, report: Callable[[Any], None]) -> Any:
-    """The `SfmResult` of the source that a task names, made in `folder`."""
-    from radiant_core.sfm.reconstruct import Placement, SfmConfig, reconstruct, scene_from_colmap, scene_from_mill19
+def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
+    """Structure from motion of the source that a task names, made in `folder`."""
+    from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap, scene_from_mill19
 
-    kind, images, model = detect_source(Path(task["source"]))
-    masks = None if task.get("masks") is None else Path(task["masks"])
-    placement = Placement(**task.get("placement", {}))
+    kind, images, model = detect_source(Path(task.source))
+    masks = None if task.masks is None else Path(task.masks)
     if kind == "colmap":
         assert model is not None
-        return scene_from_colmap(model, images, folder, report, masks, placement)
+        return scene_from_colmap(model, images, folder, report, masks, task.placement)
     if kind == "mill19":
-        if placement != Placement():
+        if task.placement != Placement():
             raise BadInput(f"{images} brings its own frame, which is used as it is: leave out --up, --distance and --height.")
         return scene_from_mill19(images, folder, report, masks=masks)
-    return reconstruct(images, folder, SfmConfig(**task["sfm"]), report, masks, placement)
+    return reconstruct(images, folder, task.sfm, report, masks, task.placement)
+
+
+def sfm_record(result: SfmResult, folder: Path) -> dict[str, Any]:
+    """What result.json in `folder` says: where photographs and masks are, and which photographs have no pose."""
+    masks = {} if result.masks_folder is None else {"masks": place_of(result.masks_folder, folder)}
+    return {"images": place_of(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks}
+
+
+def place_of(images: Path, folder: Path) -> str:
+    """The images' folder relative to `folder` where it lies inside, so that a run can be moved; absolute otherwise."""
+    images, folder = images.resolve(), folder.resolve()
+    return str(images.relative_to(folder) if images.is_relative_to(folder) else images)
 
 
 DELIVERED = "delivered"

@@ -1,0 +1,167 @@
+"""`PooledPhotographs`: one owner has all photographs, places them once and deals each device its own (`--frames shared`).
+
+From then on a device reads its own folder alone; the ledger says that photographs were pooled. Once per run.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.events import Warned
+from radiant_app.executors.local import run_task
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.run.config import RunConfig
+from radiant_app.run.dealing import Dealer, deal_files, deal_masks, received
+from radiant_app.run.photographs import Plan
+from radiant_app.run.source_key import source_key
+from radiant_app.run.stages import Progress, plan_stage
+from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS
+from radiant_app.workers.sources import sfm_task
+from radiant_app.workers.tasks import EvaluateTask
+from radiant_core import __version__
+from radiant_core.errors import BadInput
+from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
+from radiant_core.evaluate.lpips import MIN_SIDE_PX, LpipsNetwork
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.hierarchy.messages import DeviceTask, device_task
+from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.io.messages import save_task, task_key
+from radiant_core.io.records import load_scene, save_cameras, save_splats
+from radiant_core.io.run_store import content_key, read_json
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.system import System
+from radiant_core.scene import SfmScene
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.train.config import TrainConfig
+from radiant_core.train.initialize import initial_splats
+
+
+@dataclass(kw_only=True)
+class PooledPhotographs:
+    """The photographs of one owner, in one scene."""
+
+    config: RunConfig
+    scene: SfmScene
+    images: Path
+    """Folder of the undistorted photographs."""
+    recipe: Recipe = field(init=False)
+    kind: str = "device"
+
+    @classmethod
+    def placed(cls, config: RunConfig, progress: Progress) -> PooledPhotographs:
+        """Structure from motion of the whole source."""
+        scene, images = sfm_stage(config, progress)
+        return cls(config=config, scene=scene, images=images)
+
+    @property
+    def training(self) -> SfmScene:
+        """The scene without its held-out cameras; a plan's indices point into it."""
+        return self.scene.restricted_to(np.flatnonzero(~held_out_mask(self.scene.cameras.names)))
+
+    @property
+    def positions(self) -> FloatArray | None:
+        """Of all: another device can take any photograph over."""
+        return self.training.cameras.centers[:, :2]
+
+    def planned(self, system: System, progress: Progress) -> Plan:
+        """The plan of the training photographs."""
+        training = self.training
+        origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
+        system, cloud, edges = plan_stage(self.config, system, training.cameras.centers[:, :2], origin, progress)
+        return Plan(system=system, cloud=cloud, edges=edges)
+
+    def check(self, train: TrainConfig) -> None:
+        """Raise BadInput where photographs cannot be scored at the size of the training."""
+        require_size(self.scene, train.long_side_px, _lpips_network(self.config))
+
+    def follow(self, recipe: Recipe) -> None:
+        """Deal by the plan of this recipe from now on."""
+        self.recipe = recipe
+
+    def num_dealt(self, device: str) -> int:
+        """By the plan."""
+        return len(self.recipe.cameras_of(device))
+
+    def devices(self) -> Sequence[str]:
+        """Those that the plan gives photographs to."""
+        return [device for plan in self.recipe.edge_plans for device in plan.device_ids if len(plan.cameras_of(device))]
+
+    def fill(self, device: str, folder: Path, recipe: Recipe) -> tuple[DeviceTask, list[Path]]:
+        """The device's photographs, their masks and its part of the scene."""
+        own = self.training.restricted_to(recipe.cameras_of(device))
+        deal_files(self.images, own.cameras.names, folder / "photos")
+        masks = deal_masks(self.config.out, own.cameras.names, folder)
+        return device_task(recipe.device_settings(device), own), [folder / "photos", *masks]
+
+    def fetched(self, device: str) -> list[Path]:
+        """None: they are dealt."""
+        return []
+
+    def pooled_ledger(self) -> list[dict[str, Any]]:
+        """What the owner's structure from motion received."""
+        return [{"node": "sfm", "tier": "owner", **received([self.images / name for name in self.scene.cameras.names])}]
+
+    def score(self, dealer: Dealer, progress: Progress) -> None:
+        """Score the finished scene on the held-out photographs, in evaluation/."""
+        config, recipe = self.config, dealer.recipe
+        folder = config.out / "evaluation"
+        folder.mkdir(exist_ok=True)
+        scene, train = self.scene, recipe.train
+        untrained = initial_splats(
+            scene.points, scene.colors, scene.cameras, max_num_splats=train.max_num_splats, sh_degree=train.sh_degree
+        )
+        save_splats(folder / "initial.safetensors", untrained)
+        held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(train.long_side_px)
+        deal_files(self.images, held_out.names, folder / "photos")
+        masks = deal_masks(config.out, held_out.names, folder)
+        deal_files(config.out / "cloud", ["scene.ply"], folder)
+        deal_files(config.out, ["plan.json"], folder)
+        save_cameras(folder / "cameras.safetensors", held_out)
+        task = EvaluateTask(backend=recipe.backend, seams=True, lpips=_lpips_network(config))
+        save_task(folder, task)
+        names = ["photos", "scene.ply", "plan.json", "cameras.safetensors", "initial.safetensors", *([LPIPS_NAME] if task.lpips else [])]
+        key = content_key(__version__, task_key(task), *(folder / name for name in names), *masks)
+        run_task(NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=key), progress.listen, progress.clock)
+        for kind in PICTURE_KINDS:
+            shutil.copytree(folder / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
+        progress.manifest.ledger = [*dealer.ledger, *self.pooled_ledger()]
+
+
+def _lpips_network(config: RunConfig) -> LpipsNetwork | None:
+    return config.lpips_network if config.lpips_weights else None
+
+
+def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None = None) -> tuple[SfmScene, Path]:
+    """Structure from motion of the source in sfm/, within a limit of memory: the scene and the folder of its undistorted photographs."""
+    folder = config.out / "sfm"
+    folder.mkdir(exist_ok=True)
+    sfm = SfmConfig(matching=config.matching, seed=config.seed, memory_bytes=memory_bytes)
+    task = sfm_task(config.source, sfm, config.masks, Placement(**config.placement))
+    save_task(folder, task)
+    key = source_key(config, task, folder, progress.listen)
+    run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)
+    scene = load_scene(folder / "scene.safetensors")
+    if len(scene.cameras) < 3:
+        raise BadInput(f"only {len(scene.cameras)} photographs could be placed, expected at least 3: take more that overlap.")
+    if scene.frame.kind == "unscaled":
+        message = "frame=unscaled: no usable GPS, lengths are in arbitrary units, not metres."
+        progress.listen(Warned(stage="sfm", message=message))
+    return scene, folder / read_json(folder / "result.json", ("images",))["images"]
+
+
+def require_size(scene: SfmScene, long_side_px: int, lpips: LpipsNetwork | None = None) -> None:
+    """Raise BadInput where a photograph would become too small to be scored, with LPIPS where a network is named."""
+    width, height = min(scene.cameras.scaled(long_side_px).sizes_wh.tolist(), key=min)
+    least_px, figure = max((SSIM_WINDOW_PX, "SSIM"), (MIN_SIDE_PX[lpips] if lpips else 0, "LPIPS"))
+    if min(width, height) < least_px:
+        raise BadInput(
+            f"with a long side of {long_side_px} px a photograph is {width} × {height} px, expected {least_px} or more a side "
+            f"for {figure}: raise --long-side-px."
+        )

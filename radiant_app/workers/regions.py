@@ -1,0 +1,74 @@
+"""Planning at the cloud from what it may know: a count raster and edges by their curves, in a process of its own.
+
+planning/task.json holds all that the cloud is given, planning/regions.json its answer. The edges follow with positions and
+curves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.tasks import PlannedEdge, RegionsTask
+from radiant_core.errors import BadInput
+from radiant_core.io.records import save_plan
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.counts.count_raster import CountRaster, count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.region_plan import PlanInfeasible, PlanMethod
+from radiant_core.plan.system import Edge, System
+
+
+def regions_task(raster: CountRaster, system: System, method: PlanMethod) -> RegionsTask:
+    """All that the cloud is given: the raster, and of each edge place, curve and how many cameras it holds."""
+    known = known_to_the_cloud(system, int(raster.counts.sum()))
+    edges = [
+        PlannedEdge(
+            id=edge.id,
+            position=edge.position or (0.0, 0.0),
+            uplink_bytes_per_s=edge.uplink_bytes_per_s,
+            time_s=edge.time_s or CostCurve(),
+            max_cameras=edge.max_cameras,
+        )
+        for edge in known.edges
+    ]
+    cells = tuple((int(x), int(y)) for x, y in raster.cells)
+    counts = tuple(int(count) for count in raster.counts)
+    return RegionsTask(cell_m=raster.cell_m, cells=cells, counts=counts, edges=tuple(edges), method=method)
+
+
+def planned_at_cloud(task: RegionsTask) -> CloudPlan:
+    """The cloud's answer to such a task; BadInput where the edges cannot hold all cameras."""
+    raster = CountRaster(cell_m=task.cell_m, cells=np.array(task.cells), counts=np.array(task.counts))
+    plan = regions_of_raster(raster, System(edges=tuple(map(_edge_of, task.edges))), task.method)
+    if isinstance(plan, PlanInfeasible):
+        raise BadInput(f"plan: {plan.reason}")
+    return plan
+
+
+def planned_from_raster(system: System, positions: FloatArray, cell_m: float, method: PlanMethod) -> CloudPlan:
+    """Both sides of it in this process, for placed edges and cameras (C,2) m; raises as `planned_at_cloud`."""
+    regions = planned_at_cloud(regions_task(count_raster(positions, cell_m), system, method))
+    return followed_by_edges(regions, positions, system)
+
+
+def run_regions(folder: Path, task: RegionsTask, reporter: EventReporter) -> Sequence[str]:
+    """The cloud's part: regions from the raster and the curves of its task."""
+    save_plan(folder / "regions.json", planned_at_cloud(task), ())
+    return ["regions.json"]
+
+
+def _edge_of(edge: PlannedEdge) -> Edge:
+    return Edge(
+        id=edge.id,
+        position=edge.position,
+        aggregate_s=CostCurve(),
+        uplink_bytes_per_s=edge.uplink_bytes_per_s,
+        devices=(),
+        time_s=edge.time_s,
+        max_cameras=edge.max_cameras,
+    )

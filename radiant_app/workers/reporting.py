@@ -1,0 +1,46 @@
+"""`EventReporter`: what a node reports to the core becomes events of the run's one stream."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from radiant_app.events import Decided, Event, StageProgress, Warned
+from radiant_core.decisions import Decision
+
+if TYPE_CHECKING:
+    from radiant_core.sfm.config import SfmProgress
+
+Emit = Callable[[Event], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EventReporter:
+    """A `radiant_core.hierarchy.reporter.Reporter` that emits events of its stage."""
+
+    stage: str
+    emit: Emit
+
+    def decide(self, decision: Decision) -> None:
+        """Emit a decision, as one of this stage."""
+        self.emit(Decided(decision=replace(decision, stage=self.stage)))
+
+    def warn(self, message: str) -> None:
+        """Emit a warning."""
+        self.emit(Warned(stage=self.stage, message=message))
+
+    def progress(self, done: float, total: float, note: str = "") -> None:
+        """Emit how far the node is."""
+        self.emit(StageProgress(stage=self.stage, done=done, total=total, note=note))
+
+    def sfm_progress(self, progress: SfmProgress) -> None:
+        """Emit how far structure from motion is."""
+        self.emit(sfm_progress(self.stage, progress))
+
+
+def sfm_progress(stage: str, progress: SfmProgress) -> StageProgress:
+    """An event of how far structure from motion is."""
+    return StageProgress(
+        stage=stage, done=progress.done, total=progress.total, phase=progress.phase, step=progress.step, num_steps=progress.num_steps
+    )

@@ -1,0 +1,214 @@
+"""The tasks of a run's workers, beside those of the tiers (`radiant_core.hierarchy.messages`). Once per node.
+
+A node of a run takes its task only when the one above it signed it (`delivering.take_task`) and when it is exactly of its
+kind's class here: no unknown key, no number as text, nothing infinite, no path that leaves a folder. Folders without an
+identity, made by hand, hold unsigned tasks.
+
+| worker         | task           | from       | signed                                              |
+|----------------|----------------|------------|-----------------------------------------------------|
+| device, field  | what to train  | its edge   | yes                                                 |
+| score          | the scene      | its edge   | yes                                                 |
+| edge           | what to join   | the cloud  | yes                                                 |
+| teacher, cloud | what to do     | itself     | no: a teacher is a part of its edge, the cloud is the root |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field
+
+from radiant_app.workers.delivering import is_of_a_run, take_task
+from radiant_core.evaluate.image_error import LpipsNetwork
+from radiant_core.frames import Sim3
+from radiant_core.hierarchy.messages import (
+    CHECKPOINT_EVERY_S,
+    UNKEYED,
+    CloudTask,
+    Count,
+    DeviceSettings,
+    DeviceTask,
+    EdgeTask,
+    Pair,
+    Positive,
+    Renderer,
+)
+from radiant_core.io.messages import load_task, sim3_of
+from radiant_core.io.transport.delivery import Kind
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.region_plan import PlanMethod
+from radiant_core.sfm.config import Matching, SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
+
+Triple = tuple[float, float, float]
+PixelCount = Annotated[int, Field(ge=1)]
+
+
+def _inner(name: str) -> str:
+    """A path inside a folder, relative to it."""
+    if not name or name.startswith("/") or ".." in name.split("/") or "\0" in name:
+        raise ValueError("Input should be a name inside the folder")
+    return name
+
+
+Inner = Annotated[str, AfterValidator(_inner)]
+PathText = Annotated[str, Field(min_length=1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SfmTask:
+    """Structure from motion of a whole source."""
+
+    source: PathText
+    sfm: SfmConfig
+    masks: str | None
+    placement: Placement
+
+
+@dataclass(frozen=True, kw_only=True)
+class PositionsTask:
+    """Read the GPS positions of the photographs in `source`, or count them in a raster."""
+
+    source: PathText
+    cell_m: Positive | None
+    """Side of the raster's cells; None: positions are written."""
+    held_out: tuple[str, ...]
+    owned: bool
+    """Whether `source` is a device's own folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SfmSettings:
+    """What a device's own structure from motion is given."""
+
+    matching: Matching
+    seed: Count
+    two_view_points: bool
+    memory_bytes: Positive | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacingTask:
+    """Reconstruct a device's own photographs, which lie in `source`, in the frame that all devices share."""
+
+    frames: Literal["gps", "known"]
+    source: PathText
+    names: tuple[Inner, ...]
+    held_out: tuple[Inner, ...]
+    copy: bool
+    """Whether the device fetches the photographs into its folder first."""
+    origin: Triple | None
+    sfm: SfmSettings
+    poses: Literal["poses", "poses.safetensors"] | None
+    """Where in the device's folder given poses lie: a COLMAP model, or cameras."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldTask(DeviceSettings):
+    """Reconstruct and train from a device's own photographs."""
+
+    placing: PlacingTask
+    changed: tuple[tuple[int, int], ...]
+    """Sizes and times of change of the photographs, which stand for their content."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TeacherTask:
+    """Render what a device's model shows at its cameras."""
+
+    long_side_px: PixelCount
+    backend: Renderer
+    num_dealt: Count
+    checkpoint_every_s: Positive = field(default=CHECKPOINT_EVERY_S, metadata=UNKEYED)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Move:
+    """A similarity."""
+
+    scale: Positive
+    rotation: tuple[Triple, Triple, Triple]
+    translation: Triple
+
+    @property
+    def sim3(self) -> Sim3:
+        """The same as the core's type."""
+        return sim3_of({"scale": self.scale, "rotation": self.rotation, "translation": self.translation})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreTask:
+    """Score the finished scene in inbox/, to which `corrections` lead, on photographs that were held out."""
+
+    corrections: tuple[Move, ...]
+    long_side_px: PixelCount
+    backend: Renderer
+    lpips: LpipsNetwork | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateTask:
+    """Score a scene on the photographs in photos/."""
+
+    backend: str
+    seams: bool
+    lpips: LpipsNetwork | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedEdge:
+    """What the cloud knows of an edge when it plans."""
+
+    id: str
+    position: Pair
+    uplink_bytes_per_s: float
+    time_s: CostCurve
+    max_cameras: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionsTask:
+    """Plan regions from a count raster and one curve per edge."""
+
+    cell_m: Positive
+    cells: tuple[tuple[int, int], ...]
+    counts: tuple[int, ...]
+    edges: tuple[PlannedEdge, ...]
+    method: PlanMethod
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobTask:
+    """One `radiant run` of a batch."""
+
+    arguments: tuple[str, ...]
+
+
+TASKS: dict[str, type[Any]] = {
+    "sfm": SfmTask,
+    "positions": PositionsTask,
+    "regions": RegionsTask,
+    "device": DeviceTask,
+    "field": FieldTask,
+    "teacher": TeacherTask,
+    "edge": EdgeTask,
+    "cloud": CloudTask,
+    "evaluate": EvaluateTask,
+    "score": ScoreTask,
+    "run": JobTask,
+}
+SIGNED: dict[str, Kind] = {"device": "device_task", "field": "field_task", "edge": "edge_task", "score": "score_task"}
+"""Kinds of workers whose task comes from another node, and as what it is delivered."""
+
+
+def received_task(kind: str, folder: Path) -> Any:
+    """The task in the folder of a node, parsed.
+
+    Raises:
+        BadInput: it is of another kind or, in a run's folder, not the newest one that the node above signed.
+    """
+    if kind in SIGNED and is_of_a_run(folder):
+        take_task(folder, SIGNED[kind])
+    return load_task(TASKS[kind], folder, f"{kind} task")
