@@ -21,7 +21,7 @@ import numpy as np
 from radiant_app.commands.steps import require_file_to_be
 from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 from radiant_app.files.run_folder import Manifest, opened_folder
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.pipeline import require_size, sfm_stage
 from radiant_app.run.sources import detect_source, has_scene, masks_of_scene, scored_scene_of
 from radiant_app.run.stages import Progress
@@ -182,10 +182,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         source=request.source,
         out=request.out,
         seed=request.seed,
-        masks=request.masks,
-        up=request.up,
-        distance=request.distance,
-        height_m=request.height_m,
+        sfm=SfmOptions(masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m),
     )
     scene, images = sfm_stage(config, progress, request.memory_bytes)
     return scene, (images, masks_of_scene(request.out))

@@ -15,8 +15,9 @@ import numpy as np
 from radiant_app.events import Decided, Event, Listener
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.run.config import PlanMethod, RunConfig
+from radiant_app.run.config import RunConfig
 from radiant_core import __version__
+from radiant_core.choices import PlanMethod
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, save_plan
@@ -77,7 +78,7 @@ def plan_at_cloud(
     listen, clock = running
     folder = config.out / STAGE
     folder.mkdir(exist_ok=True)
-    task = cloud_task(count_raster(positions, cell_m), system, config.plan_method)
+    task = cloud_task(count_raster(positions, cell_m), system, config.plan.method)
     write_json(folder / "task.json", task)
     run_task(NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task)), listen, clock)
     regions, _ = load_plan(folder / "regions.json")

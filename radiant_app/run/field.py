@@ -104,7 +104,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     # The plan is made anew by a resumed run, from what lies there by then.
     progress.manifest.forget("plan")
     folders = _device_folders(config.source, system)
-    poses = given_poses(config.source, config.poses) if config.frames == "known" else None
+    poses = given_poses(config.source, config.sfm.poses) if config.frames == "known" else None
     captured = _captured(config, poses, folders, progress)
     system = with_uploads(system, config.upload, progress)
     system, cloud_plan, edge_plans, shares = _planned(config, system, captured, folders, progress)
@@ -122,12 +122,12 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
         aggregate=aggregate,
         backend=backend,
         upload=config.upload,
-        checkpoint_every_s=config.checkpoint_every_s,
+        checkpoint_every_s=config.execution.checkpoint_every_s,
         frames=config.frames,
         shares=shares,
         origin=captured.origin,
         poses=poses,
-        sfm={"matching": config.matching, "seed": config.seed, "two_view_points": True},
+        sfm={"matching": config.sfm.matching, "seed": config.seed, "two_view_points": True},
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     listen = counting_down(config, system, edge_plans, progress)
@@ -147,7 +147,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     missing = dealer.missing()
     if not dealer.has_model("cloud"):
         raise StageFailed("no device delivered a model. " + " ".join(f"{name}: {reason}" for name, reason in missing.items()))
-    lpips_network = config.lpips_network if config.lpips_weights else None
+    lpips_network = config.evaluate.lpips_network if config.evaluate.lpips_weights else None
     scorer = Scorer(dealer=dealer, moves=dealer.moves(), long_side_px=train.long_side_px, lpips_network=lpips_network)
     executor.fold(_scoring_tree(scorer.moves), scorer.prepare, progress.listen)
     progress.manifest.ledger = [*_planning_ledger(config), *dealer.ledger, *scorer.ledger]
@@ -378,16 +378,19 @@ def _planned(
     if folders is not None:
         if captured.told is None and config.cell_m is not None:
             positions = middles_of_cells(positions, config.cell_m)
-        if config.plan is None:
+        if config.plan.file is None:
             cloud_plan, edge_plans = assigned_plan(positions, owners, system)
         else:
-            regions, strips, planned = plan_around(config.plan, captured.origin)
+            regions, strips, planned = plan_around(config.plan.file, captured.origin)
             devices = device_indices(owners, system)
             cloud_plan, edge_plans = plan_of_owners(regions, strips, devices, positions, system=system)
             _tell_taken_for_others(owners, taken_for_others(strips, planned, devices, positions), progress)
         save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress))
         save_system(config.out, system)
-        if config.plan is not None and (told := deal_uncaptured(config.out, made_before(config.plan), system, set(owners))) is not None:
+        if (
+            config.plan.file is not None
+            and (told := deal_uncaptured(config.out, made_before(config.plan.file), system, set(owners))) is not None
+        ):
             progress.listen(Warned(stage="plan", message=told))
         idle = [device.id for device in system.devices if device.id not in folders]
         for device in idle:

@@ -45,9 +45,10 @@ from radiant_app.run.stages import (
 from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS
 from radiant_app.workers.memory import peak_bytes
 from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
-from radiant_core.evaluate.lpips import MIN_SIDE_PX, LpipsNetwork, load_lpips, save_lpips
+from radiant_core.evaluate.lpips import MIN_SIDE_PX, load_lpips, save_lpips
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, save_splats
@@ -96,14 +97,14 @@ def run(
 
     if config.frames == "shared":
         detect_source(config.source)
-    system = even_system(2, 2) if config.system is None else load_system(config.system)
+    system = even_system(2, 2) if config.system_file is None else load_system(config.system_file)
     if config.emulated:
         require_emulable(system)
-    if config.plan is not None:
-        require_plan(config.plan, system)
-    if config.address is not None:
-        require_cluster(config.address)
-    lpips = None if config.lpips_weights is None else load_lpips(config.lpips_weights, config.lpips_network)
+    if config.plan.file is not None:
+        require_plan(config.plan.file, system)
+    if config.execution.address is not None:
+        require_cluster(config.execution.address)
+    lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
     with opened_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
@@ -111,7 +112,7 @@ def run(
         progress = Progress(manifest=manifest, listener=heard, clock=clock, started_s=clock() - manifest.ended_s)
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
-        more: dict[str, Any] = {"executor": config.executor}
+        more: dict[str, Any] = {"executor": config.execution.executor}
         if config.frames == "shared":
             cloud_plan, tree, refused = _run_shared(config, system, progress)
             more["missing"] = refused
@@ -141,7 +142,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
     first_key = plan_key(cloud_plan, edge_plans)
     cloud_plan, edge_plans = replanned(config.out, cloud_plan, edge_plans)
     train, aggregate, backend = training_settings(config, progress)
-    require_size(scene, train.long_side_px, config.lpips_network if config.lpips_weights else None)
+    require_size(scene, train.long_side_px, config.evaluate.lpips_network if config.evaluate.lpips_weights else None)
     dealer = SharedDealer(
         run=config.out,
         images=images,
@@ -153,7 +154,7 @@ def _run_shared(config: RunConfig, system: System, progress: Progress) -> tuple[
         aggregate=aggregate,
         backend=backend,
         upload=config.upload,
-        checkpoint_every_s=config.checkpoint_every_s,
+        checkpoint_every_s=config.execution.checkpoint_every_s,
     )
     tree = tree_of_plan(cloud_plan, edge_plans, teachers=config.early_teachers)
     progress.manifest.keep_stages({"sfm", "evaluation", *(node.id for node in tree)})
@@ -185,10 +186,10 @@ def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None 
     """Structure from motion of the source in sfm/, within a limit of memory: the scene and the folder of its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
-    sfm: dict[str, Any] = {"matching": config.matching, "seed": config.seed}
+    sfm: dict[str, Any] = {"matching": config.sfm.matching, "seed": config.seed}
     if memory_bytes is not None:
         sfm["memory_bytes"] = memory_bytes
-    task = sfm_task(config.source, sfm, config.masks, config.placement)
+    task = sfm_task(config.source, sfm, config.sfm.masks, config.sfm.placement)
     write_json(folder / "task.json", task)
     settings = {**sfm, "placement": task["placement"]} if task["placement"] else sfm
     key = source_key(config, settings, folder, progress.listen)
@@ -220,7 +221,7 @@ def _evaluation_stage(config: RunConfig, scene: SfmScene, train: TrainConfig, re
     untrained = initial_splats(scene.points, scene.colors, scene.cameras, max_num_splats=train.max_num_splats, sh_degree=train.sh_degree)
     save_splats(folder / "initial.safetensors", untrained)
     held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(train.long_side_px)
-    lpips_network = config.lpips_network if config.lpips_weights else None
+    lpips_network = config.evaluate.lpips_network if config.evaluate.lpips_weights else None
     run_task(evaluation_task(config.out, images, held_out, backend, lpips_network), progress.listen, progress.clock)
 
 

@@ -39,8 +39,8 @@ Files = dict[str, list[Any]]
 def source_key(config: RunConfig, sfm: Mapping[str, Any], folder: Path, listen: Listener) -> str:
     """The key of structure from motion with settings `sfm` in `folder`; tells why what is finished there does not fit any more."""
     known = _recorded(folder)
-    files = _described(used_files(config.source, config.masks), known or {})
-    key = content_key(__version__, sfm, {name: digest for name, (_, _, digest) in files.items()}, config.masks is None)
+    files = _described(used_files(config.source, config.sfm.masks), known or {})
+    key = content_key(__version__, sfm, {name: digest for name, (_, _, digest) in files.items()}, config.sfm.masks is None)
     if (folder / SEAL_NAME).is_file():
         reason = _why_not(config, sfm, folder, key) if known is None else _change(known, files)
         if reason is not None:
@@ -117,7 +117,7 @@ def _named(names: Sequence[str]) -> str:
 def _why_not(config: RunConfig, sfm: Mapping[str, Any], folder: Path, key: str) -> str | None:
     """Of a scene that an older version made, which looked at names and times of all files there: why it cannot be kept. None where it
     can, which is then sealed by its new key."""
-    masked = [] if config.masks is None else [all_files(config.masks.resolve(), config.out)]
+    masked = [] if config.sfm.masks is None else [all_files(config.sfm.masks.resolve(), config.out)]
     old_key = content_key(__version__, sfm, all_files(config.source, config.out), *masked)
     if is_sealed(folder, old_key):
         seal(folder, key, list(read_json(folder / SEAL_NAME)["files"]))

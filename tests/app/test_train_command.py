@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from radiant_app.quantities import bytes_of, seconds_of
 from rich.console import Console
 
-from radiant_app.cli.quantities import bytes_of, seconds_of
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.evaluate import EvaluateRequest, evaluate
 from radiant_app.commands.steps import sfm

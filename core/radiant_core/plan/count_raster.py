@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.cost_curves import CostCurve
@@ -24,7 +25,7 @@ from radiant_core.plan.even_shares import even_times_s
 from radiant_core.plan.paper_arp import PaperConfig
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.power_diagram import cell_polygons, rectangle
-from radiant_core.plan.region_plan import MARGIN, PlanInfeasible, PlanMethod, plan_regions
+from radiant_core.plan.region_plan import MARGIN, PlanInfeasible, plan_regions
 from radiant_core.plan.system import Edge, System
 from radiant_core.plan.wide_deadline import fastest_edge_counts, times_of_counts
 

@@ -21,6 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.capped_transport import deal_within
@@ -35,8 +36,6 @@ from radiant_core.plan.slack import capacities_within
 from radiant_core.plan.system import System
 from radiant_core.plan.transport import deal_with_counts, violations
 from radiant_core.plan.wide_deadline import FastestCounts, fastest_edge_counts, remembered_edge_counts, system_capacity, times_of_counts
-
-PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
 _BLOCK_PAIRS = 500_000
 MARGIN = 0.1

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from radiant_core.choices import Matching
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import ColmapModel, read_model
 from radiant_core.io.copies import copies_count
 from radiant_core.io.photos import Photograph, PhotoListing
-from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
+from radiant_core.sfm.config import Mapper, Phase, Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.gps_outliers import gps_outliers
