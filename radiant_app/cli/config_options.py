@@ -36,7 +36,7 @@ def with_config_options(command: Callable[..., None]) -> Callable[..., None]:
 
 def given_values(context: typer.Context) -> dict[str, Any]:
     """Path → value of the fields whose options somebody typed."""
-    typed = {name: value for name, value in context.params.items() if _was_typed(context, name)}
+    typed = {name: value for name, value in context.params.items() if name != "source" and _was_typed(context, name)}
     return {field.path: field.of_option(typed[_name(field)]) for field in config_fields().values() if _name(field) in typed}
 
 

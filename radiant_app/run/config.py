@@ -92,14 +92,20 @@ class SfmOptions:
     """Metres of the cameras over the ground that they see, median: makes lengths metres. Goes before GPS."""
 
     @property
+    def placed_by_hand(self) -> bool:
+        """Whether the user gives a direction or a length."""
+        return (self.up, self.distance, self.height_m) != (None, None, None)
+
+    @property
     def placement(self) -> dict[str, Any]:
         """The fields of `radiant_core.sfm.placement.Placement`."""
         return {"up": self.up or "auto", "distance": self.distance, "height_m": self.height_m}
 
     def __post_init__(self) -> None:
-        from radiant_core.sfm.placement import Placement  # numpy
+        if self.placed_by_hand:
+            from radiant_core.sfm.placement import Placement  # numpy
 
-        Placement(**self.placement)
+            Placement(**self.placement)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,7 +287,7 @@ class RunConfig:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
         if self.frames != "shared" and self.sfm.masks is not None:
             raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
-        if self.frames != "shared" and (self.sfm.up, self.sfm.distance, self.sfm.height_m) != (None, None, None):
+        if self.frames != "shared" and self.sfm.placed_by_hand:
             told = "--up, --distance and --height turn and scale one scene"
             raise BadInput(f"{told}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
         for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.plan.file, self.evaluate.lpips_weights):
