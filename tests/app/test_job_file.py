@@ -42,9 +42,8 @@ def jobs_of(folder: Path, text: str) -> tuple[Job, ...]:
 
 def test_jobs_arrive_in_order_with_their_own_options_before_the_defaults(tmp_path: Path) -> None:
     a, b = jobs_of(tmp_path, TWO)
-    config = RunConfig(
-        source=tmp_path / "photos", out=tmp_path / "batch" / "a", system=tmp_path / "fleet.toml", train=TrainOptions(num_steps=10)
-    )
+    photos, fleet = tmp_path / "photos", tmp_path / "fleet.toml"
+    config = RunConfig(source=photos, out=tmp_path / "batch" / "a", system=fleet, train=TrainOptions(num_steps=10))
     assert (a.name, a.config, a.input_files) == ("a", config, (tmp_path / "fleet.toml",))
     other = replace(config, out=tmp_path / "batch" / "deep" / "b", train=TrainOptions(num_steps=20), sfm=SfmOptions(matching="spatial"))
     assert (b.name, b.config) == ("b", other)

@@ -165,7 +165,7 @@ def test_a_training_takes_no_setting_of_a_run(tmp_path: Path) -> None:
 
 def test_a_value_out_of_range_is_refused_before_the_run_begins() -> None:
     for values in ({"train.start_scale": 2.0}, {"aggregate.num_epochs": 0}):
-        with pytest.raises(BadInput, match="start_scale is 2|num_epochs"):
+        with pytest.raises(BadInput, match=r"start_scale is 2|num_epochs"):
             config_of({"source": Path("photos"), "out": Path("run"), **values})
 
 
