@@ -98,12 +98,12 @@ class SfmOptions:
 
     @property
     def placement(self) -> dict[str, Any]:
-        """The fields of `radiant_core.sfm.placement.Placement`."""
+        """The fields of `radiant_core.sfm.world_frame.placement.Placement`."""
         return {"up": self.up or "auto", "distance": self.distance, "height_m": self.height_m}
 
     def __post_init__(self) -> None:
         if self.placed_by_hand:
-            from radiant_core.sfm.placement import Placement  # numpy
+            from radiant_core.sfm.world_frame.placement import Placement  # numpy
 
             Placement(**self.placement)
 
@@ -268,7 +268,7 @@ class RunConfig:
             return self.plan.raster_cell_m or None
         if self.frames == "shared":
             return None
-        from radiant_core.plan.count_raster import DEFAULT_CELL_M  # scipy
+        from radiant_core.plan.counts.count_raster import DEFAULT_CELL_M  # scipy
 
         return DEFAULT_CELL_M
 

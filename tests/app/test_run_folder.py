@@ -167,9 +167,9 @@ def test_settings_of_a_training_that_differ_are_named_as_the_command_line_calls_
 
 BEFORE_SECTIONS = {
     "aggregate_preset": "default", "distance": None, "emulated": False, "frames": "shared", "height_m": None, "masks": None,
-    "matching": "auto", "overrides": {"long_side_px": 400, "max_num_splats": None, "num_steps": 800, "settings": {"sky": False}}, "plan": None,
-    "plan_method": "exact", "poses": None, "raster_cell_m": None, "seed": 0, "single_owner": False, "system": "/desk/system.toml",
-    "train_preset": "draft", "up": None, "upload": "float16",
+    "matching": "auto", "plan": None, "plan_method": "exact", "poses": None, "raster_cell_m": None, "seed": 0, "single_owner": False,
+    "overrides": {"long_side_px": 400, "max_num_splats": None, "num_steps": 800, "settings": {"sky": False}},
+    "system": "/desk/system.toml", "train_preset": "draft", "up": None, "upload": "float16",
 }  # fmt: skip
 """The configuration of a run as manifests kept it when it had no sections, without its source."""
 
