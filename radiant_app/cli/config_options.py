@@ -16,11 +16,10 @@ def option(path: str, *names: str, help: str | None = None) -> Any:  # noqa: A00
     """Typer's description of a field's option, for `Annotated`; with other `names` or another `help` where a command means more or less."""
     field = config_fields()[path]
     assert field.option is not None
-    declared = field.option
-    shown = {} if declared.shown is None or declared.parse is not None else {"show_default": declared.shown}
-    return typer.Option(
-        *(names or (field.option_name,)), help=help or field.help, min=declared.min, max=declared.max, metavar=declared.metavar, **shown
-    )
+    known = field.option
+    shown = known.shown if known.shown is not None and known.parse is None else True
+    names = names or (field.option_name,)
+    return typer.Option(*names, help=help or field.help, min=known.min, max=known.max, metavar=known.metavar, show_default=shown)
 
 
 def with_config_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -12,8 +12,9 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
@@ -32,6 +33,8 @@ Teachers = Literal["early", "late"]
 """early: an edge renders the views of a device when it has arrived; late: of all when the last has. The result is the same."""
 ExecutorName = Literal["local", "ray"]
 """local: processes of this machine; ray: tasks of a Ray cluster of one owner's machines."""
+SIZES = ("long_side_px", "num_steps", "max_num_splats")
+"""Fields of `TrainConfig` that have an option of their own."""
 MAX_SEED = 2**31 - 1
 """What numpy, torch and COLMAP all take."""
 
@@ -66,10 +69,12 @@ class Option:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingsOf:
-    """Marks a mapping that changes fields of a configuration, by their path in it, but the `fixed` ones."""
+    """Marks a mapping whose keys are paths of the fields of another configuration."""
 
-    config: type
+    types: Callable[[], Mapping[str, Any]]
+    """Path → type of those fields."""
     fixed: tuple[str, ...]
+    """Paths that stand elsewhere in a run's configuration."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,9 +144,9 @@ class TrainOptions:
     """Training steps of a device."""
     max_num_splats: Annotated[int | None, Option(name="--max-splats", min=100)] = None
     """Upper limit of Gaussians of a device."""
-    settings: Annotated[
-        Mapping[str, Any], SettingsOf(config=TrainConfig, fixed=("seed", "long_side_px", "num_steps", "max_num_splats"))
-    ] = field(default_factory=dict)
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, TrainConfig), fixed=(*SIZES, "seed"))] = field(
+        default_factory=dict
+    )
     """Path of a field of `TrainConfig` → its value."""
 
     @property
@@ -149,8 +154,7 @@ class TrainOptions:
         """All but the preset."""
         from radiant_core.train.needs import Overrides  # numpy
 
-        numbers = {name: getattr(self, name) for name in ("long_side_px", "num_steps", "max_num_splats")}
-        return Overrides(**numbers, settings=self.settings)
+        return Overrides(**{name: getattr(self, name) for name in SIZES}, settings=self.settings)
 
     def __post_init__(self) -> None:
         replace(train_preset(self.preset), **self.settings)
@@ -162,7 +166,9 @@ class AggregateOptions:
 
     preset: Annotated[AggregatePreset, Option(name="--aggregate-preset")] = "default"
     """paper: retrain every parameter at the edges and the cloud."""
-    settings: Annotated[Mapping[str, Any], SettingsOf(config=AggregateConfig, fixed=("preset",))] = field(default_factory=dict)
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, AggregateConfig), fixed=("preset",))] = field(
+        default_factory=dict
+    )
     """Field of `AggregateConfig` → its value."""
 
     @property

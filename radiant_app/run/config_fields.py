@@ -28,7 +28,7 @@ _PRESET_HELP = (
     "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
     "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
 )
-_Text = Annotated[str, Field(min_length=1)]
+_Text: Any = Annotated[str, Field(min_length=1)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,21 +87,18 @@ def config_fields() -> dict[str, ConfigField]:
     return {field.path: field for field in (*_fields_of(RunConfig), preset)}
 
 
-def _fields_of(config: type, prefix: str = "", *, has_options: bool = True, fixed: Sequence[str] = ()) -> Iterator[ConfigField]:
-    hints, sentences = get_type_hints(config, include_extras=True), _sentences_under_fields(config) if has_options else {}
+def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
+    hints, sentences = get_type_hints(config, include_extras=True), _sentences_under_fields(config)
     for each in fields(config):
-        if each.name in fixed:
-            continue
         path, hint = f"{prefix}{each.name}", hints[each.name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-        settings = next((mark for mark in marks if isinstance(mark, SettingsOf)), None)
-        if settings is not None:
-            yield from _fields_of(settings.config, prefix, has_options=False, fixed=settings.fixed)
-        elif is_dataclass(kind):
-            yield from _fields_of(kind, f"{path}.", has_options=has_options)
+        mark = marks[0] if marks else Option()
+        if isinstance(mark, SettingsOf):
+            yield from (ConfigField(path=f"{prefix}{name}", kind=kind) for name, kind in mark.types().items() if name not in mark.fixed)
+        elif isinstance(kind, type) and is_dataclass(kind):
+            yield from _fields_of(kind, f"{path}.")
         else:
-            option = next((mark for mark in marks if isinstance(mark, Option)), Option()) if has_options else None
-            yield ConfigField(path=path, kind=kind, default=each.default, help=sentences.get(each.name, ""), option=option)
+            yield ConfigField(path=path, kind=kind, default=each.default, help=sentences.get(each.name, ""), option=mark)
 
 
 def _sentences_under_fields(config: type) -> dict[str, str]:
