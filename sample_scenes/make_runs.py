@@ -15,21 +15,20 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.regions.power_diagram import assign
 from radiant_core.splats import SH_C0, Splats
-from radiant_core.train.needs import Overrides
 
 HERE = Path(__file__).resolve().parent
 PLANNED = ("manifest.json", "plan.json", "scene.ply", "sfm/scene.safetensors", "sfm/result.json")
 KEPT = (*PLANNED, "metrics.json", "report.html")
 KEPT_FOLDERS = ("pictures/photographs", "pictures/renders", "pictures/differences")
 SEAM_LEVELS = 30
-SIZE = Overrides(long_side_px=120, num_steps=120, max_num_splats=2_000)
+SIZE = TrainOptions(long_side_px=120, num_steps=120, max_num_splats=2_000)
 
 
 def main() -> None:
@@ -39,7 +38,7 @@ def main() -> None:
         shutil.rmtree(folder, ignore_errors=True)
     with tempfile.TemporaryDirectory() as temporary:
         out = Path(temporary) / "run"
-        run(RunConfig(source=HERE / "hamlet" / "images", out=out, overrides=SIZE))
+        run(RunConfig(source=HERE / "hamlet" / "images", out=out, train=SIZE))
         for name in KEPT:
             (tiny / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(out / name, tiny / name)

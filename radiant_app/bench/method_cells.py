@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPoint, Point
 
-from radiant_app.workers.sources import scored_scene_of
 from radiant_app.workers.nodes import load_images
+from radiant_app.workers.sources import scored_scene_of
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
+from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.records import load_splats, save_splats
@@ -29,7 +30,7 @@ from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.edge_sites import place_edges
-from radiant_core.plan.regions.region_plan import PlanInfeasible, PlanMethod, plan_regions
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import Device, Edge, System
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats

@@ -26,8 +26,8 @@ import numpy as np
 from radiant_app.bench.plan import camera_layout, unequal_system
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.report.progress import tracked
-from radiant_app.workers.sources import reconstruct_source
 from radiant_app.workers.nodes import load_images
+from radiant_app.workers.sources import reconstruct_source
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
 from radiant_core.io.run_store import read_json, write_atomic, write_json

@@ -26,8 +26,8 @@ from radiant_app.bench.runner import BenchOptions
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay, tracked
-from radiant_app.workers.sources import masks_of_scene, scored_scene_of
 from radiant_app.workers.nodes import load_images, load_training_views, sfm_progress
+from radiant_app.workers.sources import masks_of_scene, scored_scene_of
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap

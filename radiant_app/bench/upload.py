@@ -21,11 +21,12 @@ from radiant_app.commands.steps import require_run
 from radiant_app.report.progress import tracked
 from radiant_app.workers.nodes import load_images
 from radiant_core.cameras import Cameras
+from radiant_core.choices import UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
 from radiant_core.io.records import load_cameras, load_plan, load_splats
 from radiant_core.io.run_store import read_json
-from radiant_core.io.transport.upload import UploadFormat, load_upload, save_upload
+from radiant_core.io.transport.upload import load_upload, save_upload
 from radiant_core.splats import Splats
 
 _REPEATS = 3

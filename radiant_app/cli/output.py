@@ -31,9 +31,9 @@ def render(
     as_json: AsJson = False,
 ) -> None:
     """Pictures or a film of a model: from given cameras, around the scene, along a border, or through keyframes."""
-    from radiant_app.cli.quantities import size_wh_of
     from radiant_app.commands.render import RenderRequest
     from radiant_app.commands.render import render as render_pictures
+    from radiant_app.quantities import size_wh_of
     from radiant_app.report.progress import terminal_display
 
     request = RenderRequest(

@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from radiant_app.cli.option_types import BufferOption, DeadlineOption, FieldOfViewOption, GroundOption, RasterCellOption
+from radiant_app.cli.option_types import (
+    AsJson,
+    BufferOption,
+    DeadlineOption,
+    FieldOfViewOption,
+    GroundOption,
+    LongSide,
+    MaxSplats,
+    NumSteps,
+    PlanMethodOption,
+    RasterCellOption,
+    Seed,
+    SystemFile,
+)
 from radiant_app.report.tables import finish
+from radiant_core.train.config import Preset
 
 
 def plan(
@@ -16,10 +30,8 @@ def plan(
         Path, typer.Argument(help="Waypoints (CSV, GeoJSON, KML), photographs with GPS, a scene, or a run.", show_default=False)
     ],
     out: Annotated[Path, typer.Option("--out", help="File of the plan; picture and exports go beside.", show_default=False)],
-    system: Annotated[Path | None, typer.Option("--system", help="TOML of edges and devices; else two edges with two each.")] = None,
-    plan_method: Annotated[
-        Literal["exact", "paper", "voronoi", "even"], typer.Option(help="exact: least makespan; paper: Alg. 1; voronoi; even.")
-    ] = "exact",
+    system: SystemFile = None,
+    plan_method: PlanMethodOption = "exact",
     compare: Annotated[bool, typer.Option("--compare", help="Print a table of all methods on the same positions.")] = False,
     slack: Annotated[float | None, typer.Option(min=1, help="Makespan may be so many times the shortest for shorter ways: 1.1.")] = None,
     slack_curve: Annotated[bool, typer.Option("--slack-curve", help="Table and picture of what several slacks buy.")] = False,
@@ -30,14 +42,14 @@ def plan(
     buffer: BufferOption = None,
     deadline: DeadlineOption = None,
     train_preset: Annotated[
-        Literal["draft", "default", "standard", "paper"],
+        Preset,
         typer.Option(help="What will be trained: how many photographs memory holds, and whether measured curves are of it."),
     ] = "default",
-    long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")] = None,
-    steps: Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")] = None,
-    max_splats: Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of every random choice.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")] = False,
+    long_side_px: LongSide = None,
+    steps: NumSteps = None,
+    max_splats: MaxSplats = None,
+    seed: Seed = 0,
+    as_json: AsJson = False,
 ) -> None:
     """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
     from rich.console import Console

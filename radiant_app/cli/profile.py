@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
+from radiant_app.cli.option_types import AsJson, LongSide, MaxSplats, NumSteps
 from radiant_core.errors import BadInput
+from radiant_core.train.config import Preset
 
 
 def profile(
@@ -24,13 +26,11 @@ def profile(
     time: Annotated[str, typer.Option(help="Time of measuring; structure from motion comes on top.")] = "4m",
     threads: Annotated[int | None, typer.Option(min=1, max=1024, help="Threads of a training; all cores without it.")] = None,
     machine: Annotated[str | None, typer.Option(help="Name of this machine; else processor and threads.", show_default=False)] = None,
-    train_preset: Annotated[
-        Literal["draft", "default", "standard", "paper"], typer.Option(help="Training that the curves are to hold for.")
-    ] = "default",
-    long_side_px: Annotated[int | None, typer.Option("--long-side-px", min=16, help="Long side of the training images.")] = None,
-    steps: Annotated[int | None, typer.Option("--steps", min=1, help="Training steps of a device.")] = None,
-    max_splats: Annotated[int | None, typer.Option("--max-splats", min=100, help="Upper limit of Gaussians of a device.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")] = False,
+    train_preset: Annotated[Preset, typer.Option(help="Training that the curves are to hold for.")] = "default",
+    long_side_px: LongSide = None,
+    steps: NumSteps = None,
+    max_splats: MaxSplats = None,
+    as_json: AsJson = False,
 ) -> None:
     """Cost curves of this machine for the planner, by a short real run: times and sizes against photographs, and how well they predict."""
     from radiant_app.commands import profile as profile_command
@@ -47,7 +47,7 @@ def profile(
     else:
         from rich.console import Console
 
-        from radiant_app.cli.quantities import seconds_of
+        from radiant_app.quantities import seconds_of
         from radiant_app.report.progress import ProgressDisplay
         from radiant_core.train.needs import Overrides
 

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from radiant_app.cli.option_types import AsJson, Seed
+
 
 def replan_plan(
     source: Annotated[Path, typer.Argument(help="A plan of waypoints, or the folder of a run.", show_default=False)],
@@ -20,8 +22,8 @@ def replan_plan(
     join: Annotated[Path | None, typer.Option(help="System file of edges, or of devices at edges that are there, that join.")] = None,
     captured: Annotated[Path | None, typer.Option(help="What was captured: waypoint file or folder of photographs; it stays.")] = None,
     tolerance: Annotated[float, typer.Option(min=0, help="Share by which the makespan may exceed the least, to move fewer.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of every random choice.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object for a machine to read.")] = False,
+    seed: Seed = 0,
+    as_json: AsJson = False,
 ) -> None:
     """A plan after a device died, became slow or finished, or others joined: least makespan, then fewest positions that move."""
     from rich.console import Console

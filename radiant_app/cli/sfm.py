@@ -7,16 +7,14 @@ from typing import Annotated
 
 import typer
 
-from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, Matching, Out, UpOption
+from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, MaskFolder, MatchingOption, Out, UpOption
 from radiant_app.report.tables import finish
-
-MATCHING_HELP = "Compare neighbours by GPS, or all photographs with all."
 
 
 def sfm(
     source: Annotated[Path, typer.Argument(help="Photographs, a COLMAP project, or a Mill 19 folder.", show_default=False)],
     out: Out,
-    matching: Annotated[Matching, typer.Option(help=MATCHING_HELP)] = "auto",
+    matching: MatchingOption = "auto",
     masks: MaskFolder = None,
     up: UpOption = None,
     distance: DistanceOption = None,

@@ -1,19 +1,17 @@
 """A batch: the jobs of a job file one after the other, going on after a failure, with a summary. Nothing is computed here.
 
-Each job is a process of its own that runs `radiant run` (worker kind "run") and streams its events here: a segmentation fault or a
+Each job is a process of its own that runs the pipeline (worker kind "run") and streams its events here: a segmentation fault or a
 full memory ends one job and not the night, and its memory is free for the next. Jobs do not run side by side, since each
 already gives every core a worker.
 
     BATCH/summary.json  summary.html
-    BATCH/jobs/<name>/    task.json: its arguments; log.txt; done.json once it is finished
+    BATCH/jobs/<name>/    task.json: its configuration; log.txt; done.json once it is finished
     BATCH/<out>/          the run's folder
 """
 
 from __future__ import annotations
 
 import os
-import signal
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -28,9 +26,10 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.job_file import RECORDS, Job, load_jobs
 from radiant_app.files.run_folder import new_folder, require_empty
-from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.tasks import JobTask
+from radiant_app.interrupts import INTERRUPTED, interrupt_was_heard
+from radiant_app.run.config_fields import tables_of
 from radiant_app.workers.sources import all_files
+from radiant_app.workers.tasks import JobTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.messages import save_task
@@ -74,7 +73,7 @@ class BatchResult:
         """0: all done; 2: every failure is bad input; 1: otherwise; 130: interrupted."""
         codes = {job.exit_code for job in self.jobs if job.status == "failed"}
         if any(job.status in ("interrupted", "not started") for job in self.jobs):
-            return 130
+            return INTERRUPTED
         return 0 if not codes else BadInput.exit_code if codes == {BadInput.exit_code} else 1
 
     @property
@@ -102,7 +101,7 @@ def run_batch(path: Path, out: Path | None, display: Display, *, resume: bool = 
     folder = batch_folder(path, out)
     jobs = load_jobs(path, folder)
     with _opened(folder, jobs, resume):
-        results = [JobResult(name=job.name, source=str(job.source), out=str(job.out)) for job in jobs]
+        results = [JobResult(name=job.name, source=str(job.config.source), out=str(job.config.out)) for job in jobs]
         try:
             for index, job in enumerate(jobs):
                 started = replace(results[index], status="running")
@@ -116,26 +115,14 @@ def run_batch(path: Path, out: Path | None, display: Display, *, resume: bool = 
     return BatchResult(folder=folder, jobs=tuple(results))
 
 
-def run_job(folder: Path, task: JobTask, reporter: EventReporter) -> Sequence[str]:
-    """Worker kind "run": `radiant run` with the arguments of its task, its events sent on."""
-    from radiant_app.cli.app import app, interrupt_on_signals
-
-    # Asked to stop, the run stops its own workers and says so in its manifest, as after Ctrl-C.
-    interrupt_on_signals()
-    code = app(["run", *task.arguments], standalone_mode=False, obj=reporter.emit)
-    if code:
-        sys.exit(code)
-    return []
-
-
 def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *, resume: bool) -> JobResult:
     record = folder / RECORDS / job.name
     record.mkdir(parents=True, exist_ok=True)
-    arguments = [*job.arguments, *(["--resume"] if resume else [])]
-    save_task(record, JobTask(arguments=tuple(arguments)))
-    if not all((job.out / name).is_file() for name in PRODUCTS):
+    config, out = tables_of(job.config), job.config.out
+    save_task(record, JobTask(config=config, resume=resume))
+    if not all((out / name).is_file() for name in PRODUCTS):
         (record / SEAL_NAME).unlink(missing_ok=True)
-    key = content_key(__version__, job.arguments, all_files(job.source, job.out), *job.input_files)
+    key = content_key(__version__, config, all_files(job.config.source, out), *job.input_files)
     stage = f"job {job.name}"
     skipped = False
 
@@ -150,14 +137,13 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
         return replace(started, status=status, seconds=time.monotonic() - begun_s, **more)
 
     try:
-        run_task(NodeTask(kind="run", stage=stage, folder=record, key=key), note)
-        metrics = read_json(job.out / "metrics.json", FIGURES)
+        run_task(NodeTask(kind="run", stage=stage, folder=record, key=key, module="radiant_app.run.job"), note)
+        metrics = read_json(out / "metrics.json", FIGURES)
     except RadiantError as error:
         return ended("failed", exit_code=error.exit_code, message=str(error).removeprefix(f"{stage}: "))
     except KeyboardInterrupt:
-        # Heard: the command line need not ask again.
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        return ended("interrupted", exit_code=130)
+        interrupt_was_heard()
+        return ended("interrupted", exit_code=INTERRUPTED)
     return ended("skipped" if skipped else "done", exit_code=0, figures={name: metrics[name] for name in FIGURES})
 
 
@@ -172,8 +158,8 @@ def _opened(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[None]:
         return
     if not resume:
         for job in jobs:
-            if job.out.is_dir():
-                require_empty(job.out)
+            if job.config.out.is_dir():
+                require_empty(job.config.out)
     with new_folder(folder, resumable=True):
         pass
     with RunLock(folder):

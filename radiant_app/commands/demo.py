@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import radiant_app
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, TrainOptions
 from radiant_core.errors import BadInput
-from radiant_core.train.needs import Overrides
 
-DEMO_SIZE = Overrides(long_side_px=400, num_steps=800, max_num_splats=20_000)
+DEMO_TRAINING = TrainOptions(preset="draft", long_side_px=400, num_steps=800, max_num_splats=20_000)
 
 
 def sample_scenes_folder() -> Path:
@@ -23,4 +22,4 @@ def sample_scenes_folder() -> Path:
 def demo_config(out: Path) -> RunConfig:
     """Two edges with two devices each on the sample town."""
     town = sample_scenes_folder() / "town"
-    return RunConfig(source=town / "images", system=town / "system.toml", out=out, train_preset="draft", overrides=DEMO_SIZE)
+    return RunConfig(source=town / "images", system=town / "system.toml", out=out, train=DEMO_TRAINING)

@@ -18,12 +18,13 @@ import numpy as np
 
 from radiant_app.commands.steps import require_file_to_be, stage_bar
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.workers.sources import detect_source, masks_of_scene, scored_scene_of
 from radiant_app.workers.evaluation import image_row, scored_part, summary_of
 from radiant_app.workers.nodes import MASKS
+from radiant_app.workers.sources import detect_source, masks_of_scene, scored_scene_of
 from radiant_core.cameras import Cameras
+from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
+from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.photos.listing import list_photographs, load_photograph
 from radiant_core.io.ply import load_ply

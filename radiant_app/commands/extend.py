@@ -11,20 +11,21 @@ from scipy.spatial import ConvexHull, QhullError
 
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.sources import DELIVERED, has_scene, load_scene_of
-from radiant_app.workers.inbox import moved_cameras, sim3_of
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
+from radiant_core.hierarchy.joining import moved_cameras
+from radiant_core.hierarchy.messages import CloudTask
+from radiant_core.io.messages import load_task
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan_waypoints
-from radiant_core.io.run_store import read_json
 from radiant_core.io.waypoints.region import load_region
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.power_diagram import polygon_area_m2
 from radiant_core.splats import Splats
-from radiant_core.train.config import TrainConfig
 
 MARGIN = 0.05
 """Half width of the strip that is fitted, as a share of the side of a square as large as the region."""
@@ -53,7 +54,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
 
     require_file_to_be(request.out)
     require_run(request.new, "scene.ply")
-    task = read_json(request.new / "cloud" / "task.json", ("train",))
+    task = load_task(CloudTask, request.new / "cloud")
     old = load_ply(request.old if request.old.is_file() else _scene_of(request.old))
     move, origin, frames = _common_frame(request)
     new, cameras = _moved(load_ply(request.new / "scene.ply"), _virtual_cameras(request.new), move)
@@ -65,7 +66,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     aggregate = AggregateConfig() if request.num_epochs is None else AggregateConfig(num_epochs=request.num_epochs)
     with stage_bar(display, "extend") as report:
         options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
-        made = extend_scene(old, Teacher(splats=new, cameras=cameras), region, TrainConfig(**task["train"]), aggregate, options)
+        made = extend_scene(old, Teacher(splats=new, cameras=cameras), region, task.train, aggregate, options)
     save_ply(request.out, made.splats)
     return {
         "gaussians": len(made.splats),
@@ -117,11 +118,11 @@ def _origin(run: Path) -> FloatArray | None:
 def _virtual_cameras(run: Path) -> Cameras:
     inbox = run / "cloud" / "inbox"
     # Where frames come from GPS the cloud moved what its edges sent, and left some out.
-    moves = read_json(run / "cloud" / "corrections.json") if inbox.is_dir() else {}
-    found = [path for path in sorted(inbox.glob("*/virtual_cameras.safetensors")) if moves.get(path.parent.name) is not None]
+    moves = load_corrections(run / "cloud") if inbox.is_dir() else {}
+    found = [(path, move) for path in sorted(inbox.glob("*/virtual_cameras.safetensors")) if (move := moves.get(path.parent.name))]
     if not found:
         raise BadInput(f"{inbox} holds no virtual cameras to ask the new model at: run it with a cloud that retrains, the default.")
-    return concatenate_cameras([moved_cameras(load_cameras(path), sim3_of(moves[path.parent.name])) for path in found])
+    return concatenate_cameras([moved_cameras(load_cameras(path), move) for path, move in found])
 
 
 def _moved(splats: Splats, cameras: Cameras, move: Sim3 | None) -> tuple[Splats, Cameras]:

@@ -35,10 +35,11 @@ from radiant_app.commands.steps import require_file_to_be, stage_bar, training_p
 from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.cloud_planning import placed_by_raster, planned_from_raster, raster_decision
-from radiant_app.run.config import PlanMethod
+from radiant_app.run.cloud_planning import placed_by_raster, raster_decision
 from radiant_app.run.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
+from radiant_app.workers.regions import planned_from_raster
 from radiant_app.workers.sources import load_scene_of
+from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson

@@ -25,6 +25,7 @@ from radiant_app.events import Listener, StageDone, StageStarted
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
+from radiant_app.files.run_folder import read_manifest
 from radiant_app.run.predictions import planned_training, training_key_of
 from radiant_app.workers.sources import detect_source, has_scene, images_of_scene, load_scene_of
 from radiant_core.errors import BadInput
@@ -109,10 +110,10 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     _require_place(out)
     require_run(run, "metrics.json")
     require_run(run)
-    manifest = read_json(run / "manifest.json", ("config", "stages"))
-    if manifest["config"].get("emulated"):
+    manifest = read_manifest(run)
+    if manifest.config["emulate"]:
         raise BadInput(f"{run} was emulated, its devices' times are played: give a run without --emulate.")
-    stages: dict[str, dict[str, float]] = manifest["stages"]
+    stages, config = manifest.stages, manifest.config
     devices, edges, train = [], [], {}
     for plan in load_plan(run / "plan.json")[1]:
         counts = {name: len(plan.cameras_of(name)) for name in plan.device_ids}
@@ -132,9 +133,8 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
             edges.append(EdgeSample(num_cameras=sum(counts.values()), num_devices=working, seconds=seconds))
     if not devices:
         raise BadInput(f"{run} keeps no times of a device's training: give the folder of a run with its devices/ and edges/.")
-    config = manifest["config"]
     sizes = {name: int(train[name]) for name in ("num_steps", "long_side_px", "max_num_splats")}
-    key = ProfileKey(preset=config["train_preset"], aggregate_preset=config["aggregate_preset"], **sizes)
+    key = ProfileKey(preset=config["train"]["preset"], aggregate_preset=config["aggregate"]["preset"], **sizes)
     distinct = sorted({sample.num_cameras for sample in devices})
     held_out = distinct[len(distinct) // 2] if len(distinct) > 2 else None
     measured = Measured(devices=tuple(devices), edges=tuple(edges), num_steps=key.num_steps, num_epochs=0, held_out=held_out)

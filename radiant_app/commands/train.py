@@ -17,30 +17,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from radiant_app.commands.steps import require_file_to_be
 from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 from radiant_app.files.run_folder import Manifest, opened_folder
-from radiant_app.run.config import RunConfig
-from radiant_app.run.pipeline import require_size, sfm_stage
-from radiant_app.workers.sources import detect_source, has_scene, masks_of_scene, scored_scene_of
+from radiant_app.run.config import RunConfig, SfmOptions
+from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.stages import Progress
 from radiant_app.workers.evaluation import image_row, save_comparison, scored_part, summary_of
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
-from radiant_app.workers.nodes import (
-    CHECKPOINTS,
-    first_model,
-    fit,
-    fit_options,
-    load_training_views,
-    needed,
-    training_summary,
-    without_useless,
-)
+from radiant_app.workers.nodes import CHECKPOINTS, machine_in, remove_checkpoints
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.sources import detect_source, has_scene, masks_of_scene, scored_scene_of
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
+from radiant_core.hierarchy.device import PreparedTraining, fit_prepared, prepare_training, training_summary
+from radiant_core.hierarchy.messages import DeviceTask
+from radiant_core.hierarchy.reporter import Machine
 from radiant_core.io.photos.listing import DECODED_BYTES_PER_PX, load_photograph
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
@@ -49,11 +45,10 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.placement import AUTO, Placement
 from radiant_core.splats import Splats
-from radiant_core.train.checkpoint import CheckpointFolder, training_key
-from radiant_core.train.config import Preset, TrainConfig, train_preset
-from radiant_core.train.memory import memory_plan, within_memory
+from radiant_core.train.config import NEVER, Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend
-from radiant_core.train.trainer import FitOptions, TrainResult
+from radiant_core.train.photographs import load_training_views
+from radiant_core.train.trainer import TrainResult
 from radiant_core.train.views import TrainingViews
 
 STAGE = "train"
@@ -106,20 +101,6 @@ class TrainRequest:
         return {name: value for name, value in fields.items() if name not in ("out", "checkpoint_every_s")}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Training:
-    """One training that is ready to begin."""
-
-    config: TrainConfig
-    views: TrainingViews
-    initial: Splats
-    options: FitOptions
-
-    @property
-    def key(self) -> str:
-        return training_key(self.initial, self.views, self.config, self.options)
-
-
 def train(
     request: TrainRequest, listen: Listener = lambda event: None, *, resume: bool = False, clock: Callable[[], float] = time.monotonic
 ) -> dict[str, Any]:
@@ -165,9 +146,9 @@ class _Stage:
             self.tell(StageDone(stage=self.name, seconds=self._clock() - self._begun_s))
 
     @property
-    def running(self) -> tuple[str, Listener]:
-        """Its name and who listens."""
-        return self.name, self.tell
+    def reporter(self) -> EventReporter:
+        """What its training reports to."""
+        return EventReporter(stage=self.name, emit=self.tell)
 
 
 _Photos = tuple[Path, Path | None]
@@ -183,10 +164,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         source=request.source,
         out=request.out,
         seed=request.seed,
-        masks=request.masks,
-        up=request.up,
-        distance=request.distance,
-        height_m=request.height_m,
+        sfm=SfmOptions(masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m),
     )
     scene, images = sfm_stage(config, progress, request.memory_bytes)
     return scene, (images, masks_of_scene(request.out))
@@ -209,42 +187,38 @@ def _loaded_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _P
     return scene, (images, masks_of_scene(request.source))
 
 
-def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> _Training:
-    """Settings, photographs and first model; tells what was decided."""
+def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> PreparedTraining:
+    """The training of all photographs that are not held out, with the decisions taken on the way."""
     base_bytes = resident_bytes()
     if len(scene.cameras) < MIN_PHOTOGRAPHS:
         raise BadInput(f"the scene has {len(scene.cameras)} photographs, expected at least {MIN_PHOTOGRAPHS}: take more that overlap.")
     backend = resolve_backend("auto")
     config, decisions = _settings(request, backend)
     require_size(scene, config.long_side_px)
-    names = scene.cameras.names
-    num_training = len(names) - int(held_out_mask(names).sum())
+    if request.memory_bytes is not None and request.overrides.max_num_splats is None:
+        # As many as the memory holds, whatever the preset says.
+        config = replace(config, max_num_splats=NEVER)
+    held_out = held_out_mask(scene.cameras.names)
+    num_training = len(held_out) - int(held_out.sum())
     validate = num_training >= MIN_VALIDATED if request.validate is None else request.validate
-    validated = validation_mask(names) & validate
-    if validate and validated.sum() + held_out_mask(names).sum() >= len(names):
-        raise BadInput(f"of {len(names)} photographs none is left to train on: leave out --validate.")
-    training = scene.restricted_to(np.flatnonzero(~held_out_mask(names) & ~validated))
-    cameras = training.cameras.scaled(config.long_side_px)
-    options = fit_options(STAGE, backend, stage.tell)
-    if request.memory_bytes is not None:
-        kept = scene.restricted_to(np.flatnonzero(~held_out_mask(names))).cameras.scaled(config.long_side_px)
-        base_bytes = base_bytes_in(request.out, base_bytes) if request.out.is_dir() else base_bytes
-        # Held-out photographs are decoded one by one beside the finished model.
-        base_bytes += DECODED_BYTES_PER_PX * int(scene.cameras.sizes_wh.prod(axis=1).max())
-        plan = memory_plan(config, kept, request.memory_bytes, base_bytes, validated=validate, masked=photos[1] is not None)
-        config, decision = within_memory(config, plan, request.memory_bytes, STAGE, request.overrides.max_num_splats)
-        options, decisions = replace(options, statistics_bytes=plan.statistics_bytes), (*decisions, decision)
+    validated = validation_mask(scene.cameras.names) & validate
+    if validate and validated.sum() + held_out.sum() >= len(held_out):
+        raise BadInput(f"of {len(held_out)} photographs none is left to train on: leave out --validate.")
     for decision in (*decisions, _validation_decision(request, num_training, int(validated.sum()))):
         stage.tell(Decided(decision=decision))
     images, masks = photos
-    views = load_training_views(images, cameras, masks)
-    if validate:
-        looked_at = scene.cameras.select(np.flatnonzero(validated)).scaled(config.long_side_px)
-        options = replace(options, validation=load_training_views(images, looked_at, masks))
-    training, views = without_useless(training, views, config, stage.running)
-    config = needed(training, views, config, backend, stage.running)
-    initial = first_model(training, views, config, stage.running)
-    return _Training(config=config, views=views, initial=initial, options=options)
+
+    def views_of(chosen: NDArray[np.bool_]) -> TrainingViews:
+        return load_training_views(images, scene.cameras.select(np.flatnonzero(chosen)).scaled(config.long_side_px), masks)
+
+    if request.memory_bytes is not None and request.out.is_dir():
+        base_bytes = base_bytes_in(request.out, base_bytes)
+    # Held-out photographs are decoded one by one beside the finished model.
+    base_bytes += DECODED_BYTES_PER_PX * int(scene.cameras.sizes_wh.prod(axis=1).max())
+    training = scene.restricted_to(np.flatnonzero(~held_out & ~validated))
+    task = DeviceTask(scene=training, train=config, backend=backend, memory_bytes=request.memory_bytes)
+    validation = views_of(validated) if validate else None
+    return prepare_training(task, views_of(~held_out & ~validated), stage.reporter, Machine(base_bytes=base_bytes), validation)
 
 
 def _validation_decision(request: TrainRequest, num_training: int, num_validated: int) -> Decision:
@@ -278,15 +252,9 @@ def _settings(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[D
     return config, (budget, *(decision for decision in decisions if decision.topic != "num_steps" or request.overrides.num_steps))
 
 
-def _trained(training: _Training, request: TrainRequest, stage: _Stage) -> tuple[Splats, dict[str, Any]]:
+def _trained(training: PreparedTraining, request: TrainRequest, stage: _Stage) -> tuple[Splats, dict[str, Any]]:
     """The model and a summary of its training: those that lie in the folder where they are whole, else trained on from the checkpoint."""
     out = request.out
-    checkpoints = CheckpointFolder(
-        out / CHECKPOINTS,
-        training.key,
-        every_s=request.checkpoint_every_s,
-        warn=lambda message: stage.tell(Warned(stage=STAGE, message=message)),
-    )
     if is_sealed(out, training.key):
         record = read_json(out / "training.json")
         for decision in record["decisions"]:
@@ -294,7 +262,7 @@ def _trained(training: _Training, request: TrainRequest, stage: _Stage) -> tuple
         for message in record["warnings"]:
             stage.tell(Warned(stage=STAGE, message=message))
         stage.tell(StageSkipped(stage=STAGE))
-        checkpoints.remove()
+        remove_checkpoints(out)
         return load_ply(out / "scene.ply"), record["summary"]
     told: list[Event] = []
 
@@ -302,8 +270,9 @@ def _trained(training: _Training, request: TrainRequest, stage: _Stage) -> tuple
         told.append(event)
         stage.tell(event)
 
-    options = replace(training.options, checkpoints=checkpoints)
-    result = fit(training.initial, training.views, training.config, options, (STAGE, tell))
+    reporter = EventReporter(stage=STAGE, emit=tell)
+    checkpoints = machine_in(out, request.checkpoint_every_s, reporter).checkpoints(lambda: training.key)
+    result = fit_prepared(replace(training, options=replace(training.options, checkpoints=checkpoints)), reporter)
     summary = {**training_summary(result), "num_photographs": len(training.views), **_validation_figures(result)}
     save_ply(out / "scene.ply", result.splats)
     record = {
@@ -313,7 +282,7 @@ def _trained(training: _Training, request: TrainRequest, stage: _Stage) -> tuple
     }
     write_json(out / "training.json", record)
     seal(out, training.key, ["scene.ply", "training.json"])
-    checkpoints.remove()
+    remove_checkpoints(out)
     return result.splats, summary
 
 
@@ -363,6 +332,6 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
 
     with _Stage(STAGE, tell, clock) as stage:
         training = _prepared(request, scene, photos, stage)
-        result = fit(training.initial, training.views, training.config, training.options, stage.running)
+        result = fit_prepared(training, stage.reporter)
     save_ply(request.out, result.splats)
     return {**training_summary(result), "decisions": [asdict(decision) for decision in decisions], "model": str(request.out)}

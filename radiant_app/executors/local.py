@@ -29,7 +29,7 @@ STOP_GRACE_S = 3.0
 
 def worker_command(task: NodeTask) -> list[str]:
     """How a node's process is started."""
-    return [sys.executable, "-m", "radiant_app.workers.worker", task.kind, str(task.folder), task.stage, task.key]
+    return [sys.executable, "-m", task.module, task.kind, str(task.folder), task.stage, task.key]
 
 
 @dataclass

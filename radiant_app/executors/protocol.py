@@ -21,6 +21,8 @@ class NodeTask:
     """Name in events, the folder's path inside the run."""
     folder: Path
     key: str
+    module: str = "radiant_app.workers.worker"
+    """What its process runs."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,12 +17,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_app.run.config import RunConfig
+from radiant_app.run.config_fields import config_fields, tables_of
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, StoreDamaged
 from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, read_json, write_json
@@ -30,20 +31,19 @@ from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_
 MANIFEST_VERSION = 1
 SFM_TASK = "task.json"
 """What `radiant sfm` was asked for, beside its work."""
-GROUPS = ("overrides", "placement", "sfm")
-"""Settings that are several options."""
-OPTIONS = {
-    "source": "source",
-    "emulated": "--emulate",
-    "preset": "--train-preset",
-    "height_m": "--height",
-    "time_s": "--time",
-    "memory_bytes": "--memory",
-    "num_steps": "--steps",
-    "max_num_splats": "--max-splats",
-    "settings": "--set",
+OPTIONS = {"source": "source", "preset": "--train-preset", "time_s": "--time", "memory_bytes": "--memory", "overrides.settings": "--set"}
+"""Setting of `radiant train` and `radiant sfm` → what the command line calls it, where `config_fields` does not say."""
+UNRECORDED = ("out", "execution", "evaluate")
+"""What may differ when a run is resumed: where it lies, how it is worked on, and what its scene is scored with in the end."""
+FORMER_PATHS = {
+    **{name: f"sfm.{name}" for name in ("matching", "poses", "masks", "up", "distance", "height_m")},
+    "plan_method": "plan.method",
+    "plan": "plan.file",
+    "raster_cell_m": "plan.raster_cell_m",
+    "train_preset": "train.preset",
+    "aggregate_preset": "aggregate.preset",
 }
-"""Setting → what the command line calls it, where that is another name."""
+"""Field of a configuration before it had sections → its path."""
 RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings", "ledger")
 
 
@@ -249,26 +249,25 @@ def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (
 
 
 def recorded_config(config: RunConfig) -> dict[str, Any]:
-    """The settings as the manifest keeps them: all but where the run lies, in which order and how many processes work on it, and
-    what its scene is scored with in the end."""
-    fields = asdict(config)
-    fields["source"] = str(config.source.resolve())
-    for name in ("system", "poses", "plan", "masks"):
-        path = getattr(config, name)
-        fields[name] = None if path is None else str(path.resolve())
-    for name in (
-        "out",
-        "max_workers",
-        "executor",
-        "address",
-        "checkpoint_every_s",
-        "deadline_factor",
-        "teachers",
-        "lpips_weights",
-        "lpips_network",
-    ):
-        del fields[name]
-    return fields
+    """The configuration as the manifest keeps it, in the tables of a run file."""
+    return {name: value for name, value in tables_of(config).items() if name not in UNRECORDED}
+
+
+def _in_sections(config: dict[str, Any]) -> dict[str, Any]:
+    """A recorded configuration, also of a run made before it had sections."""
+    if "plan_method" not in config:
+        return config
+    overrides = dict(config.get("overrides") or {})
+    settings = overrides.pop("settings", {})
+    sections: dict[str, Any] = {"train": {**overrides, **settings}}
+    system = "emulate" if config.get("emulated") else "system"
+    for name, value in {**config, "system": None, "emulate": None, system: config.get("system")}.items():
+        section, dot, field_name = FORMER_PATHS.get(name, name).partition(".")
+        if dot:
+            sections.setdefault(section, {})[field_name] = value
+        elif name not in ("overrides", "emulated"):
+            sections[name] = value
+    return sections
 
 
 def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> str:
@@ -276,15 +275,22 @@ def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> st
     return ", ".join(sorted(set(_differing_options(asked, before))))
 
 
-def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> Iterator[str]:
-    for name, value in asked.items():
-        other = before.get(name)
-        if value == other:
-            continue
-        if name in GROUPS and isinstance(value, dict) and isinstance(other, dict):
-            yield from _differing_options({key: value.get(key) for key in {*value, *other}}, other)
-        else:
-            yield OPTIONS.get(name, f"--{name.replace('_', '-')}")
+def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for name in {*asked, *before} if prefix else asked:
+        value, other, path = asked.get(name), before.get(name), f"{prefix}{name}"
+        if value != other and isinstance(value, dict) and isinstance(other, dict) and path not in OPTIONS:
+            yield from _differing_options(value, other, f"{path}.")
+        elif value != other:
+            yield _option_name(path, name)
+
+
+def _option_name(path: str, name: str) -> str:
+    """What the command line calls a field of a run by its path, or a setting of another command by its name."""
+    fields = config_fields()
+    if path in OPTIONS or path in fields:
+        return OPTIONS.get(path) or fields[path].option_name
+    named = (field.option_name for field in fields.values() if field.option is not None and field.path.endswith(f".{name}"))
+    return next(named, f"--{name.replace('_', '-')}")
 
 
 def software_versions() -> dict[str, str]:
@@ -303,7 +309,7 @@ class _Record(BaseModel):
     model_config = ConfigDict(strict=True, extra="ignore")
 
     version: Literal[1]
-    config: dict[str, Any]
+    config: Annotated[dict[str, Any], AfterValidator(_in_sections)]
     stages: dict[str, dict[str, float]]
     emulated: dict[str, dict[str, float]] = {}
     machines: dict[str, str] = {}

@@ -46,10 +46,10 @@ def load_toml(path: Path, kind: str) -> dict[str, Any]:
         raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
 
 
-def sentence(error: ValidationError, kind: str) -> str:
-    """The first problem: key path, what came, what is expected."""
+def sentence(error: ValidationError, kind: str, path: str = "") -> str:
+    """The first problem of what stands at a key's `path`: the whole path, what came, what is expected."""
     problem = error.errors(include_url=False)[0]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")
+    key = "".join([path, *(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"])]).lstrip(".")
     if problem["type"] == "missing":
         return f"{key} is missing: add it."
     if problem["type"] == "extra_forbidden":

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
-import numpy as np
-
-from radiant_app.events import Decided, Event, Listener
+from radiant_app.events import Decided, Listener
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.config import RunConfig
 from radiant_app.workers.regions import regions_task
 from radiant_core import __version__
 from radiant_core.decisions import Decision
-from radiant_core.errors import BadInput
-from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.messages import save_task, task_key
+from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import content_key
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.counts.count_raster import CountRaster, count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
+from radiant_core.plan.counts.count_raster import count_raster, followed_by_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.edge_sites import place_edges
-from radiant_core.plan.regions.region_plan import PlanInfeasible
-from radiant_core.plan.system import Edge, System
+from radiant_core.plan.system import System
 
 STAGE = "planning"
 
@@ -44,7 +36,7 @@ def plan_at_cloud(
     listen, clock = running
     folder = config.out / STAGE
     folder.mkdir(exist_ok=True)
-    task = regions_task(count_raster(positions, cell_m), system, config.plan_method)
+    task = regions_task(count_raster(positions, cell_m), system, config.plan.method)
     save_task(folder, task)
     run_task(NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task_key(task))), listen, clock)
     regions, _ = load_plan(folder / "regions.json")

@@ -1,127 +1,211 @@
-"""`RunConfig`: what one run was asked to do. Written into the run's manifest, so that `--resume` knows it."""
+"""`RunConfig`: what one run is asked to do, in sections. A sentence under a field is also the help text of its option.
+
+    RunConfig(source=photos, out=folder, train=TrainOptions(num_steps=300), plan=PlanOptions(method="voronoi"))
+
+The options of `radiant run`, the keys of a run file, `--set PATH=VALUE` and a run's manifest are made from these fields
+(`radiant_app.run.config_fields`). Pure: nothing heavy is imported.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
-from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
+from radiant_app.quantities import seconds_of
+from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
+from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, UploadFormat
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.image_error import LpipsNetwork
-from radiant_core.io.transport.upload import UploadFormat
-from radiant_core.plan.counts.count_raster import DEFAULT_CELL_M
-from radiant_core.sfm.world_frame.placement import Placement
-from radiant_core.train.config import Preset
-from radiant_core.train.needs import Overrides
+from radiant_core.train.config import Preset, TrainConfig, train_preset
+
+if TYPE_CHECKING:
+    from radiant_core.train.needs import Overrides
 
 Frames = Literal["shared", "gps", "known"]
 """shared: one owner pools the photographs and places them at once; gps, known: every device places its own, by GPS or given poses."""
-PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 RunPreset = Literal["default", "paper"]
 """default: ours; paper: the paper's plan (Voronoi, Alg. 1, RTP), training (20,000 steps) and aggregation, nothing skipped."""
+Teachers = Literal["early", "late"]
+"""early: an edge renders the views of a device when it has arrived; late: of all when the last has. The result is the same."""
+ExecutorName = Literal["local", "ray"]
+"""local: processes of this machine; ray: tasks of a Ray cluster of one owner's machines."""
+SIZES = ("long_side_px", "num_steps", "max_num_splats")
+"""Fields of `TrainConfig` that have an option of their own."""
+MAX_SEED = 2**31 - 1
+"""What numpy, torch and COLMAP all take."""
 
-_RUN_PRESETS: dict[str, dict[str, Any]] = {
-    "default": {"plan_method": "exact", "train_preset": "default", "aggregate_preset": "default", "matching": "auto", "upload": "float16"},
+RUN_PRESETS: dict[RunPreset, dict[str, str]] = {
+    "default": {},
     # exhaustive: neighbours by GPS alone would skip pairs.
     "paper": {
-        "plan_method": "paper",
-        "train_preset": "paper",
-        "aggregate_preset": "paper",
-        "matching": "exhaustive",
+        "sfm.matching": "exhaustive",
+        "plan.method": "paper",
+        "train.preset": "paper",
+        "aggregate.preset": "paper",
         "upload": "float32",
     },
 }
-
-
-def run_preset(name: str, **given: Any) -> dict[str, Any]:
-    """Fields of `RunConfig` that a preset sets; what is `given` and not None wins. BadInput lists the presets there are."""
-    if name not in _RUN_PRESETS:
-        raise BadInput(f"preset {name!r} is unknown: use one of {', '.join(get_args(RunPreset))}.")
-    return {**_RUN_PRESETS[name], **{field: value for field, value in given.items() if value is not None}}
+"""Preset of a run → path of a field → its value where that is not the field's default."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunConfig:
-    """One run from photographs to a scene."""
+class Option:
+    """How a field appears on the command line, where that does not follow from its name and type."""
 
-    source: Path
-    """Folder of photographs, a COLMAP project (images/ and sparse/), or a Mill 19 folder."""
-    out: Path
-    """The run's folder; made by the run."""
-    system: Path | None = None
-    """TOML of edges and devices; None: two edges with two equal devices each."""
-    emulated: bool = False
-    """Run devices and edges at the speeds and behind the uplinks of `system`, in wall time."""
-    train_preset: Preset = "default"
-    """How well to train, see `radiant_core.train.config.Preset`."""
-    overrides: Overrides = Overrides()
-    """Sizes and steps asked for by number."""
-    aggregate_preset: AggregatePreset = "default"
-    """How edges join models."""
-    plan_method: PlanMethod = "exact"
-    """exact: least makespan; paper: the paper's Alg. 1; voronoi: nearest edge; even: equal counts."""
-    frames: Frames = "shared"
-    """Who holds photographs, see `Frames`."""
+    name: str | None = None
+    """None: the field's name, as `--field-name`."""
+    min: float | None = None
+    max: float | None = None
+    metavar: str | None = None
+    shown: str | None = None
+    """The default as the help shows it."""
+    parse: Callable[[str], Any] | None = None
+    """Makes the value of what a user types; None: it is typed as it is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingsOf:
+    """Marks a mapping whose keys are paths of the fields of another configuration."""
+
+    types: Callable[[], Mapping[str, Any]]
+    """Path → type of those fields."""
+    fixed: tuple[str, ...]
+    """Paths that stand elsewhere in a run's configuration."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SfmOptions:
+    """How cameras are placed."""
+
+    matching: Matching = "auto"
+    """Compare neighbours by GPS, or all photographs with all."""
     poses: Path | None = None
-    """For frames "known": a COLMAP model with the poses of the photographs; None where the source brings its own."""
+    """COLMAP model with the poses, for --frames known."""
     masks: Path | None = None
-    """Folder of masks, see `radiant_core.io.photos.masks`; None: photographs are used whole."""
-    up: str | None = None
-    """Which way is up, see `radiant_core.sfm.world_frame.placement.Placement`; None: auto."""
-    distance: str | None = None
-    """How far apart two photographs were taken: PHOTO,PHOTO,METRES."""
-    height_m: float | None = None
-    """How high the cameras were over the ground that they see, median."""
-    plan: Path | None = None
-    """A plan made before capture: every photograph goes to the device that was to take it; None: plan from what was captured."""
-    raster_cell_m: float | None = None
-    """Side of the cells of the count raster that the cloud plans from; 0: it plans from positions; None: 0 with frames shared, else 5 m."""
-    single_owner: bool = False
-    """With frames "gps" or "known": all devices are one owner's, so comparison pictures may be collected in the run."""
-    matching: Literal["auto", "spatial", "exhaustive"] = "auto"
-    """Which photographs are compared: neighbours by GPS, or all with all."""
-    upload: UploadFormat = "float16"
-    """What devices and edges send: exact, half the bytes, or SPZ with a fifth of them."""
-    teachers: Literal["early", "late"] = "early"
-    """early: an edge renders the views of a device when it has arrived; late: of all when the last has. The result is the same."""
-    lpips_weights: Path | None = None
-    """Weights for LPIPS, see `radiant_core.evaluate.lpips.load_lpips`; None: LPIPS is not measured."""
-    lpips_network: LpipsNetwork = "vgg"
-    """Network of LPIPS."""
-    seed: int = 0
-    """Seed of every random choice."""
-    max_workers: int = 0
-    """Processes at a time; 0: one per core."""
-    checkpoint_every_s: float = 10.0
-    """Seconds between two checkpoints of a training: what a kill may lose."""
-    executor: Literal["local", "ray"] = "local"
-    """Where nodes run: as processes of this machine, or as tasks of a Ray cluster of one owner's machines."""
-    address: str | None = None
-    """With executor "ray": host:port of the cluster's head, or "local" for a cluster on this machine alone."""
-    deadline_factor: float = 10.0
-    """A device or edge that takes so many times its planned time, corrected by what was measured, is given up; 0: never."""
+    """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored."""
+    up: Annotated[str | None, Option(shown="auto")] = None
+    """auto: by GPS, else by what ground and cameras show. Or: ground (the plane through most points is level), level (photographs were
+    held level), down (they look straight down), a photograph's name (its top edge is up), or x,y,z in the frame of a COLMAP project. Goes
+    before GPS."""
+    distance: Annotated[str | None, Option(metavar="PHOTO,PHOTO,METRES")] = None
+    """How far apart two photographs were taken: makes lengths metres. Goes before GPS."""
+    height_m: Annotated[float | None, Option(name="--height")] = None
+    """Metres of the cameras over the ground that they see, median: makes lengths metres. Goes before GPS."""
 
     @property
-    def early_teachers(self) -> bool:
-        """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own speed, and one that leaves joining to
-        the cloud needs other views."""
-        pools = self.frames == "shared" and aggregate_preset(self.aggregate_preset).edges_pool
-        return self.teachers == "early" and not (self.emulated or pools)
+    def placed_by_hand(self) -> bool:
+        """Whether the user gives a direction or a length."""
+        return (self.up, self.distance, self.height_m) != (None, None, None)
 
     @property
     def placement(self) -> dict[str, Any]:
-        """The fields of `Placement`."""
+        """The fields of `radiant_core.sfm.world_frame.placement.Placement`."""
         return {"up": self.up or "auto", "distance": self.distance, "height_m": self.height_m}
 
+    def __post_init__(self) -> None:
+        if self.placed_by_hand:
+            from radiant_core.sfm.world_frame.placement import Placement  # numpy
+
+            Placement(**self.placement)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """Which edge and device takes which photographs."""
+
+    method: Annotated[PlanMethod, Option(name="--plan-method")] = "exact"
+    """exact: least makespan; paper: Alg. 1; voronoi; even."""
+    file: Annotated[Path | None, Option(name="--plan")] = None
+    """Plan made by `radiant plan` before capture; else what was captured is planned."""
+    raster_cell_m: Annotated[float | None, Option(min=0)] = None
+    """The cloud plans from counts in cells of so many metres; 0: from positions. Runs by gps, known: 5."""
+
+    def __post_init__(self) -> None:
+        if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:
+            raise BadInput(f"raster_cell_m is {self.raster_cell_m}, expected a side in metres, or 0 to plan from positions.")
+        if self.file is not None and self.method != "exact":
+            raise BadInput("--plan keeps to a plan that is made and --plan-method makes another: leave one of them out.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions:
+    """How devices train: a preset, and whatever of `TrainConfig` is to differ from it."""
+
+    preset: Annotated[Preset, Option(name="--train-preset")] = "default"
+    """draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000 Gaussians at most; paper: its 20,000
+    steps."""
+    long_side_px: Annotated[int | None, Option(min=16)] = None
+    """Long side of the training images."""
+    num_steps: Annotated[int | None, Option(name="--steps", min=1)] = None
+    """Training steps of a device."""
+    max_num_splats: Annotated[int | None, Option(name="--max-splats", min=100)] = None
+    """Upper limit of Gaussians of a device."""
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, TrainConfig), fixed=(*SIZES, "seed"))] = field(
+        default_factory=dict
+    )
+    """Path of a field of `TrainConfig` → its value."""
+
     @property
-    def cell_m(self) -> float | None:
-        """Side of the raster's cells, None where the cloud may plan from positions."""
-        if self.raster_cell_m is None:
-            return None if self.frames == "shared" else DEFAULT_CELL_M
-        return self.raster_cell_m or None
+    def overrides(self) -> Overrides:
+        """All but the preset."""
+        from radiant_core.train.needs import Overrides  # numpy
+
+        return Overrides(**{name: getattr(self, name) for name in SIZES}, settings=self.settings)
+
+    def __post_init__(self) -> None:
+        replace(train_preset(self.preset), **self.settings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AggregateOptions:
+    """How models are joined: a preset, and whatever of `AggregateConfig` is to differ from it."""
+
+    preset: Annotated[AggregatePreset, Option(name="--aggregate-preset")] = "default"
+    """paper: retrain every parameter at the edges and the cloud."""
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, AggregateConfig), fixed=("preset",))] = field(
+        default_factory=dict
+    )
+    """Field of `AggregateConfig` → its value."""
+
+    @property
+    def config(self) -> AggregateConfig:
+        """The preset with the settings."""
+        return replace(aggregate_preset(self.preset), **self.settings)
+
+    def __post_init__(self) -> None:
+        assert self.config
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions:
+    """What the scene is scored with beside PSNR, SSIM and FLIP; it can change when a run is resumed."""
+
+    lpips_weights: Path | None = None
+    """Weights for LPIPS: a folder with torchvision's backbone and lpips' heads, or one safetensors."""
+    lpips_network: Annotated[LpipsNetwork, Option(name="--lpips-net")] = "vgg"
+    """Network of LPIPS: VGG16 or AlexNet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecutionOptions:
+    """Where and in which order the nodes of a run work: nothing that decides a result, so all of it can change when a run is resumed."""
+
+    max_workers: Annotated[int, Option(name="--workers", min=0)] = 0
+    """Processes at a time; 0: one per core."""
+    executor: ExecutorName = "local"
+    """local: processes here; ray: tasks of one owner's cluster."""
+    address: str | None = None
+    """ray: host:port of the cluster's head, or local."""
+    teachers: Teachers = "early"
+    """Render an edge's teachers as each device arrives, or after the last."""
+    deadline_factor: Annotated[float, Option(min=0)] = 10.0
+    """Give up who takes so many times its time; 0: never."""
+    checkpoint_every_s: Annotated[float, Option(name="--checkpoint-every", parse=seconds_of, shown="10s")] = 10.0
+    """Time between two checkpoints of a training."""
 
     @property
     def num_workers(self) -> int:
@@ -131,29 +215,88 @@ class RunConfig:
     def __post_init__(self) -> None:
         if self.max_workers < 0:
             raise BadInput(f"max_workers is {self.max_workers}, expected 0 (one per core) or more.")
-        if not (self.deadline_factor == 0 or 1 <= self.deadline_factor < float("inf")):
+        if not (self.deadline_factor == 0 or 1 <= self.deadline_factor < math.inf):
             raise BadInput(f"the deadline is {self.deadline_factor} times the planned time, expected 1 or more, or 0 for none.")
+        if not 0 < self.checkpoint_every_s < math.inf:
+            raise BadInput(f"checkpoint_every_s is {self.checkpoint_every_s}, expected a positive number of seconds.")
         if (self.executor == "ray") != (self.address is not None):
             raise BadInput("--executor ray and --address belong together: give the address of the cluster's head, host:port, or local.")
-        if self.executor == "ray" and (self.emulated or self.max_workers):
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunConfig:
+    """One run from photographs to a scene."""
+
+    source: Path
+    """Photographs, a COLMAP project (images/ and sparse/), or a Mill 19 folder."""
+    out: Path
+    """Folder of the run, new or empty; a batch has one beside its file."""
+    system: Path | None = None
+    """TOML of edges and devices; else two edges with two each."""
+    emulate: Path | None = None
+    """System whose speeds and uplinks are played on this machine."""
+    frames: Frames = "shared"
+    """shared: photographs are pooled; gps, known: each device places its own."""
+    single_owner: bool = False
+    """Collect the devices' comparison pictures in the run."""
+    upload: UploadFormat = "float16"
+    """What devices and edges send: exact, half the bytes, or a fifth."""
+    seed: Annotated[int, Option(min=0, max=MAX_SEED)] = 0
+    """Seed of every random choice."""
+    sfm: SfmOptions = SfmOptions()
+    plan: PlanOptions = PlanOptions()
+    train: TrainOptions = TrainOptions()
+    aggregate: AggregateOptions = AggregateOptions()
+    evaluate: EvaluateOptions = EvaluateOptions()
+    execution: ExecutionOptions = ExecutionOptions()
+
+    @property
+    def emulated(self) -> bool:
+        """Whether devices and edges run at the speeds and behind the uplinks of their system, in wall time."""
+        return self.emulate is not None
+
+    @property
+    def system_file(self) -> Path | None:
+        """The file of edges and devices, emulated or not."""
+        return self.emulate or self.system
+
+    @property
+    def early_teachers(self) -> bool:
+        """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own speed, and one that leaves joining to
+        the cloud needs other views."""
+        pools = self.frames == "shared" and self.aggregate.config.edges_pool
+        return self.execution.teachers == "early" and not (self.emulated or pools)
+
+    @property
+    def cell_m(self) -> float | None:
+        """Side of the raster's cells, None where the cloud may plan from positions."""
+        if self.plan.raster_cell_m is not None:
+            return self.plan.raster_cell_m or None
+        if self.frames == "shared":
+            return None
+        from radiant_core.plan.counts.count_raster import DEFAULT_CELL_M  # scipy
+
+        return DEFAULT_CELL_M
+
+    def __post_init__(self) -> None:
+        if self.system is not None and self.emulate is not None:
+            raise BadInput("--system and --emulate both name a system: keep one of them.")
+        if self.emulated and self.execution.max_workers:
+            raise BadInput("an emulated run runs all its devices at once: leave the number of workers out.")
+        if self.execution.executor == "ray" and (self.emulated or self.execution.max_workers):
             raise BadInput("a Ray cluster has machines and processes of its own: leave out --emulate and --workers.")
-        if self.emulated and (self.system is None or self.max_workers):
-            raise BadInput("an emulated run needs a system file and runs all its devices at once: leave the number of workers out.")
-        if self.raster_cell_m is not None and not 0 <= self.raster_cell_m < math.inf:
-            raise BadInput(f"raster_cell_m is {self.raster_cell_m}, expected a side in metres, or 0 to plan from positions.")
-        if not 0 <= self.seed < 2**31:
-            raise BadInput(f"seed is {self.seed}, expected 0 to {2**31 - 1}.")
-        if self.frames != "known" and self.poses is not None:
+        if not 0 <= self.seed <= MAX_SEED:
+            raise BadInput(f"seed is {self.seed}, expected 0 to {MAX_SEED}.")
+        if self.frames != "known" and self.sfm.poses is not None:
             raise BadInput(f"poses are given and frames is {self.frames!r}: give them with --frames known.")
         if self.frames == "shared" and self.single_owner:
             raise BadInput("with --frames shared there is one owner anyway: leave out --single-owner.")
-        if self.frames != "shared" and self.masks is not None:
+        if self.frames != "shared" and self.sfm.masks is not None:
             raise BadInput(f"masks are given and frames is {self.frames!r}, whose devices keep their photographs: use --frames shared.")
-        if self.frames != "shared" and (self.up, self.distance, self.height_m) != (None, None, None):
+        if self.frames != "shared" and self.sfm.placed_by_hand:
             told = "--up, --distance and --height turn and scale one scene"
             raise BadInput(f"{told}, and with --frames {self.frames} each device places its own: leave them out, or use --frames shared.")
-        Placement(**self.placement)
-        for path in (self.source, self.out, self.poses, self.masks, self.plan, self.lpips_weights):
+        for path in (self.source, self.out, self.sfm.poses, self.sfm.masks, self.plan.file, self.evaluate.lpips_weights):
             if path is not None and not _is_text(path):
                 raise BadInput(f"the path {str(path)!r} is not valid UTF-8, which some libraries cannot open: rename the folder.")
 

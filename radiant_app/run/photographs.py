@@ -1,38 +1,24 @@
 """`Photographs`: where a run's photographs are. It is all that `--frames` decides; plan, tree, dealing and joining are the same.
 
-    pooled.py      one owner has all of them, places them at once and deals each device its own
-    on_devices.py  each device places and keeps its own; positions alone are planned with
+pooled.py      one owner has all of them, places them at once and deals each device its own
+on_devices.py  each device places and keeps its own; positions alone are planned with
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.system import System
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
-    """What a run planned: the system as it was planned, and both levels of the plan."""
-
-    system: System
-    cloud: CloudPlan
-    edges: tuple[EdgePlan, ...]
 
 
 class Photographs(Protocol):
-    """The photographs of a run and what depends on where they are."""
+    """The photographs of a run, as they are dealt to devices."""
 
-    @property
-    def kind(self) -> str:
-        """Which worker runs a device: "device" or "field"."""
-        ...
+    kind: str
+    """Which worker runs a device: "device" or "field"."""
 
     @property
     def positions(self) -> FloatArray | None:

@@ -15,19 +15,21 @@ import numpy as np
 
 from radiant_app.events import Warned
 from radiant_app.executors.local import run_task
-from radiant_app.executors.protocol import NodeTask
+from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, deal_files, deal_masks, received
-from radiant_app.run.photographs import Plan
+from radiant_app.run.source import Plan
 from radiant_app.run.source_key import source_key
 from radiant_app.run.stages import Progress, plan_stage
 from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS
 from radiant_app.workers.sources import sfm_task
 from radiant_app.workers.tasks import EvaluateTask
 from radiant_core import __version__
-from radiant_core.errors import BadInput
+from radiant_core.aggregate.tree import Tree
+from radiant_core.choices import LpipsNetwork
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.image_error import SSIM_WINDOW_PX
-from radiant_core.evaluate.lpips import MIN_SIDE_PX, LpipsNetwork
+from radiant_core.evaluate.lpips import MIN_SIDE_PX
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.hierarchy.messages import DeviceTask, device_task
 from radiant_core.hierarchy.recipe import Recipe
@@ -108,7 +110,15 @@ class PooledPhotographs:
         """What the owner's structure from motion received."""
         return [{"node": "sfm", "tier": "owner", **received([self.images / name for name in self.scene.cameras.names])}]
 
-    def score(self, dealer: Dealer, progress: Progress) -> None:
+    def stages(self, tree: Tree) -> tuple[Sequence[str], Sequence[str]]:
+        """Structure from motion; the evaluation."""
+        return ["sfm"], ["evaluation"]
+
+    def may_fail(self, node: Tree, error: BadInput | StageFailed) -> bool:
+        """One owner can mend what is unusable input; a machine that is gone he may not get back."""
+        return node.tier != "cloud" and isinstance(error, StageFailed)
+
+    def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
         """Score the finished scene on the held-out photographs, in evaluation/."""
         config, recipe = self.config, dealer.recipe
         folder = config.out / "evaluation"
@@ -135,15 +145,15 @@ class PooledPhotographs:
 
 
 def _lpips_network(config: RunConfig) -> LpipsNetwork | None:
-    return config.lpips_network if config.lpips_weights else None
+    return config.evaluate.lpips_network if config.evaluate.lpips_weights else None
 
 
 def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None = None) -> tuple[SfmScene, Path]:
     """Structure from motion of the source in sfm/, within a limit of memory: the scene and the folder of its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
-    sfm = SfmConfig(matching=config.matching, seed=config.seed, memory_bytes=memory_bytes)
-    task = sfm_task(config.source, sfm, config.masks, Placement(**config.placement))
+    sfm = SfmConfig(matching=config.sfm.matching, seed=config.seed, memory_bytes=memory_bytes)
+    task = sfm_task(config.source, sfm, config.sfm.masks, Placement(**config.sfm.placement))
     save_task(folder, task)
     key = source_key(config, task, folder, progress.listen)
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key=key), progress.listen, progress.clock)

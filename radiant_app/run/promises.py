@@ -23,7 +23,7 @@ class Promise:
 
 def promises_of(config: RunConfig, *, pooled: bool) -> list[dict[str, Any]]:
     """The promises of a run with these settings, as metrics.json keeps them; `pooled`: the photographs lay with one owner before."""
-    in_cluster = config.executor == "ray"
+    in_cluster = config.execution.executor == "ray"
     together = f"the photographs were pooled with one owner ({'--frames shared' if config.frames == 'shared' else 'one folder for all'})"
     cluster = "a Ray cluster is one owner's trust: every task there can list its machines and read their files"
     opens = Promise(

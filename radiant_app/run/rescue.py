@@ -8,13 +8,14 @@ one. Where nobody is left to take the photographs, the edge goes on without them
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from radiant_app.events import Decided, Listener, Warned
 from radiant_app.run.dealing import Dealer
+from radiant_app.run.source import Plan
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
 from radiant_core.io.records import load_plan, save_plan
@@ -44,16 +45,16 @@ class Rescue:
             return
         dealer, positions = self.dealer, self.positions
         waiting = {node.name for node in self.tree if node.tier == "device" and node.id not in {*begun, lost.id}}
-        at_work = {device.id for device in dealer.system.devices} - waiting - {lost.name}
+        at_work = {device.id for device in dealer.recipe.system.devices} - waiting - {lost.name}
         fixed = np.zeros(len(positions), bool)
-        for plan in dealer.edge_plans:
+        for plan in dealer.recipe.edge_plans:
             for device in at_work & set(plan.device_ids):
                 fixed[plan.cameras_of(device)] = True
-        count = sum(len(plan.cameras_of(lost.name)) for plan in dealer.edge_plans if lost.name in plan.device_ids)
+        count = sum(len(plan.cameras_of(lost.name)) for plan in dealer.recipe.edge_plans if lost.name in plan.device_ids)
         message = f"{count} photographs of {lost.name} are in no model: every other device has begun or is full; --resume tries it again"
         if waiting and count:
             situation = Situation(dead=frozenset({lost.name}), closed=frozenset(at_work))
-            new = replan(dealer.cloud_plan, dealer.edge_plans, positions, dealer.system, situation, captured=fixed)
+            new = replan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, positions, dealer.recipe.system, situation, captured=fixed)
             if not isinstance(new, ReplanInfeasible) and all(_has_cameras(new.edges, device) for device in waiting):
                 self._keep(new.cloud, new.edges)
                 takers = sorted({new.system.devices[index].id for index in new.device_after[new.moved].tolist()})
@@ -75,14 +76,14 @@ def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
     return content_key(cloud, list(edges))
 
 
-def replanned(run: Path, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def replanned(run: Path, plan: Plan) -> Plan:
     """The plan that an earlier try of this run came to from this one, and this one where it came to none."""
     record = run / FOLDER / RECORD
-    if not record.is_file() or read_json(record, ("first_plan",))["first_plan"] != plan_key(cloud, edges):
-        return cloud, edges
+    if not record.is_file() or read_json(record, ("first_plan",))["first_plan"] != plan_key(plan.cloud, plan.edges):
+        return plan
     cloud, edges = load_plan(run / FOLDER / "plan.json")
     save_plan(run / "plan.json", cloud, edges)
-    return cloud, edges
+    return replace(plan, cloud=cloud, edges=edges)
 
 
 def _has_cameras(edges: Sequence[EdgePlan], device: str) -> bool:

@@ -17,32 +17,36 @@ from typing import Any
 
 from radiant_app.events import Listener, Warned
 from radiant_app.run.config import RunConfig
-from radiant_app.workers.sources import all_files, detect_source
+from radiant_app.workers.sources import detect_source
+from radiant_app.workers.tasks import SfmTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.colmap.model import image_names, model_files
 from radiant_core.io.colmap.records import is_image_name
+from radiant_core.io.messages import message_record
 from radiant_core.io.photos.listing import SUFFIXES
 from radiant_core.io.photos.masks import find_masks
-from radiant_core.io.run_store import SEAL_NAME, content_key, file_sha256, is_sealed, read_json, seal, write_json
+from radiant_core.io.run_store import SEAL_NAME, content_key, file_sha256, read_json, write_json
 
 RECORD_NAME = "source.json"
 NUM_READERS = 4
 MAX_NAMED = 5
 """Files named in one warning."""
+OLDER = "an older version made this scene"
 UNREADABLE = ""
 """In place of a hash: structure from motion itself says what it cannot read."""
 Files = dict[str, list[Any]]
 """As source.json has them: name → size, time of change, SHA-256."""
 
 
-def source_key(config: RunConfig, sfm: Mapping[str, Any], folder: Path, listen: Listener) -> str:
-    """The key of structure from motion with settings `sfm` in `folder`; tells why what is finished there does not fit any more."""
+def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
+    """The key of structure from motion by a task in `folder`; warns where what is finished there does not fit any more."""
     known = _recorded(folder)
-    files = _described(used_files(config.source, config.masks), known or {})
-    key = content_key(__version__, sfm, {name: digest for name, (_, _, digest) in files.items()}, config.masks is None)
+    files = _described(used_files(config.source, config.sfm.masks), known or {})
+    settings = [message_record(task.sfm), message_record(task.placement)]
+    key = content_key(__version__, settings, {name: digest for name, (_, _, digest) in files.items()}, config.sfm.masks is None)
     if (folder / SEAL_NAME).is_file():
-        reason = _why_not(config, sfm, folder, key) if known is None else _change(known, files)
+        reason = OLDER if known is None else _change(known, files)
         if reason is not None:
             listen(Warned(stage="sfm", message=f"{reason}: structure from motion and what is made from it are done again."))
     if files != known:
@@ -112,14 +116,3 @@ def _change(known: Files, files: Files) -> str | None:
 
 def _named(names: Sequence[str]) -> str:
     return ", ".join(names[:MAX_NAMED]) + (" …" if len(names) > MAX_NAMED else "")
-
-
-def _why_not(config: RunConfig, sfm: Mapping[str, Any], folder: Path, key: str) -> str | None:
-    """Of a scene that an older version made, which looked at names and times of all files there: why it cannot be kept. None where it
-    can, which is then sealed by its new key."""
-    masked = [] if config.masks is None else [all_files(config.masks.resolve(), config.out)]
-    old_key = content_key(__version__, sfm, all_files(config.source, config.out), *masked)
-    if is_sealed(folder, old_key):
-        seal(folder, key, list(read_json(folder / SEAL_NAME)["files"]))
-        return None
-    return f"an older version made this scene, and since then it or a file in {config.source} changed, were it only in its time"

@@ -18,13 +18,15 @@ from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.run.time_left import TimeLeftListener
 from radiant_app.workers.nodes import read_notes
-from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
+from radiant_core.choices import UploadFormat
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
+from radiant_core.hierarchy.messages import Renderer
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
-from radiant_core.io.transport.upload import BYTES_FACTORS, UploadFormat
+from radiant_core.io.transport.upload import BYTES_FACTORS
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -75,17 +77,19 @@ def plan_stage(
 ) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
     """Plan positions (C,2) m about `origin` (3,) lat lon alt, if they are on the globe; writes plan.json. BadInput when nothing fits."""
     system = placed_by_raster(system, positions, origin, config.cell_m, config.seed)
-    if config.plan is not None:
+    if config.plan.file is not None:
         # What is captured stays where it is, however little memory there is.
-        cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan, origin), positions, system=system)
+        cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan.file, origin), positions, system=system)
         warnings = ()
     else:
-        train = planned_training(config.train_preset, config.overrides)
+        train = planned_training(config.train.preset, config.train.overrides)
         system, decision, warnings = with_camera_limits(system, train, len(positions), BYTES_FACTORS[config.upload])
         if decision is not None:
             progress.listen(Decided(decision=decision))
         cloud_plan, edge_plans = _planned(config, system, positions, progress)
-    save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress, warnings))
+    save_plan(
+        config.out / "plan.json", cloud_plan, edge_plans, warnings=warn_of_predictions(config, system, edge_plans, progress, warnings)
+    )
     save_system(config.out, system)
     return system, cloud_plan, edge_plans
 
@@ -94,18 +98,18 @@ def _planned(config: RunConfig, system: System, positions: FloatArray, progress:
     if config.cell_m is not None:
         regions = plan_at_cloud(config, config.cell_m, system, positions, (progress.listen, progress.clock))
         return regions, split_edges(positions, regions, system)
-    cloud_plan = plan_regions(positions, system, method=config.plan_method)
+    cloud_plan = plan_regions(positions, system, method=config.plan.method)
     if isinstance(cloud_plan, PlanInfeasible):
-        raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system} and add --resume.")
+        raise BadInput(f"plan: {cloud_plan.reason} What is finished is kept: change {config.system_file} and add --resume.")
     return cloud_plan, split_edges(positions, cloud_plan, system)
 
 
-def tell_warnings(
+def warn_of_predictions(
     config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress, more: tuple[str, ...] = ()
 ) -> tuple[str, ...]:
     """What the times of a plan are to be taken with, and `more`, told and returned."""
-    train = planned_training(config.train_preset, config.overrides)
-    training = training_key_of(train, config.train_preset, config.aggregate_preset)
+    train = planned_training(config.train.preset, config.train.overrides)
+    training = training_key_of(train, config.train.preset, config.aggregate.preset)
     warnings = (*more, *prediction_warnings(system, edge_plans, training))
     for message in warnings:
         progress.listen(Warned(stage="plan", message=message))
@@ -117,7 +121,7 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
 
     Raises BadInput for a plan without waypoints, and where the photographs are not placed on the globe.
     """
-    cloud_plan, edge_plans, waypoints = made_before(path)
+    cloud_plan, edge_plans, waypoints = load_plan_before_capture(path)
     if origin is None:
         raise BadInput(f"{path} is on the globe and the photographs have no GPS frame: leave out --plan, or give photographs with GPS.")
     # Over a site, two local frames differ by a shift: their axes turn by 1e-4 per kilometre.
@@ -129,11 +133,11 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
 
 def require_plan(path: Path, system: System) -> None:
     """Raise BadInput for a plan without waypoints or for another system; asked before anything runs, since all else waits for the plan."""
-    _, edge_plans, _ = made_before(path)
+    _, edge_plans, _ = load_plan_before_capture(path)
     require_same_system(edge_plans, system)
 
 
-def made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints]:
+def load_plan_before_capture(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints]:
     """A plan that was made before capture, with its waypoints; BadInput for one without."""
     cloud_plan, edge_plans = load_plan(path)
     waypoints = load_plan_waypoints(path)
@@ -144,7 +148,7 @@ def made_before(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints]
 
 def executor_of(config: RunConfig, system: System, progress: Progress, faults: Faults) -> Executor:
     """Who runs the nodes: this machine as it is, or as slow as the system says."""
-    if config.emulated and config.teachers == "early":
+    if config.emulated and config.execution.teachers == "early":
         decision = Decision(
             stage="plan",
             topic="teachers",
@@ -155,11 +159,11 @@ def executor_of(config: RunConfig, system: System, progress: Progress, faults: F
         )
         progress.listen(Decided(decision=decision))
     faults = replace(faults, attempts=ATTEMPTS)
-    if config.address is not None:
+    if config.execution.address is not None:
         from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
 
-        return RayExecutor(address=config.address, log=config.out / LOG_NAME, clock=progress.clock, faults=faults)
-    local = LocalExecutor(num_workers=config.num_workers, clock=progress.clock, faults=faults)
+        return RayExecutor(address=config.execution.address, log=config.out / LOG_NAME, clock=progress.clock, faults=faults)
+    local = LocalExecutor(num_workers=config.execution.num_workers, clock=progress.clock, faults=faults)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 
 
@@ -169,10 +173,10 @@ def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePl
         listen=progress.listen,
         system=system,
         edge_plans=edge_plans,
-        num_workers=config.num_workers,
+        num_workers=config.execution.num_workers,
         emulated=config.emulated,
         clock=progress.clock,
-        deadline_factor=config.deadline_factor,
+        deadline_factor=config.execution.deadline_factor,
     )
 
 
@@ -193,12 +197,12 @@ def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> Sy
     return system.with_uploads_of(factor)
 
 
-def training_settings(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, str]:
+def training_settings(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, Renderer]:
     """How devices train, how edges join, and the backend of this machine."""
     backend = resolve_backend("auto")
-    preset = replace(train_preset(config.train_preset), seed=config.seed)
-    train, decisions = fit_to_backend(preset, backend, config.overrides)
-    aggregate = aggregate_preset(config.aggregate_preset)
+    preset = replace(train_preset(config.train.preset), seed=config.seed)
+    train, decisions = fit_to_backend(preset, backend, config.train.overrides)
+    aggregate = config.aggregate.config
     if backend == "reference" and train.reduce_on_cpu:
         aggregate = replace(aggregate, max_num_steps=REFERENCE_RETRAIN_STEPS)
         decisions = (*decisions, _retrain_decision())

@@ -8,7 +8,6 @@
 | edge     | task.json, inbox/<device>/{model,cameras}.safetensors, teachers/<device>/ | as device, virtual_{cameras,views}.safetensors |
 | cloud    | task.json, inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors | scene.ply, summary.json |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
-| run      | task.json, a whole run's source                     | that run's folder: a job of a batch      |
 
 `field_nodes.py` has those of devices that place their own photographs. Each reads only files below its folder.
 """
@@ -46,10 +45,11 @@ Work = Callable[[Path, Any, EventReporter], Sequence[str]]
 """What a kind of node does in its folder with its task; the names of the files it made, relative to the folder."""
 
 
-def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
+def run_node(kind: str, folder: Path, stage: str, emit: Emit, work: Work | None = None) -> Sequence[str]:
     """Run one node and return the names of the files it made; decisions and warnings also go to notes.json.
 
-    What a device reports of photographs of its own names none of their files.
+    What a device reports of photographs of its own names none of their files. `work` is what the node does, where that is
+    not one of this room's functions.
     """
     if kind not in TASKS:
         raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join(TASKS)}.")
@@ -64,7 +64,7 @@ def run_node(kind: str, folder: Path, stage: str, emit: Emit) -> Sequence[str]:
             notes["warnings"].append(event.message)
         emit(event)
 
-    outputs = _work_of(kind)(folder, received_task(kind, folder), EventReporter(stage=stage, emit=emit_and_note))
+    outputs = (work or _work_of(kind))(folder, received_task(kind, folder), EventReporter(stage=stage, emit=emit_and_note))
     write_json(folder / "notes.json", notes)
     return [*outputs, "notes.json"]
 
@@ -83,10 +83,6 @@ def _work_of(kind: str) -> Work:
         from radiant_app.workers.evaluation import run_evaluate
 
         return run_evaluate
-    if kind == "run":
-        from radiant_app.commands.batch import run_job
-
-        return run_job
     return {"sfm": run_sfm, "device": run_device, "teacher": run_teacher, "edge": run_edge, "cloud": run_cloud}[kind]
 
 

@@ -14,6 +14,7 @@ identity, made by hand, hold unsigned tasks.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,7 +22,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field
 
 from radiant_app.workers.delivering import is_of_a_run, take_task
-from radiant_core.evaluate.image_error import LpipsNetwork
+from radiant_core.choices import LpipsNetwork, Matching, PlanMethod
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
     CHECKPOINT_EVERY_S,
@@ -38,8 +39,7 @@ from radiant_core.hierarchy.messages import (
 from radiant_core.io.messages import load_task, sim3_of
 from radiant_core.io.transport.delivery import Kind
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.regions.region_plan import PlanMethod
-from radiant_core.sfm.config import Matching, SfmConfig
+from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.world_frame.placement import Placement
 
 Triple = tuple[float, float, float]
@@ -124,6 +124,11 @@ class TeacherTask:
     checkpoint_every_s: Positive = field(default=CHECKPOINT_EVERY_S, metadata=UNKEYED)
 
 
+def _triple(row: Iterable[float]) -> Triple:
+    x, y, z = (float(value) for value in row)
+    return x, y, z
+
+
 @dataclass(frozen=True, kw_only=True)
 class Move:
     """A similarity."""
@@ -131,6 +136,12 @@ class Move:
     scale: Positive
     rotation: tuple[Triple, Triple, Triple]
     translation: Triple
+
+    @classmethod
+    def of(cls, move: Sim3) -> Move:
+        """The same as a message."""
+        first, second, third = (_triple(row) for row in move.rotation)
+        return cls(scale=float(move.scale), rotation=(first, second, third), translation=_triple(move.translation))
 
     @property
     def sim3(self) -> Sim3:
@@ -152,7 +163,7 @@ class ScoreTask:
 class EvaluateTask:
     """Score a scene on the photographs in photos/."""
 
-    backend: str
+    backend: Renderer
     seams: bool
     lpips: LpipsNetwork | None
 
@@ -181,9 +192,11 @@ class RegionsTask:
 
 @dataclass(frozen=True, kw_only=True)
 class JobTask:
-    """One `radiant run` of a batch."""
+    """One run of a batch."""
 
-    arguments: tuple[str, ...]
+    config: dict[str, Any]
+    """The run's configuration, as a run file has it."""
+    resume: bool
 
 
 TASKS: dict[str, type[Any]] = {

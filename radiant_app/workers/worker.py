@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory, peak_bytes
@@ -21,14 +22,17 @@ from radiant_app.workers.own_names import own_names
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.run_store import seal
 
+if TYPE_CHECKING:
+    from radiant_app.workers.nodes import Work
+
 BEAT_S = 5.0
 """How often a worker says that it is alive."""
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
 """What the system says where a disk is full or broken."""
 
 
-def main(arguments: list[str]) -> int:
-    """Run one node and seal its folder; the exit code says whether it is done."""
+def main(arguments: list[str], work: Work | None = None) -> int:
+    """Run one node and seal its folder; the exit code says whether it is done. `work` as in `nodes.run_node`."""
     kind, folder, stage, key = arguments
     if stat.S_ISFIFO(os.fstat(0).st_mode):
         threading.Thread(target=_end_with_the_executor, daemon=True).start()
@@ -50,10 +54,8 @@ def main(arguments: list[str]) -> int:
     threading.Thread(target=_beat, args=(stage, emit), daemon=True).start()
     try:
         from radiant_app.workers.nodes import run_node
-        from radiant_app.workers.task_schema import require_task
 
-        require_task(kind, Path(folder))
-        outputs = run_node(kind, Path(folder), stage, emit)
+        outputs = run_node(kind, Path(folder), stage, emit, work)
         emit(MemoryPeaked(stage=stage, peak_bytes=peak_bytes()))
         seal(Path(folder), key, outputs)
     except RadiantError as error:

@@ -133,7 +133,7 @@ def test_a_run_whose_plan_leaves_an_edge_without_cameras_has_its_report(desk: Pa
 def test_an_emulated_run_keeps_emulated_times_apart(desk: Path, finished: subprocess.CompletedProcess[str]) -> None:
     run = desk / "night" / "good"
     manifest, metrics = (json.loads((run / f"{name}.json").read_text()) for name in ("manifest", "metrics"))
-    assert manifest["config"]["emulated"] is True
+    assert manifest["config"]["emulate"] == str(desk / "one.toml")
     assert [row["choice"] for row in manifest["decisions"] if row["topic"] == "teachers"] == ["rendered after the last device arrived"]
     assert set(manifest["stages"]) == {"sfm", "cloud", "evaluation"} == set(metrics["seconds"])
     assert set(manifest["emulated"]) == {"devices/d", "devices/d/uplink", "edges/e", "edges/e/uplink"} == set(metrics["emulated_seconds"])

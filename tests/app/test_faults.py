@@ -14,7 +14,7 @@ from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import ExecutionOptions, PlanOptions, RunConfig
 from radiant_app.run.dealing import SharedDealer
 from radiant_app.run.field_dealing import DeviceShare, FieldDealer
 from radiant_app.run.promises import promises_of
@@ -214,9 +214,9 @@ def test_who_is_too_late_is_stopped_and_the_rest_goes_on(tmp_path: Path) -> None
 
 def test_a_cluster_keeps_no_secret_of_a_device_and_the_report_says_so(tmp_path: Path) -> None:
     field = RunConfig(source=tmp_path, out=tmp_path, frames="gps")
-    cluster = RunConfig(source=tmp_path, out=tmp_path, frames="gps", executor="ray", address="local")
+    cluster = RunConfig(source=tmp_path, out=tmp_path, frames="gps", execution=ExecutionOptions(executor="ray", address="local"))
     shared = RunConfig(source=tmp_path, out=tmp_path)
-    told = replace(field, raster_cell_m=0.0)
+    told = replace(field, plan=PlanOptions(raster_cell_m=0.0))
 
     def holds(config: RunConfig, *, pooled: bool) -> list[bool]:
         return [row["holds"] for row in promises_of(config, pooled=pooled)]

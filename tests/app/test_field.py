@@ -23,7 +23,7 @@ from radiant_app.commands.replan import ReplanRequest, replan_files
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
 from radiant_app.report.html import ledger_by_tier
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.field import Captured, _by_poses, _middle, _tell_unplaced
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.stages import Progress
@@ -41,12 +41,11 @@ from radiant_core.io.run_store import write_json
 from radiant_core.plan.revision.replan import Situation
 from radiant_core.sfm.given_poses import given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
-from radiant_core.train.needs import Overrides
 from radiant_viewer.runs.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, add_broken, canaries_of, files_with, watermark
 
-TINY = Overrides(long_side_px=96, num_steps=60, max_num_splats=1500)
+TINY = TrainOptions(long_side_px=96, num_steps=60, max_num_splats=1500)
 ONE_EDGE = '[[edge]]\nid = "north"\n[[edge.device]]\nid = "north-1"\n[[edge.device]]\nid = "south-1"\n'
 TWO_EDGES = "".join(f'[[edge]]\nid = "{edge}"\n[[edge.device]]\nid = "{edge}-1"\n' for edge in ("north", "south"))
 
@@ -67,8 +66,8 @@ def system(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def finished(hamlet: Path, system: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult]:
     folder = tmp_path_factory.mktemp("field")
     shutil.copytree(hamlet / "images", folder / "photos")
-    given = {"source": folder / "photos", "poses": hamlet / "known", "frames": "known"}
-    config = RunConfig(**given, system=system, out=folder / "run", overrides=TINY)
+    photos, known = folder / "photos", SfmOptions(poses=hamlet / "known")
+    config = RunConfig(source=photos, frames="known", sfm=known, system=system, out=folder / "run", train=TINY)
     return config, run(config)
 
 
@@ -169,7 +168,9 @@ def test_weights_for_lpips_make_every_device_score_again_and_nothing_else(finish
     shutil.copytree(config.out, copy)
     weights = write_alex_weights(tmp_path / "alex.safetensors")
     events: list[Event] = []
-    result = run(replace(config, out=copy, lpips_weights=weights, lpips_network="alex"), events.append, resume=True)
+    result = run(
+        replace(config, out=copy, evaluate=EvaluateOptions(lpips_weights=weights, lpips_network="alex")), events.append, resume=True
+    )
     assert {event.stage for event in events if isinstance(event, StageDone)} == {"devices/north-1/score", "devices/south-1/score"}
     assert result.metrics["lpips"] == pytest.approx(np.mean([row["lpips"] for row in result.metrics["images"]]))
     assert result.metrics["lpips"] > 0 and result.metrics["lpips_network"] == "alex"
@@ -314,7 +315,7 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     events: list[Event] = []
     # The poses lie beside the devices' folders.
     shutil.copytree(hamlet / "known", source / "sparse" / "0")
-    config = RunConfig(source=source, frames="known", system=system, out=tmp_path / "run", overrides=TINY)
+    config = RunConfig(source=source, frames="known", system=system, out=tmp_path / "run", train=TINY)
     result = run(config, events.append)
     names = [f"{path.parent.name}/{path.name}" for path in sorted(source.glob("*/*.jpg"))]
     lost = sum(name.startswith("south-1/") for name, held in zip(names, held_out_mask(names), strict=True) if held)
@@ -395,7 +396,7 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
         shutil.copyfile(path, folder / path.name)
     (source / "south-2").mkdir()
     (source / "south-1" / "lost.jpg").symlink_to("nowhere")
-    config = RunConfig(source=source, frames="gps", system=system, out=tmp_path / "run", overrides=TINY)
+    config = RunConfig(source=source, frames="gps", system=system, out=tmp_path / "run", train=TINY)
     result = run(config)
     assert "no photograph" in result.metrics["missing"]["south-2"] and "north-1" not in result.metrics["missing"]
     manifest = json.loads((tmp_path / "run" / "manifest.json").read_text())
@@ -465,14 +466,15 @@ def test_what_cannot_be_placed_is_refused(hamlet: Path, system: Path, tmp_path: 
         folder.mkdir()
         make[settings["source"]](folder)
         settings["source"] = folder
+    sfm = SfmOptions(poses=settings.pop("poses"))
     with pytest.raises(error, match=said):
-        run(RunConfig(system=system, out=tmp_path / "run", overrides=TINY, **settings))
+        run(RunConfig(system=system, sfm=sfm, out=tmp_path / "run", train=TINY, **settings))
     assert (tmp_path / "run").exists() == (error is StageFailed)
 
 
 def test_options_that_contradict_are_refused(hamlet: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="--frames known"):
-        RunConfig(source=hamlet, out=tmp_path, poses=hamlet)
+        RunConfig(source=hamlet, out=tmp_path, sfm=SfmOptions(poses=hamlet))
     with pytest.raises(BadInput, match="one owner"):
         RunConfig(source=hamlet, out=tmp_path, single_owner=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
 from radiant_app.files.job_file import Job, load_jobs
+from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
 from radiant_core.errors import BadInput
 
 TWO = """
@@ -40,24 +42,19 @@ def jobs_of(folder: Path, text: str) -> tuple[Job, ...]:
 
 def test_jobs_arrive_in_order_with_their_own_options_before_the_defaults(tmp_path: Path) -> None:
     a, b = jobs_of(tmp_path, TWO)
-    assert (a.name, a.source, a.out) == ("a", tmp_path / "photos", tmp_path / "batch" / "a")
-    assert a.options == {"steps": 10, "system": tmp_path / "fleet.toml"} and a.input_files == (tmp_path / "fleet.toml",)
-    assert b.out == tmp_path / "batch" / "deep" / "b"
-    assert b.arguments == (
-        f"{tmp_path}/photos",
-        f"--out={tmp_path}/batch/deep/b",
-        f"--system={tmp_path}/fleet.toml",
-        "--steps=20",
-        "--matching=spatial",
-    )
+    photos, fleet = tmp_path / "photos", tmp_path / "fleet.toml"
+    config = RunConfig(source=photos, out=tmp_path / "batch" / "a", system=fleet, train=TrainOptions(num_steps=10))
+    assert (a.name, a.config, a.input_files) == ("a", config, (tmp_path / "fleet.toml",))
+    other = replace(config, out=tmp_path / "batch" / "deep" / "b", train=TrainOptions(num_steps=20), sfm=SfmOptions(matching="spatial"))
+    assert (b.name, b.config) == ("b", other)
 
 
 def test_every_option_of_the_command_is_a_key_but_those_that_the_batch_sets(tmp_path: Path) -> None:
     help_text = CliRunner().invoke(app, ["run", "--help"], env={"COLUMNS": "300"}).output
     options = set(re.findall(r"--([a-z][a-z-]*)", help_text)) - {"help", "json", "resume", "out"}
     assert options >= {"system", "train-preset", "steps", "long-side-px", "max-splats", "seed", "workers"}
-    [job] = jobs_of(tmp_path, '[[job]]\nname = "a"\nsource = "photos"\nset = ["sky=false", "exposure=none"]\n')
-    assert job.arguments[2:] == ("--set=sky=false", "--set=exposure=none")
+    [job] = jobs_of(tmp_path, '[[job]]\nname = "a"\nsource = "photos"\nset = ["train.sky=false", "plan.method=even"]\n')
+    assert (job.config.train.settings, job.config.plan.method) == ({"sky": False}, "even")
     for option in options - {"set"}:
         with pytest.raises(BadInput, match=rf"job\[0\]\.{option} is \[\]; expected "):
             # No other option takes a list, so that each known key is named with its own expectation.
@@ -85,6 +82,9 @@ def test_every_option_of_the_command_is_a_key_but_those_that_the_batch_sets(tmp_
         ('out = "deep/b"', 'out = ""', "job[1].out is ''; string should have at least 1 character"),
         ('"photos"\nout', '"nowhere"\nout', "job 'b': "),
         ('"fleet.toml"', '"none.toml"', "none.toml is no file"),
+        ("steps = 20", 'set = ["train.sky=7"]', "job 'b': --set 'train.sky=7': input should be a valid boolean"),
+        ("steps = 20", 'set = ["train.num_steps=7"]', "job 'b': --set train.num_steps is given twice"),
+        ("steps = 20", 'emulate = "fleet.toml"', "job 'b': --system and --emulate both name a system"),
         ("[[job]]", "[job]", "not a TOML file"),
     ],
 )

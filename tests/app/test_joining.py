@@ -13,7 +13,7 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import aggregate
 from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 from radiant_app.workers import cloud_task
 from radiant_core.aggregate.ownership import claims_of_polygons
@@ -21,7 +21,6 @@ from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.transport.upload import load_upload
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.needs import Overrides
 from tests.joined_again import held_out_db, joined_again
 
 
@@ -37,7 +36,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def config_of(source: Path, out: Path) -> RunConfig:
-    return RunConfig(source=source, out=out, overrides=Overrides(long_side_px=128, num_steps=200))
+    return RunConfig(source=source, out=out, train=TrainOptions(long_side_px=128, num_steps=200))
 
 
 def plainly_cut(trained: Path) -> Splats:

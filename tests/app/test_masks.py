@@ -12,17 +12,16 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.commands.train import TrainRequest, train
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.dealing import deal_masks, received
 from radiant_app.workers.sources import masks_of_scene
 from radiant_app.workers.evaluation import scored_part
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import write_json
-from radiant_core.train.needs import Overrides
 from tests.core.scenes import cameras_above
 
-TINY = Overrides(long_side_px=96, num_steps=40, max_num_splats=1500)
+TINY = TrainOptions(long_side_px=96, num_steps=40, max_num_splats=1500)
 USED = np.ones((240, 320), bool)
 USED[:80, :160] = False
 HELD_OUT = "drone_0008.jpg"
@@ -49,10 +48,10 @@ def test_a_scene_made_with_masks_keeps_them_for_training(project: Path, tmp_path
     scene = tmp_path / "scene"
     sfm(project, scene, "auto", ProgressDisplay(Console(quiet=True)), project / "masks")
     assert masks_of_scene(scene) == scene / "masks" and len(list((scene / "masks").iterdir())) == 11
-    metrics = train(TrainRequest(source=scene, out=tmp_path / "trained", overrides=TINY))
+    metrics = train(TrainRequest(source=scene, out=tmp_path / "trained", overrides=TINY.overrides))
     assert [row["used_share"] < 1 for row in metrics["images"]] == [True, False]
     with pytest.raises(BadInput, match="is a scene"):
-        train(TrainRequest(source=scene, out=tmp_path / "other", masks=project / "masks", overrides=TINY))
+        train(TrainRequest(source=scene, out=tmp_path / "other", masks=project / "masks", overrides=TINY.overrides))
     assert not (tmp_path / "other").exists()
 
 
@@ -83,7 +82,7 @@ def test_masks_go_with_their_photographs_and_count_as_none_of_them(tmp_path: Pat
 
 def test_devices_that_keep_their_photographs_are_refused(project: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="--frames shared"):
-        RunConfig(source=project, out=tmp_path / "out", masks=project / "masks", frames="gps")
+        RunConfig(source=project, out=tmp_path / "out", sfm=SfmOptions(masks=project / "masks"), frames="gps")
 
 
 def test_a_photograph_of_which_nothing_can_be_scored_is_left_out_and_named(tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Decided, Event, Warned
-from radiant_app.run.config import RunConfig, run_preset
+from radiant_app.run.config import RunConfig
+from radiant_app.run.config_fields import config_of as run_config
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.workers.nodes import run_node
 from radiant_core.decisions import Decision
@@ -18,9 +19,8 @@ from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_splats
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.train.needs import Overrides
 
-TINY = Overrides(long_side_px=64, num_steps=40)
+TINY = {"train.long_side_px": 64, "train.num_steps": 40}
 SYSTEM = """
 [[edge]]
 id = "north"
@@ -41,7 +41,7 @@ time_s = 36000.0
 
 def config_of(folder: Path) -> RunConfig:
     images = sample_scenes_folder() / "hamlet" / "images"
-    return RunConfig(source=images, out=folder / "run", system=folder / "system.toml", overrides=TINY, **run_preset("paper"))
+    return run_config({"source": images, "out": folder / "run", "system": folder / "system.toml", "preset": "paper", **TINY})
 
 
 def decided(events: list[Event]) -> list[Decision]:
@@ -142,8 +142,9 @@ def test_beyond_a_limit_the_cloud_cuts_at_the_borders_and_says_the_figure(
 
 
 def test_a_single_option_wins_over_the_preset() -> None:
-    chosen = run_preset("paper", plan_method="exact", train_preset=None)
-    assert (chosen["plan_method"], chosen["train_preset"], chosen["upload"]) == ("exact", "paper", "float32")
-    assert run_preset("default")["train_preset"] == "default"
+    where = {"source": Path("photos"), "out": Path("run")}
+    chosen = run_config({**where, "preset": "paper", "plan.method": "exact"})
+    assert (chosen.plan.method, chosen.train.preset, chosen.upload) == ("exact", "paper", "float32")
+    assert run_config({**where, "preset": "default"}) == run_config(where) == RunConfig(**where)
     with pytest.raises(BadInput, match="use one of default, paper"):
-        run_preset("papers")
+        run_config({**where, "preset": "papers"})

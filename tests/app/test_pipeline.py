@@ -24,7 +24,7 @@ from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import TIERS
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import EvaluateOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.workers.sources import all_files
 from radiant_app.workers.inbox import read_inbox
@@ -43,10 +43,9 @@ from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.io.transport.upload import load_upload, save_upload
 from radiant_core.io.waypoints.region import load_region
 from radiant_core.sfm.world_frame.world import cameras_of
-from radiant_core.train.needs import Overrides
 from tests.app.alex_weights import write_alex_weights
 
-TINY = Overrides(long_side_px=96, num_steps=100, max_num_splats=1500)
+TINY = TrainOptions(long_side_px=96, num_steps=100, max_num_splats=1500)
 TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats)
 
 
@@ -61,7 +60,7 @@ def finished(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Ru
     shutil.copytree(hamlet, folder / "photos")
     whole = next(hamlet.iterdir()).read_bytes()
     (folder / "photos" / "cut.jpg").write_bytes(whole[: len(whole) // 2])
-    config = RunConfig(source=folder / "photos", out=folder / "hamlet", overrides=TINY)
+    config = RunConfig(source=folder / "photos", out=folder / "hamlet", train=TINY)
     events: list[Event] = []
     return config, run(config, events.append), events
 
@@ -160,14 +159,16 @@ def test_weights_for_lpips_given_later_make_resume_score_again_and_nothing_else(
     copy, weights = tmp_path / "copy", write_alex_weights(tmp_path / "alex.safetensors")
     shutil.copytree(config.out, copy)
     events: list[Event] = []
-    result = run(replace(config, out=copy, lpips_weights=weights, lpips_network="alex"), events.append, resume=True)
+    result = run(
+        replace(config, out=copy, evaluate=EvaluateOptions(lpips_weights=weights, lpips_network="alex")), events.append, resume=True
+    )
     assert [event.stage for event in events if isinstance(event, StageDone)] == ["evaluation"]
     rows = result.metrics["images"]
     assert result.metrics["lpips"] == pytest.approx(np.mean([row["lpips"] for row in rows])) and result.metrics["lpips"] > 0
     assert result.metrics["psnr_db"] == first.metrics["psnr_db"] and result.metrics["lpips_reason"] is None
     assert "LPIPS alex" in result.report.read_text()
     with pytest.raises(BadInput, match="no LPIPS weights"):
-        run(replace(config, out=tmp_path / "new", lpips_weights=tmp_path / "none"))
+        run(replace(config, out=tmp_path / "new", evaluate=EvaluateOptions(lpips_weights=tmp_path / "none")))
     assert not (tmp_path / "new").exists()
 
 
@@ -180,7 +181,7 @@ def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: tuple[RunConfig,
     damaged[-5] ^= 1
     model.write_bytes(damaged)
     events: list[Event] = []
-    run(RunConfig(source=config.source, out=copy, overrides=TINY), events.append, resume=True)
+    run(RunConfig(source=config.source, out=copy, train=TINY), events.append, resume=True)
     assert [event.stage for event in events if isinstance(event, StageDone)] == ["cloud"]
     assert model.read_bytes() == (config.out / "cloud" / "scene.ply").read_bytes()
 
@@ -397,10 +398,10 @@ def test_photographs_that_would_become_too_narrow_are_refused_before_training(
     copy = tmp_path / "copy"
     shutil.copytree(config.out, copy)
     manifest = json.loads((copy / "manifest.json").read_text())
-    manifest["config"]["overrides"]["long_side_px"] = 14
+    manifest["config"]["train"]["long_side_px"] = 14
     del manifest["sha256"]
     (copy / "manifest.json").write_text(json.dumps(manifest))
-    narrow = RunConfig(source=config.source, out=copy, overrides=replace(TINY, long_side_px=14))
+    narrow = RunConfig(source=config.source, out=copy, train=replace(TINY, long_side_px=14))
     with pytest.raises(BadInput, match="expected 11 or more a side"):
         run(narrow, resume=True)
 
@@ -495,7 +496,7 @@ def test_ctrl_c_ends_with_130_and_the_run_can_be_resumed(finished: tuple[RunConf
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "--resume" in errors
     assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()], "workers must end with the run"
-    result = run(RunConfig(source=config.source, out=out, overrides=TINY), resume=True)
+    result = run(RunConfig(source=config.source, out=out, train=TINY), resume=True)
     assert result.metrics["psnr_db"] > 5
 
 

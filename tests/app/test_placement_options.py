@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
 from radiant_app.commands.train import TrainRequest, train
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.workers.sources import reconstruct_source, sfm_task
 from radiant_core.errors import BadInput
 
@@ -28,7 +28,7 @@ def test_a_task_tells_what_was_asked_for_and_no_more() -> None:
 @pytest.mark.parametrize("frames", ["gps", "known"])
 def test_devices_that_place_themselves_cannot_be_told(frames: Any, given: dict[str, Any]) -> None:
     with pytest.raises(BadInput, match=f"--frames {frames} each device places its own"):
-        RunConfig(source=Path("photos"), out=Path("out"), frames=frames, **given)
+        RunConfig(source=Path("photos"), out=Path("out"), frames=frames, sfm=SfmOptions(**given))
 
 
 @pytest.mark.parametrize("command", ["run", "train", "sfm"])

@@ -157,7 +157,7 @@ def run_folder(folder: Path, *, emulated: bool = False) -> Path:
     (edge,) = split_edges(positions, cloud, system)  # type: ignore[arg-type]
     edge = type(edge)(**{**vars(edge), "device_of_camera": np.repeat([0, 1, 2], [4, 6, 10])})
     save_plan(folder / "plan.json", cloud, (edge,))  # type: ignore[arg-type]
-    config = RunConfig(source=folder, out=folder, overrides=QUICK, emulated=emulated, system=Path("s.toml") if emulated else None)
+    config = RunConfig(source=folder, out=folder, emulate=Path("s.toml") if emulated else None)
     manifest = Manifest(folder=folder, config=recorded_config(config))
     for name, count in (("d0", 4), ("d1", 6), ("d2", 10)):
         device = folder / "devices" / name

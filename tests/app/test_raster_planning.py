@@ -13,7 +13,7 @@ from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import cloud_task, placed_by_raster, planned_at_cloud, planned_from_raster, run_regions
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import PlanOptions, RunConfig
 from radiant_app.workers.field_nodes import told_raster
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
@@ -91,9 +91,9 @@ def test_radiant_plan_from_a_raster_says_so_and_refuses_what_needs_positions(tmp
 
 def test_who_plans_from_a_raster_by_itself(tmp_path: Path) -> None:
     given = {"source": tmp_path, "out": tmp_path / "run"}
-    assert RunConfig(**given).cell_m is None and RunConfig(**given, raster_cell_m=7.0).cell_m == 7.0
+    assert RunConfig(**given).cell_m is None and RunConfig(**given, plan=PlanOptions(raster_cell_m=7.0)).cell_m == 7.0
     assert RunConfig(**given, frames="gps").cell_m == DEFAULT_CELL_M == RunConfig(**given, frames="known").cell_m
-    assert RunConfig(**given, frames="gps", raster_cell_m=0.0).cell_m is None
+    assert RunConfig(**given, frames="gps", plan=PlanOptions(raster_cell_m=0.0)).cell_m is None
     for wrong in (-1.0, float("nan"), float("inf")):
         with pytest.raises(BadInput, match="raster_cell_m"):
-            RunConfig(**given, raster_cell_m=wrong)
+            PlanOptions(raster_cell_m=wrong)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ from radiant_app.commands.train import TrainRequest
 from radiant_app.events import StageDone, StageStarted, Warned
 from radiant_app.files import run_folder
 from radiant_app.files.run_folder import Manifest, differing_options, new_folder, opened_run, recorded_config, sfm_folder
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
+from radiant_app.run.config_fields import config_fields
 from radiant_core.errors import BadInput, CannotWrite
 from radiant_core.io.run_store import RunLock, atomic_path, write_atomic
 from radiant_core.train.needs import Overrides
@@ -136,18 +137,56 @@ def test_a_disk_that_is_full_empties_no_folder_and_leaves_none_that_holds_nothin
     assert not (tmp_path / "second").exists()
 
 
-@pytest.mark.parametrize("command", ["run", "train"])
-def test_settings_that_differ_are_named_as_the_command_line_calls_them(command: str) -> None:
-    make: Any = RunConfig if command == "run" else TrainRequest
-    recorded: Any = recorded_config if command == "run" else lambda request: request.settings
-    asked = make(source=Path("photos"), out=Path("out"))
-    assert differing_options(recorded(asked), recorded(asked)) == ""
-    other = replace(asked, height_m=40.0, overrides=Overrides(num_steps=5, max_num_splats=7, settings={"sh_degree": 1}))
-    assert differing_options(recorded(other), recorded(asked)) == "--height, --max-splats, --set, --steps"
-    options = get_command(app).commands[command].params  # type: ignore[attr-defined]
-    names = {name for option in options for name in (*option.opts, option.name)}
-    for field in {*recorded(asked), *asdict(Overrides())} - {"overrides", "source"}:
-        assert differing_options({field: "other"}, {field: None}) in names, f"{field} has no option of that name"
+NUMBERS: dict[str, Any] = {"num_steps": 5, "max_num_splats": 7, "settings": {"sh_degree": 1}}
+
+
+def options_of(command: str) -> set[str]:
+    """What the command line of `radiant COMMAND` calls its parameters."""
+    return {name for option in get_command(app).commands[command].params for name in (*option.opts, option.name)}  # type: ignore[attr-defined]
+
+
+def test_fields_of_a_run_that_differ_are_named_as_the_command_line_calls_them(tmp_path: Path) -> None:
+    asked = config(tmp_path)
+    other = replace(asked, sfm=SfmOptions(height_m=40.0), train=TrainOptions(**NUMBERS))
+    assert differing_options(recorded_config(asked), recorded_config(asked)) == ""
+    assert differing_options(recorded_config(other), recorded_config(asked)) == "--height, --max-splats, --set train.sh_degree, --steps"
+    names = options_of("run")
+    for field in config_fields().values():
+        assert field.option is None or field.path == "source" or field.option_name in names, field.path
+
+
+def test_settings_of_a_training_that_differ_are_named_as_the_command_line_calls_them() -> None:
+    asked = TrainRequest(source=Path("photos"), out=Path("out"))
+    other = replace(asked, height_m=40.0, overrides=Overrides(**NUMBERS))
+    assert differing_options(asked.settings, asked.settings) == ""
+    assert differing_options(other.settings, asked.settings) == "--height, --max-splats, --set, --steps"
+    names = options_of("train")
+    for setting in asked.settings.keys() - {"overrides", "source"}:
+        assert differing_options({setting: "other"}, {setting: None}) in names, f"{setting} has no option of that name"
+
+
+BEFORE_SECTIONS = {
+    "aggregate_preset": "default", "distance": None, "emulated": False, "frames": "shared", "height_m": None, "masks": None,
+    "matching": "auto", "plan": None, "plan_method": "exact", "poses": None, "raster_cell_m": None, "seed": 0, "single_owner": False,
+    "overrides": {"long_side_px": 400, "max_num_splats": None, "num_steps": 800, "settings": {"sky": False}},
+    "system": "/desk/system.toml", "train_preset": "draft", "up": None, "upload": "float16",
+}  # fmt: skip
+"""The configuration of a run as manifests kept it when it had no sections, without its source."""
+
+
+@pytest.mark.parametrize("emulated", [False, True])
+def test_a_run_made_before_its_configuration_had_sections_can_be_resumed(tmp_path: Path, emulated: bool) -> None:
+    out = tmp_path / "run"
+    out.mkdir()
+    Manifest(folder=out, config={**BEFORE_SECTIONS, "source": str(tmp_path), "emulated": emulated}).save()
+    system: dict[str, Any] = {"emulate" if emulated else "system": Path("/desk/system.toml")}
+    asked = TrainOptions(preset="draft", long_side_px=400, num_steps=800, settings={"sky": False})
+    same = RunConfig(source=tmp_path, out=out, train=asked, **system)
+    other = replace(same, train=replace(asked, num_steps=9, settings={}))
+    with pytest.raises(BadInput, match=r"begun with another --set train\.sky, --steps: repeat"), opened_run(other, resume=True):
+        pass
+    with opened_run(same, resume=True) as manifest:
+        assert manifest.config == recorded_config(same)
 
 
 SFM = {"source": "photos", "sfm": {"matching": "auto"}, "masks": None, "placement": {}}

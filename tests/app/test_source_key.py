@@ -14,7 +14,7 @@ import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Event, Warned
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.source_key import source_key, used_files
 from radiant_core.io.run_store import seal, write_json
 
@@ -30,7 +30,7 @@ def config(tmp_path: Path) -> RunConfig:
         (tmp_path / "photos" / f"{name}.jpg").write_bytes(f"photograph {name}".encode())
     for name in "ab":
         (tmp_path / "masks" / f"{name}.jpg.png").write_bytes(b"mask")
-    return RunConfig(source=tmp_path / "photos", masks=tmp_path / "masks", out=tmp_path / "run")
+    return RunConfig(source=tmp_path / "photos", sfm=SfmOptions(masks=tmp_path / "masks"), out=tmp_path / "run")
 
 
 def key_and_words(config: RunConfig) -> tuple[str, list[str]]:
@@ -48,8 +48,8 @@ def finish(config: RunConfig) -> str:
 
 
 def masks_of(config: RunConfig) -> Path:
-    assert config.masks is not None
-    return config.masks
+    assert config.sfm.masks is not None
+    return config.sfm.masks
 
 
 def touch(config: RunConfig) -> None:
@@ -162,7 +162,7 @@ def test_of_a_mill19_folder_what_has_a_pose_counts(tmp_path: Path) -> None:
 
 def test_masks_left_out_are_another_scene(config: RunConfig) -> None:
     key = finish(config)
-    without, told = key_and_words(replace(config, masks=None))
+    without, told = key_and_words(replace(config, sfm=SfmOptions()))
     assert without != key and len(told) == 1
     write_json(config.out / "sfm" / "source.json", {})
     assert key_and_words(config)[0] == key

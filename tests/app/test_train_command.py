@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.cli.quantities import bytes_of, seconds_of
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.evaluate import EvaluateRequest, evaluate
 from radiant_app.commands.steps import sfm
 from radiant_app.commands.train import TrainRequest, train
 from radiant_app.events import Decided, Event, StageProgress, StageSkipped, Warned
+from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.dealing import deal_files
 from radiant_app.workers.nodes import run_node

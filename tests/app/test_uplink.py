@@ -19,12 +19,13 @@ from radiant_app.run.dealing import SharedDealer
 from radiant_app.workers.nodes import run_node
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.choices import UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_splats
 from radiant_core.io.run_store import is_sealed, read_json, seal
-from radiant_core.io.transport.upload import BYTES_FACTORS, UploadFormat, load_upload
+from radiant_core.io.transport.upload import BYTES_FACTORS, load_upload
 from radiant_core.plan.counts.deadline import device_time_s
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan

@@ -17,7 +17,7 @@ from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor, _environment, place_of
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import ExecutionOptions, RunConfig
 from radiant_app.run.pipeline import run
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
@@ -145,7 +145,8 @@ def test_an_address_where_no_cluster_is_gets_one_sentence(address: str, said: st
     with pytest.raises(BadInput, match=said):
         RayExecutor(address=address, log=tmp_path / "ray.log").fold(TAUGHT, preparer(tmp_path, []), lambda event: None)
     # A run asks before it begins, not after structure from motion.
-    config = RunConfig(source=sample_scenes_folder() / "hamlet" / "images", out=tmp_path / "run", executor="ray", address=address)
+    execution = ExecutionOptions(executor="ray", address=address)
+    config = RunConfig(source=sample_scenes_folder() / "hamlet" / "images", out=tmp_path / "run", execution=execution)
     with pytest.raises(BadInput, match=said):
         run(config)
     assert not (tmp_path / "run").exists()

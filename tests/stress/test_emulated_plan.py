@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import PlanOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
-from radiant_core.train.needs import Overrides
 
-SIZE = Overrides(long_side_px=160, num_steps=100, max_num_splats=1500)
+SIZE = TrainOptions(long_side_px=160, num_steps=100, max_num_splats=1500)
 
 
 @pytest.mark.stress
@@ -21,11 +20,10 @@ def test_the_plan_for_unequal_machines_beats_the_even_one_by_what_was_predicted(
     for method in ("exact", "even"):
         config = RunConfig(
             source=hamlet / "images",
-            system=hamlet / "unequal.toml",
             out=tmp_path / method,
-            emulated=True,
-            plan_method=method,
-            overrides=SIZE,
+            emulate=hamlet / "unequal.toml",
+            plan=PlanOptions(method=method),
+            train=SIZE,
         )
         metrics = run(config).metrics
         planned_s[method], emulated_s[method] = metrics["planned_makespan_s"], metrics["emulated_makespan_s"]

@@ -19,11 +19,10 @@ import radiant_app.run.pipeline
 from radiant_app.executors.local import LocalExecutor, worker_command
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import SEAL_NAME, read_json
-from radiant_core.train.needs import Overrides
 from tests.contract.ray_machines import Cluster, ray_cluster
 from tests.stress.test_kill_run import hamlet_in
 
@@ -38,8 +37,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Tree, dict[str, NodeT
     """The tree of a finished run, and its tasks with what they read in place."""
     folder = tmp_path_factory.mktemp("overhead")
     hamlet_in(folder)
-    overrides = Overrides(long_side_px=160, num_steps=2000, max_num_splats=3000)
-    config = RunConfig(source=folder / "hamlet", out=folder / "run", overrides=overrides, teachers="late", max_workers=1)
+    training = TrainOptions(long_side_px=160, num_steps=2000, max_num_splats=3000)
+    execution = ExecutionOptions(teachers="late", max_workers=1)
+    config = RunConfig(source=folder / "hamlet", out=folder / "run", train=training, execution=execution)
     radiant_app.run.pipeline.run(config)
     tree = tree_of_plan(*load_plan(config.out / "plan.json"))
     tasks = {}

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
-from radiant_app.commands.demo import DEMO_SIZE, sample_scenes_folder
+from radiant_app.commands.demo import DEMO_TRAINING, sample_scenes_folder
 from radiant_app.run.config import RunConfig
 from radiant_app.run.pipeline import run
 from radiant_app.workers.inbox import moved_cameras, sim3_of
@@ -104,9 +104,7 @@ def test_frames_agree_under_3_m_of_gps_noise(tmp_path: Path) -> None:
     photos = with_gps_noise(TOWN / "images", known, 3.0, tmp_path / "photos")
     runs = {}
     for frames in ("gps", "shared"):
-        config = RunConfig(
-            source=photos, out=tmp_path / frames, frames=frames, system=TOWN / "system.toml", train_preset="draft", overrides=DEMO_SIZE
-        )
+        config = RunConfig(source=photos, out=tmp_path / frames, frames=frames, system=TOWN / "system.toml", train=DEMO_TRAINING)
         runs[frames] = run(config).metrics
     assert runs["gps"]["missing"] == {}
     errors = frame_errors(tmp_path / "gps", known)
@@ -125,9 +123,7 @@ def test_a_real_set_is_placed_or_refused(name: str, tmp_path: Path) -> None:
     if name == "brighton":
         system = tmp_path / "system.toml"
         system.write_text("".join(f'[[edge]]\nid = "{edge}"\n[[edge.device]]\nid = "{edge}-1"\n' for edge in ("one", "two")))
-    config = RunConfig(
-        source=DATA / name / "images", out=tmp_path / "run", frames="gps", system=system, train_preset="draft", overrides=DEMO_SIZE
-    )
+    config = RunConfig(source=DATA / name / "images", out=tmp_path / "run", frames="gps", system=system, train=DEMO_TRAINING)
     if name == "caliterra":
         # Its GPS is off by 10 to 30 m across and up to 90 m in height on a site of 100 × 140 m.
         with pytest.raises(StageFailed, match=r"no device delivered a model.* refused"):

@@ -26,10 +26,9 @@ import radiant_app.run.pipeline
 import radiant_app.run.stages
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Event, StageDone, StageStarted, Warned
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json
-from radiant_core.train.needs import Overrides
 from tests.stress.kill_harness import differing_files, random_moments, run_killed
 
 pytestmark = pytest.mark.stress
@@ -64,10 +63,8 @@ def config_of(out: Path) -> RunConfig:
         source=out.parent / "hamlet",
         out=out,
         system=out.parent / "system.toml",
-        overrides=Overrides(long_side_px=96, num_steps=150, max_num_splats=1500),
-        teachers="late",
-        max_workers=1,
-        checkpoint_every_s=0.1,
+        train=TrainOptions(long_side_px=96, num_steps=150, max_num_splats=1500),
+        execution=ExecutionOptions(teachers="late", max_workers=1, checkpoint_every_s=0.1),
     )
 
 

@@ -13,7 +13,7 @@ from radiant_app.commands.evaluate import EvaluateRequest, evaluate
 from radiant_app.commands.train import TrainRequest, train
 from radiant_app.events import Event, StageSkipped
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.dealing import received
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.errors import BadInput
@@ -30,7 +30,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def finished(project: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunResult]:
     out = tmp_path_factory.mktemp("out") / "run"
-    config = RunConfig(source=project, out=out, masks=project / "masks", overrides=TINY)
+    config = RunConfig(source=project, out=out, sfm=SfmOptions(masks=project / "masks"), train=TINY)
     return config, run(config)
 
 
@@ -69,9 +69,9 @@ def test_resuming_notices_a_changed_mask_and_skips_all_where_none_changed(
     assert run(config, events.append, resume=True).metrics["images"] == result.metrics["images"]
     assert StageSkipped(stage="sfm") in events
     with pytest.raises(BadInput, match="another masks"):
-        run(replace(config, masks=None), resume=True)
+        run(replace(config, sfm=SfmOptions()), resume=True)
     shutil.copytree(project / "masks", tmp_path / "masks")
-    request = TrainRequest(source=project, out=tmp_path / "trained", masks=tmp_path / "masks", overrides=TINY)
+    request = TrainRequest(source=project, out=tmp_path / "trained", masks=tmp_path / "masks", overrides=TINY.overrides)
     train(request)
     before = (tmp_path / "trained" / "scene.ply").read_bytes()
     save_mask(tmp_path / "masks" / "drone_0003.png", USED[::-1])

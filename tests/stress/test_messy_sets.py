@@ -10,15 +10,14 @@ from pathlib import Path
 import pytest
 
 from radiant_app.events import Event, Warned
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_scene
-from radiant_core.train.needs import Overrides
 
 DATA = Path(os.environ.get("RADIANT_DATA", Path(__file__).parents[3] / "shared" / "data"))
 SETS = ("brighton", "lewis", "caliterra")
-SMALL = Overrides(long_side_px=240, num_steps=200, max_num_splats=8_000)
+SMALL = TrainOptions(preset="draft", long_side_px=240, num_steps=200, max_num_splats=8_000)
 
 
 def photographs(name: str) -> list[Path]:
@@ -51,8 +50,8 @@ def two_edges(target: Path) -> Path:
 
 
 def config_of(source: Path, folder: Path, **changes: object) -> RunConfig:
-    settings = {"source": source, "out": folder / "run", "system": two_edges(folder / "system.toml"), "train_preset": "draft"}
-    return RunConfig(**{**settings, "overrides": SMALL, **changes})  # type: ignore[arg-type]
+    settings = {"source": source, "out": folder / "run", "system": two_edges(folder / "system.toml")}
+    return RunConfig(**{**settings, "train": SMALL, **changes})  # type: ignore[arg-type]
 
 
 @pytest.mark.stress

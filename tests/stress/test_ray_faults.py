@@ -83,7 +83,8 @@ def on_ray(whole: Path, name: str, cluster: Cluster) -> RunConfig:
     shutil.copytree(whole, out)
     for kind in AGAIN:
         shutil.rmtree(out / kind)
-    return replace(config_of(out), executor="ray", address=cluster.address, max_workers=0)
+    config = config_of(out)
+    return replace(config, execution=replace(config.execution, executor="ray", address=cluster.address, max_workers=0))
 
 
 def test_a_killed_worker_of_ray_is_started_again(whole: Path, cluster: Cluster) -> None:
@@ -118,5 +119,5 @@ def test_a_run_whose_cluster_loses_its_head_says_so_and_resumes_on_another(whole
     cluster.kill("one")
     with ray_cluster() as other:
         other.start("head", num_cpus=1)
-        radiant_app.run.pipeline.run(replace(config, address=other.address), witness, resume=True)
+        radiant_app.run.pipeline.run(replace(config, execution=replace(config.execution, address=other.address)), witness, resume=True)
     assert differing_files(whole, config.out, RESULTS) == [] and witness.trained_twice() == []

@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.run.config import RunConfig
+from radiant_app.run.config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
-from radiant_core.train.needs import Overrides
 
 pytestmark = pytest.mark.stress
 
@@ -41,8 +40,9 @@ def test_every_worker_keeps_to_its_limit(cloud_gb: float, retrains: bool, tmp_pa
     project.mkdir()
     for name, folder in (("images", "images"), ("sparse", "known")):
         (project / name).symlink_to(sample_scenes_folder() / "hamlet" / folder)
-    overrides = Overrides(long_side_px=160, num_steps=40, max_num_splats=400_000, settings=FAST_GROWTH)
-    result = run(RunConfig(source=project, out=tmp_path / "run", system=tmp_path / "system.toml", overrides=overrides, max_workers=1))
+    training = TrainOptions(long_side_px=160, num_steps=40, max_num_splats=400_000, settings=FAST_GROWTH)
+    execution = ExecutionOptions(max_workers=1)
+    result = run(RunConfig(source=project, out=tmp_path / "run", system=tmp_path / "system.toml", train=training, execution=execution))
     allowed_gb = {"devices": DEVICE_GB, "edges": EDGE_GB, "cloud": cloud_gb}
     held_gb = {node: peak / 1e9 for node, peak in result.metrics["peak_bytes"].items() if node.split("/")[0] in allowed_gb}
     with capsys.disabled():

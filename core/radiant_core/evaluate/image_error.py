@@ -33,8 +33,6 @@ MIN_SQUARED_ERROR = 1e-10
 NO_LPIPS_REASON = "LPIPS needs trained network weights, which are not part of the package: it was not measured; give --lpips-weights."
 NO_FLIP_REASON = "the package flip-evaluator is not installed: FLIP was not measured; install it to get the figure."
 
-LpipsNetwork = Literal["vgg", "alex"]
-"""vgg: VGG16, the one that radiance fields are compared by; alex: AlexNet, smaller and quicker."""
 ImageFigure = Literal["psnr_db", "ssim", "psnr_cc_db", "ssim_cc", "flip", "lpips"]
 FIGURES: tuple[ImageFigure, ...] = get_args(ImageFigure)
 """Names of all figures, the headline first."""

@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.image_error import LpipsNetwork
 from radiant_core.evaluate.image_pair import checked_image_pair
 from radiant_core.io.array_layout import require_layout
 from radiant_core.io.run_store import write_atomic

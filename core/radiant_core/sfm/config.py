@@ -9,13 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
+from radiant_core.choices import Matching
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.scene import SfmScene
 
-Matching = Literal["auto", "spatial", "exhaustive"]
-"""auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each with its GPS neighbours;
-exhaustive: every pair."""
 Mapper = Literal["auto", "incremental", "global"]
 """auto: incremental, then the global mapper where more than a tenth stays unregistered; the others: that one alone."""
 

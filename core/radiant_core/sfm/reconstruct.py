@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from radiant_core.choices import Matching
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import ColmapModel, read_model
 from radiant_core.io.photos.copies import copies_count
@@ -20,7 +21,7 @@ from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
 from radiant_core.sfm.colmap.workspace import listed, listing_warnings, start_clean
-from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
+from radiant_core.sfm.config import Mapper, Phase, Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.gps_outliers import gps_outliers
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate

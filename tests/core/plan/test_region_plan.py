@@ -9,6 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.deadline import device_time_s, edge_tables
@@ -22,7 +23,6 @@ from radiant_core.plan.regions.power_diagram import assign, polygon_area_m2
 from radiant_core.plan.regions.region_plan import (
     MARGIN,
     PlanInfeasible,
-    PlanMethod,
     _largest_m2,
     _plane,
     is_certified,

@@ -15,20 +15,18 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from radiant_core.choices import UploadFormat
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.array_file import header_of, load_arrays, naming, save_arrays, schema_of
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, SPZ_MEAN_STEP, splats_from_spz, spz_bytes
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.numerics import FloatArray, checked_array, unit_quats
 from radiant_core.splats import SH_BASES, Splats
-
-UploadFormat = Literal["float32", "float16", "spz"]
-"""float32: exact; float16: half the bytes, centres in 21 bits; spz: about a fifth, through Open3D."""
 
 BYTES_FACTORS: dict[UploadFormat, float] = {"float32": 1.0, "float16": 0.52, "spz": 0.22}
 """Bytes over those of float32, measured at degree 1: `radiant bench upload`."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.counts.deadline import edge_table
@@ -25,7 +26,7 @@ from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.edge_capacity import without_devices
 from radiant_core.plan.regions.paper_arp import PaperConfig
 from radiant_core.plan.regions.power_diagram import cell_polygons, rectangle
-from radiant_core.plan.regions.region_plan import MARGIN, PlanInfeasible, PlanMethod, plan_regions
+from radiant_core.plan.regions.region_plan import MARGIN, PlanInfeasible, plan_regions
 from radiant_core.plan.system import Edge, System
 
 DEFAULT_CELL_M = 5.0

@@ -21,6 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.counts.deadline import edge_tables
@@ -41,8 +42,6 @@ from radiant_core.plan.regions.paper_arp import PaperConfig, paper_regions
 from radiant_core.plan.regions.power_diagram import assign, bounds, cell_polygons, rectangle
 from radiant_core.plan.regions.transport import deal_with_counts, violations
 from radiant_core.plan.system import System
-
-PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 
 _BLOCK_PAIRS = 500_000
 MARGIN = 0.1

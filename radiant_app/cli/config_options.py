@@ -1,0 +1,66 @@
+"""Options made from the fields of `RunConfig`, so that each is declared once, there: name, type, limits, default and help text."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+
+from radiant_app.run.config import RUN_PRESETS
+from radiant_app.run.config_fields import ConfigField, config_fields
+
+
+def option(path: str, *names: str, help: str | None = None) -> Any:  # noqa: A002
+    """Typer's description of a field's option, for `Annotated`; with other `names` or another `help` where a command means more or less."""
+    field = config_fields()[path]
+    assert field.option is not None
+    known = field.option
+    shown = known.shown if known.shown is not None and known.parse is None else True
+    names = names or (field.option_name,)
+    return typer.Option(*names, help=help or field.help, min=known.min, max=known.max, metavar=known.metavar, show_default=shown)
+
+
+def with_config_options(command: Callable[..., None]) -> Callable[..., None]:
+    """`command` with an option for every field of `RunConfig` in place of its `**`; `given_values` reads them."""
+    own = [each for each in inspect.signature(command, eval_str=True).parameters.values() if each.kind is not each.VAR_KEYWORD]
+    first = [each for each in own if each.default is each.empty]
+    made = [_parameter(field) for field in config_fields().values() if field.option is not None and field.path != "source"]
+    parameters = [each.replace(kind=each.KEYWORD_ONLY) for each in (*first, *made, *own[len(first) :])]
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    return command
+
+
+def given_values(context: typer.Context) -> dict[str, Any]:
+    """Path → value of the fields whose options somebody typed."""
+    typed = {name: value for name, value in context.params.items() if name != "source" and _was_typed(context, name)}
+    return {field.path: field.of_option(typed[_name(field)]) for field in config_fields().values() if _name(field) in typed}
+
+
+def typed_options(context: typer.Context) -> dict[str, str]:
+    """Parameter → option of all that somebody typed."""
+    return {each.name: each.opts[0] for each in context.command.params if each.name and _was_typed(context, each.name)}
+
+
+def _was_typed(context: typer.Context, name: str) -> bool:
+    return str(context.get_parameter_source(name)).endswith("COMMANDLINE")
+
+
+def _name(field: ConfigField) -> str:
+    return field.path.replace(".", "__")
+
+
+def _parameter(field: ConfigField) -> inspect.Parameter:
+    kind, default, text = field.kind, field.default, None
+    of_paper = RUN_PRESETS["paper"].get(field.path)
+    if field.option is not None and field.option.parse is not None:
+        kind, default = str, field.option.shown
+    elif of_paper is not None:
+        text = f"{field.help} Without it {field.default}, or {of_paper} by --preset paper."
+        kind, default = kind | None, None
+    elif field.path == "out":
+        kind, default = kind | None, None
+    annotation = Annotated[kind, option(field.path, help=text)]
+    return inspect.Parameter(_name(field), inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -1,0 +1,103 @@
+"""`radiant run` and `radiant demo`; heavy libraries are imported inside, as in `cli.app`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from radiant_app.cli.config_options import given_values, typed_options, with_config_options
+from radiant_app.cli.option_types import AsJson
+from radiant_app.report.tables import print_summary
+from radiant_app.run.config_fields import config_of, with_settings
+from radiant_core.errors import BadInput
+
+if TYPE_CHECKING:
+    from radiant_app.run.config import RunConfig
+
+_SET_HELP = "Any field of a run's configuration: PATH=VALUE, such as plan.method=even or train.sky=false; repeatable."
+
+
+@with_config_options
+def run(
+    context: typer.Context,
+    source: Annotated[
+        Path, typer.Argument(help="Photographs, a COLMAP project, a Mill 19 folder, a RUN.toml or a JOBS.toml.", show_default=False)
+    ],
+    settings: Annotated[list[str] | None, typer.Option("--set", help=_SET_HELP)] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the run in --out; finished stages are skipped.")] = False,
+    as_json: AsJson = False,
+    **_: Any,
+) -> None:
+    """Photographs in, one Gaussian model out: structure from motion, plan, devices, edges, cloud, report.
+
+    A RUN.toml holds these options in sections, and options beside it win. A JOBS.toml runs several scenes, goes on after a failure and
+    ends with a summary (radiant_app/files/job_file.py says what stands in them).
+    """
+    from radiant_app.files.job_file import is_job_file, load_run_file
+
+    values: dict[str, Any] = {"source": source}
+    if source.suffix == ".toml" and not source.is_dir():
+        if is_job_file(source):
+            return _run_batch(context, source, resume, as_json)
+        values = load_run_file(source)
+    return run_and_print(config_of(values | with_settings(given_values(context), settings or ())), resume, as_json)
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", help="Folder of the run.")] = Path("demo_run"),
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted demo.")] = False,
+) -> None:
+    """The whole job on the sample town that comes with the project: some minutes on two cores."""
+    from radiant_app.commands.demo import demo_config
+
+    run_and_print(demo_config(out), resume or out.exists(), as_json=False)
+
+
+def run_and_print(config: RunConfig, resume: bool, as_json: bool) -> None:
+    """Do the run before the terminal's progress display and print its figures."""
+    from radiant_app.report.progress import terminal_display
+    from radiant_app.run.pipeline import run as run_pipeline
+
+    with terminal_display() as listen:
+        result = run_pipeline(config, listen, resume=resume)
+    if as_json:
+        typer.echo(json.dumps(result.metrics))
+        return
+    typer.echo(f"held-out {result.metrics['psnr_db']:.2f} dB, {result.metrics['num_gaussians']:,} Gaussians")
+    if unscored := result.metrics.get("num_unscored", 0):
+        scored = len(result.metrics["images"])
+        typer.echo(f"scored on {scored} of {scored + unscored} held-out photographs: the others lie on missing devices or have no pose")
+    if result.metrics.get("emulated_makespan_s") is not None:
+        emulated, planned = (result.metrics[f"{kind}_makespan_s"] for kind in ("emulated", "planned"))
+        typer.echo(f"emulated: the last edge's model arrived after {emulated:.1f} s, planned {planned:.1f} s")
+    typer.echo(f"report: {result.report}")
+    typer.echo(f"next: radiant inspect {quote(str(config.out))}")
+
+
+def _run_batch(context: typer.Context, source: Path, resume: bool, as_json: bool) -> None:
+    from radiant_app.commands.batch import run_batch
+
+    typed = typed_options(context)
+    if extra := sorted(option for name, option in typed.items() if name not in ("source", "out", "resume", "as_json")):
+        raise BadInput(f"{extra[0]} stands beside a job file: write it into its [defaults].")
+    result = run_batch(source, context.params["out"], _job_display, resume=resume)
+    if as_json:
+        typer.echo(json.dumps(result.record))
+    else:
+        print_summary(result)
+    raise typer.Exit(result.exit_code)
+
+
+@contextmanager
+def _job_display(title: str) -> Iterator[Any]:
+    from radiant_app.report.progress import terminal_display
+
+    typer.echo(title, err=True)
+    with terminal_display() as listen:
+        yield listen

@@ -1,0 +1,83 @@
+"""`radiant train`: its options; heavy libraries are imported inside, as in `cli.app`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from radiant_app.cli.config_options import option
+from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, LongSide, MaskFolder, Seed, TrainPresetOption, UpOption
+from radiant_app.quantities import bytes_of, seconds_of
+from radiant_app.report.tables import finish
+from radiant_app.run.config_fields import train_options, with_settings
+
+
+def train(
+    scene: Annotated[
+        Path, typer.Argument(help="A run, the folder of `radiant sfm`, a COLMAP project, or photographs.", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder of model, figures and pictures; or, of a run or scene, MODEL.ply.", show_default=False)
+    ],
+    train_preset: TrainPresetOption = "default",
+    time: Annotated[str | None, typer.Option(help="End training after this time: 90, 90s, 5m, 1h.", show_default=False)] = None,
+    steps: Annotated[int | None, option("train.num_steps", help="End training after so many steps.")] = None,
+    gaussians: Annotated[
+        int | None, option("train.max_num_splats", "--gaussians", "--max-splats", help="Upper limit of Gaussians.")
+    ] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            help="What the process may hold: 600MB, 2GB; sets the upper limit of Gaussians, and bounds finding features.",
+            show_default=False,
+        ),
+    ] = None,
+    validate: Annotated[
+        bool | None,
+        typer.Option(help="An eighth of the training photographs only picks the best model.", show_default="from 100 on"),
+    ] = None,
+    long_side_px: LongSide = None,
+    masks: MaskFolder = None,
+    up: UpOption = None,
+    distance: DistanceOption = None,
+    height: HeightOption = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="Any field of TrainConfig: train.PATH=VALUE, such as train.sky=false; repeatable.")
+    ] = None,
+    seed: Seed = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in --out from its last checkpoint.")] = False,
+    checkpoint_every: Annotated[str, option("execution.checkpoint_every_s", help="Time between two checkpoints.")] = "10s",
+    as_json: AsJson = False,
+) -> None:
+    """One model from all photographs of a scene but every 8th, without regions; scored on those that were held out."""
+    from radiant_app.commands.train import TrainRequest
+    from radiant_app.commands.train import train as run_training
+    from radiant_app.report.progress import terminal_display
+
+    typed = {"train.long_side_px": long_side_px, "train.num_steps": steps, "train.max_num_splats": gaussians}
+    given = {path: value for path, value in typed.items() if value is not None}
+    options = train_options({"train.preset": train_preset, **with_settings(given, settings or (), "train")})
+    request = TrainRequest(
+        source=scene,
+        out=out,
+        preset=options.preset,
+        overrides=options.overrides,
+        time_s=None if time is None else seconds_of(time),
+        masks=masks,
+        up=up,
+        distance=distance,
+        height_m=height,
+        memory_bytes=None if memory is None else bytes_of(memory),
+        validate=validate,
+        seed=seed,
+        checkpoint_every_s=seconds_of(checkpoint_every),
+    )
+    with terminal_display() as listen:
+        result = run_training(request, listen, resume=resume)
+    if as_json or "psnr_db" not in result:
+        finish(result, as_json)
+        return
+    typer.echo(f"held-out {result['psnr_db']:.2f} dB, {result['num_gaussians']:,} Gaussians")
+    typer.echo(f"model: {out / 'scene.ply'}")

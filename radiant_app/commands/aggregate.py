@@ -1,0 +1,79 @@
+"""`radiant aggregate`: join the device models of a run anew, with other settings and without limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
+from radiant_app.report.progress import ProgressDisplay
+from radiant_app.workers.inbox import received_device_models
+from radiant_app.workers.reporting import EventReporter
+from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
+from radiant_core.errors import BadInput
+from radiant_core.hierarchy.cloud import join_cloud
+from radiant_core.hierarchy.edge import join_edge
+from radiant_core.hierarchy.messages import CloudOutlook, CloudTask, EdgeModel, EdgeTask, SceneModel
+from radiant_core.io.messages import load_task, passed_on
+from radiant_core.io.ply import save_ply
+from radiant_core.io.records import load_plan
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.system import Cloud
+
+
+def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
+    """Join the device models of a finished run and write a PLY; neither edges nor the cloud have a limit."""
+    require_file_to_be(out)
+    require_run(run)
+    config = aggregate_preset(preset)
+    config = config if epochs is None else replace(config, num_epochs=epochs)
+    scene, joined_s = join_run(run, config, display)
+    if scene.splats is None:
+        raise BadInput(f"no model of {run} can be joined: {'; '.join(scene.refused.values()) or 'no edge has one'}.")
+    save_ply(out, scene.splats)
+    figures: dict[str, Any] = {"gaussians": len(scene.splats), "retrain_s": round(joined_s + scene.summary.get("train_s", 0.0), 2)}
+    if "num_filled" in scene.summary:
+        figures["filled"] = scene.summary["num_filled"]
+    return {**figures, "model": str(out)}
+
+
+def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tuple[SceneModel, float]:
+    """The scene that edges and the cloud of a run make of its device models, and the seconds that edges retrained."""
+    cloud_plan, edge_plans = load_plan(run / "plan.json")
+    folders = [run / "edges" / plan.edge_id for plan in edge_plans if len(plan.camera_indices)]
+    tasks = {folder.name: load_task(EdgeTask, folder) for folder in folders if (folder / "task.json").is_file()}
+    if not tasks:
+        raise BadInput(f"{run} has no edge that received models: give a run whose devices have trained.")
+    # A lone edge joins its models as the cloud would.
+    outlook = CloudOutlook(limits=Cloud(), share=1.0) if config.edges_pool and len(tasks) > 1 else None
+    models: dict[str, EdgeModel | str] = {}
+    joined_s = 0.0
+    for edge, given in tasks.items():
+        task = replace(given, aggregate=config, memory_bytes=None, cloud=outlook)
+        arrived = received_device_models(run / "edges" / edge, task)
+        stage = f"edges/{edge}"
+        with stage_bar(display, stage):
+            model = join_edge(task, arrived, EventReporter(stage=stage, emit=display))
+        if model.splats is not None:
+            models[edge] = passed_on(model, task.upload, task.train.long_side_px)
+            joined_s += float(model.summary["train_s"])
+    if not models:
+        return SceneModel(splats=None), joined_s
+    with stage_bar(display, "cloud"):
+        scene = join_cloud(_cloud_task(cloud_plan, tasks, tuple(models), config), models, EventReporter(stage="cloud", emit=display))
+    return scene, joined_s
+
+
+def _cloud_task(plan: CloudPlan, tasks: dict[str, EdgeTask], edges: tuple[str, ...], config: AggregateConfig) -> CloudTask:
+    rows = [plan.edge_ids.index(edge) for edge in edges]
+    first = tasks[edges[0]]
+    return CloudTask(
+        edges=edges,
+        num_dealt=tuple(sum(tasks[edge].num_dealt) for edge in edges),
+        sites=tuple((float(x), float(y)) for x, y in plan.sites[rows]),
+        weights=tuple(float(weight) for weight in plan.weights[rows]),
+        train=first.train,
+        backend=first.backend,
+        aggregate=config,
+    )

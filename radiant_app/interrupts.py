@@ -1,0 +1,26 @@
+"""Signals that end a process: all take the way of Ctrl-C, through the same clean-up, so that no worker outlives its run."""
+
+from __future__ import annotations
+
+import signal
+from typing import Any, NoReturn
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C; what typer returns for it."""
+
+
+def interrupt_on_signals() -> None:
+    """Raise KeyboardInterrupt at a polite kill too."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
+        signal.signal(number, _interrupt)
+
+
+def interrupt_was_heard() -> None:
+    """Stop repeating the last interrupt."""
+    signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def _interrupt(number: int, frame: Any) -> NoReturn:
+    # Raised inside a finalizer, Python drops it: repeat it until `interrupt_was_heard`.
+    signal.setitimer(signal.ITIMER_REAL, 1.0)
+    raise KeyboardInterrupt

@@ -1,0 +1,262 @@
+"""Where photographs were taken and whose they are, before anything is planned (`--frames gps` or `known`). Once per run.
+
+The source is a folder of photographs that the plan deals to devices, each of which fetches its own; or one subfolder per
+device, named by its id: the photographs it took, which no other process opens.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from radiant_app.events import Warned
+from radiant_app.executors.local import run_task
+from radiant_app.executors.protocol import NodeTask
+from radiant_app.run.config import RunConfig
+from radiant_app.run.stages import Progress
+from radiant_app.workers.tasks import PositionsTask
+from radiant_core import __version__
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.evaluate.split import held_out_mask
+from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
+from radiant_core.io.messages import save_task, task_key
+from radiant_core.io.photos.copies import copies_warning, file_copies
+from radiant_core.io.photos.listing import SUFFIXES
+from radiant_core.io.run_store import content_key, read_json
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.system import System
+from radiant_core.sfm.given_poses import GivenPoses
+
+MAX_NAMED = 5
+"""Photographs named in one warning."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Captured:
+    """P photographs by name, where each was taken, and on which device it is."""
+
+    names: tuple[str, ...]
+    """File names, with frames by poses those of the poses."""
+    owners: tuple[str | None, ...]
+    """Device that holds the photograph; None where one folder holds all."""
+    positions: FloatArray
+    """(P,3) metres about `origin`, or in the unit of the poses; NaN where nothing says where."""
+    origin: FloatArray | None
+    """(3,) latitude, longitude, altitude; None for given poses."""
+    counted: dict[str, FloatArray] | None = None
+    """Where devices send a raster alone: by device the middles (K,2) m of the cells of its training photographs; no position is known."""
+
+    @property
+    def placed(self) -> Any:
+        """(P,) which photographs have a position."""
+        return np.isfinite(self.positions).all(axis=1)
+
+    @property
+    def planned(self) -> Any:
+        """Rows of the photographs that are planned and trained on."""
+        return np.flatnonzero(self.placed & ~self.held_out)
+
+    @property
+    def held_out(self) -> Any:
+        """(P,) which photographs are held out of everything, by device and name."""
+        return held_out_mask([name if owner is None else f"{owner}/{name}" for name, owner in zip(self.names, self.owners, strict=True)])
+
+
+def device_folders(source: Path, system: System) -> dict[str, Path] | None:
+    """The subfolders of `source` that are named by devices; None where it holds photographs or something else itself."""
+    if not source.is_dir():
+        raise BadInput(f"{source} is no folder: give a folder of photographs, or one with a subfolder per device.")
+    inner = {path.name: path for path in sorted(source.iterdir()) if path.is_dir() and not path.name.startswith(".")}
+    ids = [device.id for device in system.devices]
+    named = {name: path for name, path in inner.items() if name in ids}
+    loose = [path.name for path in source.iterdir() if path.suffix.lower() in SUFFIXES]
+    if not named:
+        holding = [name for name, path in inner.items() if any(file.suffix.lower() in SUFFIXES for file in path.iterdir())]
+        if holding and not loose and "images" not in inner:
+            raise BadInput(
+                f"{source} has photographs in the folder {holding[0]!r}, which is no device of the system ({', '.join(ids)}): name folders "
+                "by their devices, give the --system that has them, or put all photographs into one folder."
+            )
+        return None
+    # A COLMAP model beside them gives poses (--frames known) and holds no photograph.
+    strange = sorted(set(inner) - set(named) - {"sparse"})
+    if strange or loose:
+        other = f"the folder {strange[0]!r}" if strange else f"the photograph {loose[0]!r}"
+        raise BadInput(
+            f"{source} has subfolders of devices ({', '.join(named)}) and {other}: "
+            f"give every device's photographs in a folder with its id, of {', '.join(ids)}."
+        )
+    return named
+
+
+def captured_photographs(config: RunConfig, poses: GivenPoses | None, folders: dict[str, Path] | None, progress: Progress) -> Captured:
+    if poses is None and folders is not None and config.cell_m is not None:
+        return _counted_by_devices(config.cell_m, folders, progress)
+    captured = _by_poses(poses, folders, config.source, progress) if poses is not None else _by_gps(config, folders, progress)
+    _warn_of_unplaced(captured, progress)
+    return captured
+
+
+def _counted_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
+    """Every device counts its own training photographs in a raster; neither a name nor a position of one leaves it."""
+    owned = [
+        (device, path.name)
+        for device, folder in folders.items()
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in SUFFIXES and path.is_file()
+    ]
+    held = held_out_mask([f"{device}/{name}" for device, name in owned])
+    places: dict[str, FloatArray] = {}
+    for device, folder in folders.items():
+        held_out = [name for (owner, name), out in zip(owned, held, strict=True) if owner == device and out]
+        try:
+            told = _positions_in(folder, f"positions/{device}", progress, cell_m, held_out)
+        except (BadInput, StageFailed, OSError) as error:
+            progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {_reason(error)}"))
+            continue
+        if told["num_unplaced"]:
+            message = f"{told['num_unplaced']} of {told['num_photographs']} photographs of device {device} have no usable position."
+            progress.listen(Warned(stage="plan", message=message))
+        cells = np.array(told["cells"], np.float64).reshape(-1, 3)
+        middles = np.column_stack([cells[:, :2], np.full(len(cells), told["altitude_m"] or 0.0)])
+        places[device] = np.repeat(middles, cells[:, 2].astype(np.int64), axis=0)
+    known = np.concatenate([*places.values(), np.zeros((0, 3))])
+    origin = _origin_of(known)
+    positions = enu_from_geodetic(known, origin)
+    owners = [device for device, middles in places.items() for _ in middles]
+    _leave_out_other_sites([f"those of {owner}" for owner in owners], positions, progress)
+    near = np.isfinite(positions).all(axis=1)
+    by_device = {device: positions[near & (np.array(owners) == device), :2] for device in places}
+    return Captured(
+        names=tuple(name for _, name in owned),
+        owners=tuple(device for device, _ in owned),
+        positions=np.full((len(owned), 3), np.nan),
+        origin=origin,
+        counted=by_device,
+    )
+
+
+def _origin_of(known: FloatArray) -> FloatArray:
+    """Middle of positions (P,3), rounded to some ten metres: it is told to everybody, and a median is somebody's position."""
+    if not len(known):
+        raise BadInput(
+            "no photograph has a GPS position with an altitude, which --frames gps needs: give poses with --frames known, or pool them "
+            "(shared), where horizontal positions are enough."
+        )
+    middle = _middle(known)
+    return np.array([*np.round(middle[:2], 4), np.round(middle[2], -1)])
+
+
+def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progress) -> Captured:
+    """Positions from EXIF: one process per device folder reads the heads of its photographs, or one for the folder of all."""
+    places = {None: photo_folder(config.source)} if folders is None else dict(folders)
+    names: list[str] = []
+    owners: list[str | None] = []
+    geodetic: list[tuple[float, float, float] | None] = []
+    for owner, place in places.items():
+        try:
+            found = _positions_in(place, "positions" if owner is None else f"positions/{owner}", progress)["photographs"]
+        except (BadInput, StageFailed, OSError) as error:
+            if owner is None:
+                raise
+            progress.listen(Warned(stage="plan", message=f"device {owner} takes no part: {_reason(error)}"))
+            continue
+        names += found
+        owners += [owner] * len(found)
+        geodetic += found.values()
+    known = np.array([place for place in geodetic if place is not None], np.float64).reshape(-1, 3)
+    origin = _origin_of(known)
+    positions = np.full((len(names), 3), np.nan)
+    positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
+    told = [name if owner is None else f"one of {owner}" for name, owner in zip(names, owners, strict=True)]
+    _leave_out_other_sites(told, positions, progress)
+    return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)
+
+
+def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | None = None, held_out: Sequence[str] = ()) -> dict[str, Any]:
+    """What `run_positions` finds out of the photographs in `place`, in a process of its own."""
+    folder = progress.manifest.folder / stage
+    folder.mkdir(parents=True, exist_ok=True)
+    task = PositionsTask(source=str(place.resolve()), cell_m=cell_m, held_out=tuple(held_out), owned=stage != "positions")
+    save_task(folder, task)
+    # Another process may not open them. Reading their heads again is cheap, and where those say the same nothing follows from it.
+    photographs = [path for path in sorted(place.iterdir()) if path.suffix.lower() in SUFFIXES and path.is_file()]
+    key = content_key(__version__, task_key(task), [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in photographs])
+    run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
+    return read_json(folder / ("positions.json" if cell_m is None else "raster.json"))
+
+
+def _reason(error: BadInput | StageFailed | OSError) -> str:
+    """Why a device takes no part; an error of the operating system names a file, and those of a device stay with it."""
+    return (error.strerror or type(error).__name__) if isinstance(error, OSError) else str(error)
+
+
+def _middle(lat_lon_alt: FloatArray) -> FloatArray:
+    """The median (3,) of positions (P,3); longitudes are counted from the first, since a site may lie on the 180th meridian."""
+    turned = lat_lon_alt.copy()
+    turned[:, 1] = (lat_lon_alt[:, 1] - lat_lon_alt[0, 1] + 180) % 360 - 180
+    middle = np.median(turned, axis=0)
+    middle[1] = (middle[1] + lat_lon_alt[0, 1] + 180) % 360 - 180
+    return middle
+
+
+def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress: Progress) -> None:
+    """Forget, in place, the positions (P,3) m that belong to no site around the origin, the median of all: one run makes one scene."""
+    away_m = np.linalg.norm(positions[:, :2], axis=1)
+    far = np.flatnonzero(away_m > MAX_REACH_M)
+    if len(far):
+        told = f"{len(far)} of {len(names)} photographs lie more than {MAX_REACH_M / 1e3:.0f} km from the middle of all"
+        first = f"{names[far[0]]} first with {away_m[far[0]] / 1e3:,.0f} km"
+        progress.listen(Warned(stage="plan", message=f"{told}, {first}, and are left out: give another site a run of its own."))
+        positions[far] = np.nan
+
+
+def photo_folder(source: Path) -> Path:
+    return source / "images" if (source / "images").is_dir() else source
+
+
+def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path, progress: Progress) -> Captured:
+    """Positions from the given poses; with device folders each pose belongs to the device that has a file of its name."""
+    names = poses.cameras.names
+    if folders is None:
+        copies = file_copies({name: poses.photos / name for name in names})
+        for told in copies_warning(copies, len(names)):
+            progress.listen(Warned(stage="plan", message=told))
+        names = tuple(name for name in names if name not in copies)
+        absent = [name for name in names if not (poses.photos / name).is_file()]
+        owners: list[str | None] = [None] * len(names)
+    else:
+        owner_of: dict[str, str] = {}
+        wanted = set(names)
+        for device, name in [
+            (device, path.name) for device, folder in folders.items() for path in sorted(folder.iterdir()) if path.name in wanted
+        ]:
+            if owner_of.setdefault(name, device) != device:
+                raise BadInput(
+                    f"devices {owner_of[name]} and {device} both have a photograph {name!r}, and the poses do not say whose they are: "
+                    "rename one, there and in the poses."
+                )
+        absent = [name for name in names if name not in owner_of]
+        owners = [owner_of.get(name) for name in names]
+    if absent:
+        raise BadInput(f"photograph {absent[0]!r} of the poses is not in {source} ({len(absent)} in all): fetch it or drop its pose.")
+    return Captured(names=names, owners=tuple(owners), positions=poses.cameras.named(names).centers, origin=None)
+
+
+def _warn_of_unplaced(captured: Captured, progress: Progress) -> None:
+    """Names of photographs in one folder of all; of a device's own their number."""
+    lost = np.flatnonzero(~captured.placed)
+    named = [captured.names[index] for index in lost if captured.owners[index] is None]
+    if named:
+        listed = ", ".join(named[:MAX_NAMED]) + (" …" if len(named) > MAX_NAMED else "")
+        progress.listen(
+            Warned(stage="plan", message=f"{len(named)} of {len(captured.names)} photographs have no usable position: {listed}.")
+        )
+    for owner, count in Counter(owner for index in lost if (owner := captured.owners[index]) is not None).items():
+        message = f"{count} of {captured.owners.count(owner)} photographs of device {owner} have no usable position."
+        progress.listen(Warned(stage="plan", message=message))

@@ -1,0 +1,220 @@
+"""The fields of `RunConfig` by dotted path, such as train.num_steps: the one list behind options, run and job files, `--set` and manifests.
+
+    values of paths  ─config_of→  RunConfig  ─tables_of→  tables, as a run file has them  ─values_of→  values of paths
+
+Fields of `TrainConfig` and `AggregateConfig` belong to the sections train and aggregate, where they are settings beside a preset.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from radiant_app.files.toml_file import sentence
+from radiant_app.run.config import RUN_PRESETS, Option, RunConfig, RunPreset, SettingsOf, TrainOptions
+from radiant_core.errors import BadInput
+
+PRESET = "preset"
+"""Not a field of `RunConfig`: a name for the values of several."""
+_PRESET_HELP = (
+    "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
+    "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
+)
+_Text: Any = Annotated[str, Field(min_length=1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConfigField:
+    """One value that a user can give."""
+
+    path: str
+    kind: Any
+    """Its type."""
+    default: Any = None
+    help: str = ""
+    option: Option | None = None
+    """None: it has no option of its own and is set by `--set`."""
+
+    @property
+    def option_name(self) -> str:
+        """What the command line calls it."""
+        leaf = self.path.rpartition(".")[2].replace("_", "-")
+        return f"--set {self.path}" if self.option is None else self.option.name or f"--{leaf}"
+
+    @property
+    def is_path(self) -> bool:
+        """Whether it names a file or folder."""
+        return Path in (self.kind, *get_args(self.kind))
+
+    @property
+    def checked_kind(self) -> Any:
+        """Its type with its limits; a path is text."""
+        kind = self.kind if not self.is_path else _Text | None if type(None) in get_args(self.kind) else _Text
+        return kind if self.option is None else Annotated[kind, Field(ge=self.option.min, le=self.option.max)]
+
+    @property
+    def typed_kind(self) -> Any:
+        """The type of its option's value, as a job file has it too."""
+        return str if self.option is not None and self.option.parse is not None else self.checked_kind
+
+    def of_option(self, value: Any) -> Any:
+        """The value of an option of that type."""
+        if self.is_path:
+            return Path(value).expanduser()
+        return self.option.parse(value) if self.option is not None and self.option.parse is not None else value
+
+    def read(self, value: Any, *, typed: bool = False) -> Any:
+        """A value from a file, or as `typed` on a command line; "none" is None. Raises pydantic's ValidationError."""
+        if isinstance(value, str) and value.strip().lower() == "none" and type(None) in get_args(self.kind):
+            return None
+        adapter = TypeAdapter(self.checked_kind, config=ConfigDict(strict=True, allow_inf_nan=typed))
+        checked = adapter.validate_strings(value.strip(), strict=False) if typed else adapter.validate_python(value)
+        return checked if checked is None or not self.is_path else Path(checked).expanduser()
+
+
+@cache
+def config_fields() -> dict[str, ConfigField]:
+    """Path → field of everything that a run can be asked for, in the order of the options."""
+    preset = ConfigField(path=PRESET, kind=RunPreset, default="default", help=_PRESET_HELP, option=Option())
+    return {field.path: field for field in (*_fields_of(RunConfig), preset)}
+
+
+def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
+    hints, sentences = get_type_hints(config, include_extras=True), _sentences_under_fields(config)
+    for each in fields(config):
+        path, hint = f"{prefix}{each.name}", hints[each.name]
+        kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        mark = marks[0] if marks else Option()
+        if isinstance(mark, SettingsOf):
+            yield from (ConfigField(path=f"{prefix}{name}", kind=kind) for name, kind in mark.types().items() if name not in mark.fixed)
+        elif isinstance(kind, type) and is_dataclass(kind):
+            yield from _fields_of(kind, f"{path}.")
+        else:
+            yield ConfigField(path=path, kind=kind, default=each.default, help=sentences.get(each.name, ""), option=mark)
+
+
+def _sentences_under_fields(config: type) -> dict[str, str]:
+    """Field → the text that stands under it in the source, on one line."""
+    (defined,) = ast.parse(inspect.getsource(config)).body
+    assert isinstance(defined, ast.ClassDef)
+    return {
+        field.target.id: " ".join(text.value.value.split())
+        for field, text in pairwise(defined.body)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant) and isinstance(text.value.value, str)
+    }
+
+
+def config_of(values: Mapping[str, Any]) -> RunConfig:
+    """The run that is asked for by values of paths: a value given beside a preset wins over it.
+
+    Raises BadInput where a value is missing, wrong, or contradicts another.
+    """
+    given = dict(values)
+    preset = given.pop(PRESET, "default")
+    if preset not in RUN_PRESETS:
+        raise BadInput(f"preset {preset!r} is unknown: use one of {', '.join(get_args(RunPreset))}.")
+    if "out" not in given:
+        raise BadInput("--out is missing: name the run's folder.")
+    if "source" not in given:
+        raise BadInput("source is missing: name the photographs.")
+    of_preset = {path: value for path, value in RUN_PRESETS[preset].items() if path != "plan.method" or given.get("plan.file") is None}
+    return RunConfig(**_arguments({**of_preset, **given}))
+
+
+def train_options(values: Mapping[str, Any]) -> TrainOptions:
+    """The training that is asked for by values of paths in the section train; BadInput as `config_of`."""
+    return _arguments(values)["train"]
+
+
+def _arguments(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Field of `RunConfig` → its value or section."""
+    arguments: dict[str, Any] = {}
+    sections: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        section, dot, name = path.partition(".")
+        if not dot:
+            arguments[path] = value
+        elif config_fields()[path].option is not None:
+            sections.setdefault(section, {})[name] = value
+        else:
+            sections.setdefault(section, {}).setdefault("settings", {})[name] = value
+    kinds = get_type_hints(RunConfig)
+    return arguments | {section: kinds[section](**own) for section, own in sections.items()}
+
+
+def tables_of(config: Any) -> dict[str, Any]:
+    """All fields of a configuration as nested tables that JSON can hold, its settings among them; paths become absolute."""
+    tables: dict[str, Any] = {}
+    for each in fields(config):
+        value = getattr(config, each.name)
+        if each.name == "settings":
+            for path, setting in value.items():
+                *outer, name = path.split(".")
+                table = tables
+                for part in outer:
+                    table = table.setdefault(part, {})
+                table[name] = setting
+        else:
+            tables[each.name] = tables_of(value) if is_dataclass(value) else str(value.resolve()) if isinstance(value, Path) else value
+    return tables
+
+
+def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[str, Any]:
+    """The values in the tables of a file, by path; BadInput with one sentence that names the place and the `kind` of file."""
+    values: dict[str, Any] = {}
+    for key, value in tables.items():
+        path = f"{prefix}{key}"
+        field = config_fields().get(path)
+        if field is None and isinstance(value, dict) and any(known.startswith(f"{path}.") for known in config_fields()):
+            values |= values_of(value, kind, f"{path}.")
+            continue
+        if field is None:
+            raise BadInput(f"{path} is not a key of a {kind}: {_instead(path)}.")
+        try:
+            values[path] = field.read(value)
+        except ValidationError as error:
+            raise BadInput(sentence(error, kind, path)) from error
+    return values
+
+
+def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: str = "") -> dict[str, Any]:
+    """The values `given` by options together with those of `--set PATH=VALUE`, by path.
+
+    Raises BadInput for a path that is unknown or outside of the `section`, a value of another kind, or a path twice.
+    """
+    values = dict(given)
+    for text in settings:
+        path, equals, value = text.partition("=")
+        path = path.strip().replace("-", "_")
+        field = config_fields().get(path)
+        if not equals or field is None or not path.startswith(section):
+            raise BadInput(f"--set {text!r} sets nothing: {_instead(path, section)}.")
+        if path in values:
+            raise BadInput(f"--set {path} is given twice: keep one of them.")
+        try:
+            values[path] = field.read(value, typed=True)
+        except ValidationError as error:
+            raise BadInput(f"--set {text!r}: {error.errors()[0]['msg'].lower()}.") from error
+    return values
+
+
+def _instead(path: str, section: str = "") -> str:
+    """What to write in place of an unknown path: the whole path where a bare name is meant, else what there is."""
+    paths = [known for known in config_fields() if known.startswith(section)]
+    if path in paths:
+        return f"expected {path}=VALUE"
+    meant = [known for known in paths if known.endswith(f".{path.rpartition('.')[2]}")]
+    if meant:
+        return f"use {' or '.join(meant)}"
+    own = [known for known in paths if known.startswith(f"{path.partition('.')[0]}.")]
+    sections = dict.fromkeys(known if "." not in known else f"{known.partition('.')[0]}.…" for known in paths)
+    return f"expected PATH=VALUE with one of {', '.join(own or sections)}"

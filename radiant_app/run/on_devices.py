@@ -1,0 +1,225 @@
+"""`DevicePhotographs`: photographs stay with the device that took them (`--frames gps` or `known`). Once per run.
+
+The plan is made from positions alone, or from counts in a raster. Each device reconstructs, fixes its frame and trains in its
+own folder, and scores the scene on what it held out. A device that cannot deliver is reported missing, the rest goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from radiant_app.events import Warned
+from radiant_app.executors.protocol import Executor
+from radiant_app.run.captured import Captured, captured_photographs, device_folders, photo_folder
+from radiant_app.run.cloud_planning import STAGE
+from radiant_app.run.config import RunConfig
+from radiant_app.run.dealing import Dealer, received
+from radiant_app.run.prediction_error import save_system
+from radiant_app.run.scoring import score_on_devices
+from radiant_app.run.source import Plan
+from radiant_app.run.stages import Progress, load_plan_before_capture, plan_around, plan_stage, warn_of_predictions
+from radiant_app.run.uncaptured import deal_uncaptured
+from radiant_app.workers.tasks import FieldTask, PlacingTask, SfmSettings
+from radiant_core.aggregate.tree import Tree
+from radiant_core.errors import BadInput, StageFailed
+from radiant_core.hierarchy.messages import DeviceSettings
+from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.io.records import save_plan
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.counts.count_raster import middles_of_cells
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.revision.assigned import assigned_plan, device_indices
+from radiant_core.plan.revision.captured import plan_of_owners, taken_for_others
+from radiant_core.plan.system import System
+from radiant_core.sfm.given_poses import GivenPoses, given_poses
+from radiant_core.train.config import TrainConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceShare:
+    """Which photographs are a device's own: file names in `source`, those to train on and those held out."""
+
+    source: Path
+    names: tuple[str, ...]
+    held_out: tuple[str, ...]
+    copy: bool
+    """Whether the device fetches them into its folder; False where they lie in a folder of its own."""
+
+
+@dataclass(kw_only=True)
+class DevicePhotographs:
+    """The photographs of many owners, or those that one folder holds for the devices to fetch."""
+
+    config: RunConfig
+    captured: Captured
+    folders: dict[str, Path] | None
+    """Folder of each device that has one of its own; None where one folder holds all photographs."""
+    poses: GivenPoses | None
+    shares: dict[str, DeviceShare] = field(default_factory=dict)
+    kind: str = "field"
+
+    @classmethod
+    def found(cls, config: RunConfig, system: System, progress: Progress) -> DevicePhotographs:
+        """Positions from EXIF, given poses, or counts that devices send."""
+        # The plan is made anew by a resumed run, from what lies there by then.
+        progress.manifest.forget("plan")
+        folders = device_folders(config.source, system)
+        poses = given_poses(config.source, config.sfm.poses) if config.frames == "known" else None
+        return cls(config=config, captured=captured_photographs(config, poses, folders, progress), folders=folders, poses=poses)
+
+    @property
+    def positions(self) -> FloatArray | None:
+        """None where photographs lie in devices' own folders: they are gone with their device."""
+        return self.captured.positions[self.captured.planned, :2] if self.folders is None else None
+
+    def check(self, train: TrainConfig) -> None:
+        """Nothing is known of the photographs' sizes before devices read them."""
+
+    def planned(self, system: System, progress: Progress) -> Plan:
+        """The plan of the training photographs with a position."""
+        config, captured = self.config, self.captured
+        positions, owners = captured.positions[captured.planned, :2], [captured.owners[index] or "" for index in captured.planned]
+        if captured.counted is not None:
+            positions = np.concatenate([*captured.counted.values(), np.zeros((0, 2))])
+            owners = [device for device, middles in captured.counted.items() for _ in middles]
+        if len(positions) < 2:
+            raise BadInput(f"{len(positions)} training photographs have a position, expected at least 2: give more photographs with GPS.")
+        if self.folders is None:
+            system, cloud, edges = plan_stage(config, system, positions, captured.origin, progress)
+            return Plan(system=system, cloud=cloud, edges=edges)
+        if captured.counted is None and config.cell_m is not None:
+            positions = middles_of_cells(positions, config.cell_m)
+        cloud, edges = self._plan_of_owners(system, positions, owners, progress)
+        save_plan(config.out / "plan.json", cloud, edges, warnings=warn_of_predictions(config, system, edges, progress))
+        save_system(config.out, system)
+        self._warn_of_idle(system, set(owners), progress)
+        return Plan(system=system, cloud=cloud, edges=edges)
+
+    def _plan_of_owners(
+        self, system: System, positions: FloatArray, owners: Sequence[str], progress: Progress
+    ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+        """The plan in which every device keeps what it took."""
+        if self.config.plan.file is None:
+            return assigned_plan(positions, owners, system)
+        regions, strips, planned = plan_around(self.config.plan.file, self.captured.origin)
+        devices = device_indices(owners, system)
+        plan = plan_of_owners(regions, strips, devices, positions, system=system)
+        strange = np.array(taken_for_others(strips, planned, devices, positions), bool)
+        for device in sorted({owner for owner, is_strange in zip(owners, strange, strict=True) if is_strange}):
+            own = strange[[owner == device for owner in owners]]
+            message = f"{own.sum()} of {len(own)} photographs of device {device} lie where the plan has devices of another edge"
+            progress.listen(Warned(stage="plan", message=f"{message}: were folders exchanged? What it shows there may be cut away."))
+        return plan
+
+    def _warn_of_idle(self, system: System, owners: set[str], progress: Progress) -> None:
+        file = self.config.plan.file
+        if file is not None and (message := deal_uncaptured(self.config.out, load_plan_before_capture(file), system, owners)) is not None:
+            progress.listen(Warned(stage="plan", message=message))
+        for device in (device.id for device in system.devices if device.id not in (self.folders or ())):
+            progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs, it takes no part."))
+
+    def follow(self, recipe: Recipe) -> None:
+        """Deal by the plan of this recipe from now on."""
+        self.shares = self._own_shares() if self.folders is not None else self._dealt_shares(recipe.edge_plans)
+
+    def num_dealt(self, device: str) -> int:
+        """Its photographs without those that it holds out."""
+        return len(self.shares[device].names) if device in self.shares else 0
+
+    def devices(self) -> Sequence[str]:
+        """Those with photographs."""
+        return sorted(self.shares)
+
+    def fetched(self, device: str) -> list[Path]:
+        """The photographs of a device that copies them into its folder."""
+        return self._paths(device) if self.shares[device].copy else []
+
+    def _paths(self, device: str) -> list[Path]:
+        share = self.shares[device]
+        return [share.source / name for name in (*share.names, *share.held_out)]
+
+    def fill(self, device: str, folder: Path, recipe: Recipe) -> tuple[FieldTask, list[Path]]:
+        """The names of its photographs; the given poses where there are some."""
+        share, settings = self.shares[device], recipe.device_settings(device)
+        files = [path.stat() for path in self._paths(device)]
+        names = [*share.names, *share.held_out]
+        poses = None if self.poses is None else "poses" if self.poses.deal(names, folder) else "poses.safetensors"
+        origin = self.captured.origin
+        placing = PlacingTask(
+            frames="gps" if self.poses is None else "known",
+            source=str(share.source.resolve()),
+            names=share.names,
+            held_out=share.held_out,
+            copy=share.copy,
+            origin=None if origin is None else (float(origin[0]), float(origin[1]), float(origin[2])),
+            sfm=SfmSettings(
+                matching=self.config.sfm.matching,
+                seed=self.config.seed,
+                two_view_points=True,
+                memory_bytes=settings.memory_bytes,
+            ),
+            poses=poses,
+        )
+        changed = tuple((file.st_size, file.st_mtime_ns) for file in files)
+        common = {each.name: getattr(settings, each.name) for each in fields(DeviceSettings)}
+        return FieldTask(placing=placing, changed=changed, **common), [] if poses is None else [folder / poses]
+
+    def _own_shares(self) -> dict[str, DeviceShare]:
+        captured, folders = self.captured, self.folders or {}
+        held_out = captured.held_out
+        shares = {}
+        for device, folder in folders.items():
+            own = [index for index, owner in enumerate(captured.owners) if owner == device]
+            shares[device] = DeviceShare(
+                source=folder,
+                names=tuple(captured.names[index] for index in own if not held_out[index]),
+                held_out=tuple(captured.names[index] for index in own if held_out[index]),
+                copy=False,
+            )
+        return shares
+
+    def _dealt_shares(self, edge_plans: Sequence[EdgePlan]) -> dict[str, DeviceShare]:
+        """Training photographs as planned; a held-out one goes to the device of the training photograph nearest to it."""
+        captured, chosen = self.captured, self.captured.planned
+        owner_of = {int(index): device for plan in edge_plans for device in plan.device_ids for index in plan.cameras_of(device)}
+        held_out = np.flatnonzero(captured.placed & captured.held_out)
+        nearest = np.asarray(KDTree(captured.positions[chosen]).query(captured.positions[held_out])[1]) if len(held_out) else []
+        shares: dict[str, DeviceShare] = {}
+        for device in sorted(set(owner_of.values())):
+            shares[device] = DeviceShare(
+                source=photo_folder(self.config.source),
+                names=tuple(captured.names[chosen[index]] for index in sorted(owner_of) if owner_of[index] == device),
+                held_out=tuple(captured.names[held] for held, near in zip(held_out, nearest, strict=True) if owner_of[int(near)] == device),
+                copy=True,
+            )
+        return shares
+
+    def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
+        """Let every device whose model is in the scene score it on what it held out; evaluation/result.json has the figures."""
+        num_held_out = sum(len(share.held_out) for share in self.shares.values())
+        ledger = score_on_devices(self.config, dealer, executor, progress, self.captured.origin, num_held_out)
+        progress.manifest.ledger = [*self._planning_ledger(), *dealer.ledger, *ledger]
+
+    def _planning_ledger(self) -> list[dict[str, Any]]:
+        """What the owner's planning and the cloud's received."""
+        run = self.config.out
+        heads = sorted(path for path in (run / "positions").rglob("*.json") if path.name in ("positions.json", "raster.json"))
+        owner = [{"node": "plan", "tier": "owner", **received(heads)}] if self.config.frames == "gps" else []
+        task = run / STAGE / "task.json"
+        return [*owner, *([{"node": STAGE, "tier": "cloud", **received([task])}] if task.is_file() else [])]
+
+    def stages(self, tree: Tree) -> tuple[Sequence[str], Sequence[str]]:
+        """The reading of positions and the planning at the cloud, which have ended; the scoring of each device."""
+        positions = ["positions", *(f"positions/{device}" for device in self.folders or ())]
+        planning = [STAGE] if (self.config.out / STAGE).is_dir() else []
+        return [*positions, *planning], [f"{node.id}/score" for node in tree if node.tier == "device"]
+
+    def may_fail(self, node: Tree, error: BadInput | StageFailed) -> bool:
+        """The rest goes on without whoever cannot deliver."""
+        return node.tier != "cloud"

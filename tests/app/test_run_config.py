@@ -1,0 +1,181 @@
+"""The configuration of a run: options, a run file and `--set` make the same one, and what cannot be used is refused in one sentence."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import radiant_app.cli.run
+from radiant_app.cli.app import app
+from radiant_app.run.config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
+from radiant_app.run.config_fields import config_of, tables_of, train_options, values_of, with_settings
+from radiant_core.errors import BadInput
+from radiant_core.train.config import train_preset
+from radiant_core.train.needs import Overrides, fit_to_backend
+
+FILE = """
+source = "photos"
+out = "run"
+system = "fleet.toml"
+seed = 3
+preset = "paper"
+[plan]
+method = "voronoi"
+[train]
+num_steps = 300
+sky = false
+max_epochs = "none"
+[aggregate]
+num_epochs = 2
+[execution]
+checkpoint_every_s = 90
+"""
+ASKED: dict[str, Any] = {
+    "seed": 3,
+    "upload": "float32",
+    "sfm": SfmOptions(matching="exhaustive"),
+    "plan": PlanOptions(method="voronoi"),
+    "train": TrainOptions(preset="paper", num_steps=300, settings={"sky": False, "max_epochs": None}),
+    "aggregate": AggregateOptions(preset="paper", settings={"num_epochs": 2}),
+    "execution": ExecutionOptions(checkpoint_every_s=90.0),
+}
+
+
+@pytest.fixture
+def asked(tmp_path: Path) -> RunConfig:
+    return RunConfig(source=tmp_path / "photos", out=tmp_path / "run", system=tmp_path / "fleet.toml", **ASKED)
+
+
+def started(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> RunConfig:
+    """The configuration with which `radiant run` with these arguments would start."""
+    configs: list[RunConfig] = []
+    monkeypatch.setattr(radiant_app.cli.run, "run_and_print", lambda config, resume, as_json: configs.append(config))
+    result = CliRunner().invoke(app, ["run", *map(str, arguments)])
+    if result.exception is not None:
+        raise result.exception
+    (config,) = configs
+    return config
+
+
+def run_file(folder: Path, text: str = FILE) -> Path:
+    path = folder / "night.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_run_file_options_and_set_start_the_same_run(tmp_path: Path, asked: RunConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert started(monkeypatch, run_file(tmp_path)) == asked
+    where = (tmp_path / "photos", "--out", tmp_path / "run", "--system", tmp_path / "fleet.toml", "--preset", "paper")
+    only_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set", "aggregate.num_epochs=2")
+    options = ("--seed", 3, "--plan-method", "voronoi", "--steps", 300, "--checkpoint-every", "1.5m")
+    assert started(monkeypatch, *where, *options, *only_set) == asked
+    paths = ("seed=3", "plan.method=voronoi", "train.num_steps=300", "execution.checkpoint_every_s=90")
+    assert started(monkeypatch, *where, *only_set, *(f"--set={path}" for path in paths)) == asked
+
+
+def test_options_beside_a_run_file_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = started(monkeypatch, run_file(tmp_path), "--steps", 7, "--set=plan.method=even", "--out", tmp_path / "other")
+    assert (config.train.num_steps, config.plan.method, config.out) == (7, "even", tmp_path / "other")
+    assert config.train.settings == {"sky": False, "max_epochs": None}
+
+
+def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
+    for config in (asked, RunConfig(source=asked.source, out=asked.out)):
+        assert config_of(values_of(tables_of(config), "job")) == config
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("num_steps = 300", 'num_steps = "300"', "train.num_steps is '300'; expected a valid integer"),
+        ("num_steps = 300", "num_steps = 0", "train.num_steps is 0; expected greater than or equal to 1"),
+        ("num_steps = 300", "step = 300", "train.step is not a key of a run file"),
+        ("sky = false", "sky = 7", "train.sky is 7; expected a valid boolean"),
+        ("sky = false", "start_scale = 2", "start_scale is 2.0"),
+        ("seed = 3", "num_steps = 3", "num_steps is not a key of a run file: use train.num_steps."),
+        ("[plan]", "[plans]", "plans is not a key of a run file"),
+        ('"voronoi"', '"magic"', "plan.method is 'magic'; expected 'exact', 'paper', 'voronoi' or 'even'"),
+        ('system = "fleet.toml"', 'system = ""', "system is ''; string should have at least 1 character"),
+        ('source = "photos"', "", "source is missing"),
+        ("[train]", "[train", "not a TOML file"),
+    ],
+)
+def test_a_bad_run_file_gets_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, said: str) -> None:
+    assert old in FILE
+    with pytest.raises(BadInput) as caught:
+        started(monkeypatch, run_file(tmp_path, FILE.replace(old, new, 1)))
+    assert said in str(caught.value) and "\n" not in str(caught.value) and str(caught.value).count("night.toml") <= 1
+
+
+def test_values_have_the_type_of_their_field() -> None:
+    given = [
+        "train.exposure=none",
+        "train.start_scale=1",
+        "train.sky=false",
+        "train.sh-degree=2",
+        "train.budget_s=none",
+        "plan.method = even",
+    ]
+    assert with_settings({}, given) == {
+        "train.exposure": "none", "train.start_scale": 1.0, "train.sky": False, "train.sh_degree": 2, "train.budget_s": None,
+        "plan.method": "even",
+    }  # fmt: skip
+
+
+def test_what_is_set_is_a_forced_decision() -> None:
+    overrides = train_options(with_settings({}, ["train.start_scale=1", "train.adam=visible"], "train")).overrides
+    config, decisions = fit_to_backend(train_preset("default"), "gsplat", overrides)
+    assert (config.start_scale, config.adam) == (1.0, "visible")
+    assert {decision.topic: decision.forced for decision in decisions} == {"start_scale": True, "adam": True}
+    assert train_options({"train.num_steps": 5}).overrides == Overrides(num_steps=5)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["train.colour=red"], "expected PATH=VALUE with one of .*train.sh_degree"),
+        (["colour=red"], r"expected PATH=VALUE with one of source, .*train\.…"),
+        (["exposure=auto"], r"use train\.exposure\."),
+        (["preset.x=1"], "expected PATH=VALUE"),
+        (["train.start_scale"], r"expected train\.start_scale=VALUE"),
+        (["train.start_scale=big"], "unable to parse"),
+        (["train.adam=sparse"], "'visible' or 'dense'"),
+        (["train.sh_degree=none"], "valid integer"),
+        (["train.long_side_px=5"], "greater than or equal to 16"),
+        (["train.seed=5"], r"use seed\.|expected PATH=VALUE"),
+        (["train.sky=true", "train.sky=false"], "given twice"),
+        (["train.num_steps=5"], "given twice"),
+    ],
+)
+def test_what_cannot_be_set_is_refused(given: list[str], said: str) -> None:
+    with pytest.raises(BadInput, match=said) as refused:
+        with_settings({"train.num_steps": 7}, given)
+    assert str(refused.value).startswith("--set ")
+
+
+def test_a_training_takes_no_setting_of_a_run(tmp_path: Path) -> None:
+    refused = CliRunner().invoke(app, ["train", str(tmp_path), "--out", str(tmp_path / "out"), "--set", "plan.method=even"]).exception
+    assert isinstance(refused, BadInput) and "expected PATH=VALUE" in str(refused)
+
+
+def test_a_value_out_of_range_is_refused_before_the_run_begins() -> None:
+    for values in ({"train.start_scale": 2.0}, {"aggregate.num_epochs": 0}):
+        with pytest.raises(BadInput, match=r"start_scale is 2|num_epochs"):
+            config_of({"source": Path("photos"), "out": Path("run"), **values})
+
+
+def test_a_plan_made_before_capture_and_a_method_exclude_each_other() -> None:
+    where: dict[str, Any] = {"source": Path("photos"), "out": Path("run"), "plan.file": Path("plan.json")}
+    with pytest.raises(BadInput, match="--plan keeps to a plan"):
+        config_of({**where, "plan.method": "even"})
+    assert config_of({**where, "preset": "paper"}).plan == PlanOptions(file=Path("plan.json"))
+
+
+def test_the_configuration_imports_nothing_heavy() -> None:
+    code = "import sys, radiant_app.run.config_fields; print([name for name in ('numpy', 'torch', 'scipy', 'cv2') if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
