@@ -18,6 +18,7 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
 from radiant_core.io.geojson_region import load_region
+from radiant_core.io.messages import message_of
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan_waypoints
 from radiant_core.io.run_store import read_json
@@ -65,7 +66,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     aggregate = AggregateConfig() if request.num_epochs is None else AggregateConfig(num_epochs=request.num_epochs)
     with stage_bar(display, "extend") as report:
         options = FitOptions(report=lambda p: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))
-        made = extend_scene(old, Teacher(splats=new, cameras=cameras), region, TrainConfig(**task["train"]), aggregate, options)
+        made = extend_scene(old, Teacher(splats=new, cameras=cameras), region, message_of(TrainConfig, task["train"]), aggregate, options)
     save_ply(request.out, made.splats)
     return {
         "gaussians": len(made.splats),

@@ -20,6 +20,7 @@ from radiant_app.workers.nodes import sfm_progress, sfm_record
 from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.messages import message_of
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_cameras, load_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
@@ -83,7 +84,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
             continue
         edge = edge_plan.edge_id
         task = read_json(run / "edges" / edge / "task.json", ("devices", "train"))
-        train = TrainConfig(**task["train"])
+        train = message_of(TrainConfig, task["train"])
         inbox = [run / "edges" / edge / "inbox" / device for device in task["devices"]]
         with stage_bar(display, f"edges/{edge}") as report:
             options = FitOptions(report=lambda p, report=report: report(p.step, p.num_steps, f"loss {p.loss:.4f}"))

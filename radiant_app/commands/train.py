@@ -53,7 +53,8 @@ from radiant_core.train.checkpoint import CheckpointFolder, training_key
 from radiant_core.train.config import Preset, TrainConfig, train_preset
 from radiant_core.train.memory import memory_plan, within_memory
 from radiant_core.train.needs import Overrides, fit_to_backend
-from radiant_core.train.trainer import FitOptions, TrainResult
+from radiant_core.train.results import TrainResult
+from radiant_core.train.trainer import FitOptions
 from radiant_core.train.views import TrainingViews
 
 STAGE = "train"

@@ -25,6 +25,7 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.cameras import Cameras
 from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.masks import mask_name
+from radiant_core.io.messages import message_record
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
 from radiant_core.io.upload import UploadFormat
@@ -186,7 +187,7 @@ class Dealer:
             "devices": devices,
             "num_dealt": [self.num_dealt(device) for device in devices],
             "strips": [self._strip_of(device) for device in devices],
-            "train": asdict(self.train),
+            "train": message_record(self.train),
             "aggregate": asdict(self.aggregate),
             "backend": self.backend,
             "upload": self.upload,
@@ -222,7 +223,7 @@ class Dealer:
             "num_dealt": list(num_dealt.values()),
             "sites": self.cloud_plan.sites[rows].tolist(),
             "weights": self.cloud_plan.weights[rows].tolist(),
-            "train": asdict(self.train),
+            "train": message_record(self.train),
             "backend": self.backend,
             **retrain_settings(self.run, edges, self.cloud_plan, self.system, self.aggregate),
         }
@@ -276,7 +277,7 @@ class SharedDealer(Dealer):
         deal_files(self.images, own.cameras.names, folder / "photos")
         save_scene(folder / "scene.safetensors", own)
         memory = {"memory_bytes": self.memory_bytes_of(node.name)}
-        task = {"train": asdict(self.train), "backend": self.backend, "upload": self.upload, **memory}
+        task = {"train": message_record(self.train), "backend": self.backend, "upload": self.upload, **memory}
         masks = deal_masks(self.run, own.cameras.names, folder)
         return task, [folder / "photos", folder / "scene.safetensors", *masks]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.inbox import VIRTUAL_CAMERAS, VIRTUAL_VIEWS
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
+from radiant_core.io.messages import message_record
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
 from radiant_core.numerics import FloatArray
@@ -88,7 +89,7 @@ class FieldDealer(Dealer):
             "changed": [[file.st_size, file.st_mtime_ns] for file in files],
             "origin": None if self.origin is None else self.origin.tolist(),
             "sfm": {**self.sfm, "memory_bytes": self.memory_bytes_of(node.name)},
-            "train": asdict(self.train),
+            "train": message_record(self.train),
             "backend": self.backend,
             "upload": self.upload,
             "memory_bytes": self.memory_bytes_of(node.name),

@@ -20,6 +20,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
+from radiant_core.io.messages import message_of
 from radiant_core.io.run_store import SEAL_NAME, content_key, read_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import Cloud, System
@@ -113,9 +114,10 @@ def joined_at_cloud(folder: Path, task: dict[str, Any], inbox: Inbox, emit: Call
     from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs, kept_statistics_bytes
     from radiant_core.aggregate.ownership import claims_of_cells
     from radiant_core.aggregate.retrain import cut_at_borders, retrain_on_synthetic_views
+    from radiant_core.train.trainer import NoCheckpoints
 
     stage = folder.name
-    train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
+    train, aggregate = message_of(TrainConfig, task["train"]), AggregateConfig(**task["aggregate"])
     rows = [task["edges"].index(name) for name in inbox.senders]
     times_s = task["edge_times_s"]
     needs = cloud_needs(inbox.models, inbox.cameras, train.long_side_px, None if times_s is None else [times_s[row] for row in rows])
@@ -151,7 +153,7 @@ def joined_at_cloud(folder: Path, task: dict[str, Any], inbox: Inbox, emit: Call
             emit(Decided(decision=decided))
         return joined
     # What an edge only pooled, for a cloud that was expected to join, is still joined by itself where that fits.
-    alone = replace(options, checkpoints=None)
+    alone = replace(options, checkpoints=NoCheckpoints())
     for index, teacher in enumerate(teachers):
         if teacher.pooled and (left := statistics_bytes([teacher])) is not None:
             joined = retrain_on_synthetic_views([teacher], train, aggregate, replace(alone, statistics_bytes=left))

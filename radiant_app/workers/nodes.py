@@ -50,6 +50,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.masks import pixel_weights
+from radiant_core.io.messages import message_of
 from radiant_core.io.photos import load_photograph
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
@@ -63,7 +64,8 @@ if TYPE_CHECKING:
     from radiant_core.sfm.config import SfmProgress
     from radiant_core.train.checkpoint import CheckpointFolder
     from radiant_core.train.config import TrainConfig
-    from radiant_core.train.trainer import FitOptions, TrainResult
+    from radiant_core.train.results import TrainResult
+    from radiant_core.train.trainer import FitOptions
     from radiant_core.train.views import TrainingViews
 
 Emit = Callable[[Event], None]
@@ -166,7 +168,7 @@ def train_device(folder: Path, scene: SfmScene, images: Path, task: dict[str, An
     from radiant_core.train.memory import memory_plan, within_memory
 
     stage, emit = running
-    config, options = TrainConfig(**task["train"]), fit_options(stage, task["backend"], emit)
+    config, options = message_of(TrainConfig, task["train"]), fit_options(stage, task["backend"], emit)
     cameras = scene.cameras.scaled(config.long_side_px)
     if task["memory_bytes"] is not None:
         base_bytes = base_bytes_in(folder, resident_bytes())
@@ -251,7 +253,7 @@ def fit(initial: Splats, views: TrainingViews, config: TrainConfig, options: Fit
 
     stage, emit = running
     result = fit_splats(initial, views, config, options)
-    if config.densify != "none":
+    if config.density.kind != "none":
         emit(Decided(decision=density_decision(stage, result.density, len(initial), len(result.splats))))
     if any(asdict(result.shapes).values()):
         emit(Decided(decision=shapes_decision(stage, config, result.shapes)))
@@ -304,7 +306,7 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     inbox = read_inbox(folder, task["devices"], stage, emit, signed=signed, dealt=dealt)
     if not inbox.models:
         return _nothing_placed(folder, inbox)
-    train, aggregate = TrainConfig(**task["train"]), AggregateConfig(**task["aggregate"])
+    train, aggregate = message_of(TrainConfig, task["train"]), AggregateConfig(**task["aggregate"])
     left = edge_pools(task, inbox, stage)
     # A device's model shows the same at its own cameras wherever both were moved to.
     rendered = [

@@ -214,8 +214,8 @@ def test_a_shortened_training_has_as_many_rounds_of_density_control() -> None:
     for num_steps in (700, 1_400, 3_500):
         short = shortened(train, num_steps)
         assert short.num_steps == num_steps
-        assert num_steps / short.densify_every == pytest.approx(train.num_steps / train.densify_every, rel=0.05)
-    assert shortened(train, 1).densify_every == 1
+        assert num_steps / short.density.every == pytest.approx(train.num_steps / train.density.every, rel=0.05)
+    assert shortened(train, 1).density.every == 1
     assert shortened(train, train.num_steps) == train
 
 

@@ -21,7 +21,8 @@ from radiant_core.io.run_store import content_key, file_sha256, read_json, write
 from radiant_core.render.contract import resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.trainer import FitOptions, TrainState
+from radiant_core.train.results import TrainState
+from radiant_core.train.trainer import FitOptions
 from radiant_core.train.views import TrainingViews
 
 SCHEMA = "radiant.checkpoint"

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
 
 from radiant_core.decisions import Decision
 from radiant_core.scene import SfmScene
-from radiant_core.train.config import TrainConfig
+from radiant_core.train.config import TrainConfig, with_settings
+from radiant_core.train.densification import NoDensification
 from radiant_core.train.views import TrainingViews
 
 MIN_EXPOSURE_SPREAD = 0.05
@@ -38,7 +40,7 @@ class Overrides:
     max_num_splats: int | None = None
     """Upper limit of Gaussians of a device."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Any other setting of training by its name in `TrainConfig`."""
+    """Any other setting of training by its path in `TrainConfig`, as `with_settings` takes it."""
 
 
 _LIMITS = {
@@ -55,7 +57,7 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
     if overrides.num_steps is not None:
         # Steps that somebody asked for are taken, all of them.
         config = replace(config, max_epochs=None)
-    config = replace(config, **overrides.settings)
+    config = with_settings(config, overrides.settings)
     if backend in _LIMITS and not config.reduce_on_cpu:
         decisions.append(_unreduced_decision(overrides.num_steps or config.num_steps, backend))
     for name, unit in _UNITS.items():
@@ -86,7 +88,7 @@ def _forced_setting(config: TrainConfig, name: str, value: Any) -> Decision:
     return Decision(
         stage="train",
         topic=name,
-        choice=f"{value} instead of {getattr(config, name)}",
+        choice=f"{value} instead of {reduce(lambda part, field: getattr(part, field, None), name.split('.'), config)}",
         figure=float(value) if isinstance(value, int | float) else 0.0,
         unit="as set",
         reason="asked for on the command line",
@@ -128,10 +130,11 @@ def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> 
 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """Where growth has a limit to reach, no more Gaussians than the photographs have detail for."""
-    num_pixels = sum(image.shape[0] * image.shape[1] for image in views.images)
-    if config.densify not in ("planned", "mcmc") or config.pixels_per_splat is None:
+    density = config.density
+    if isinstance(density, NoDensification) or density.kind == "adc" or density.pixels_per_splat is None:
         return config, ()
-    most = max(MIN_PLANNED, num_pixels // config.pixels_per_splat)
+    num_pixels = sum(image.shape[0] * image.shape[1] for image in views.images)
+    most = max(MIN_PLANNED, num_pixels // density.pixels_per_splat)
     if most >= config.max_num_splats:
         return config, ()
     decision = Decision(
@@ -140,7 +143,7 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
         choice=f"growth is planned to {most:,} instead of {config.max_num_splats:,}",
         figure=num_pixels / 1e6,
         unit="million pixels of training photographs",
-        reason=f"more than one Gaussian per {config.pixels_per_splat} pixels cost time and gained nothing on photographs left out",
+        reason=f"more than one Gaussian per {density.pixels_per_splat} pixels cost time and gained nothing on photographs left out",
     )
     return replace(config, max_num_splats=most), (decision,)
 
