@@ -51,7 +51,7 @@ class TrainConfig:
     """A Gaussian's axes stay below this share of its distance to the nearest camera; None for no limit. A larger Gaussian is
     constrained only by the cameras in front of its centre, and appears as haze in views from elsewhere."""
     max_elongation: float | None = 10.0
-    """A Gaussian's longest axis stays below this many times its second longest: a longer one is a needle; None for no limit."""
+    """A Gaussian's longest axis stays below this many times its second longest, so that there are no needles; None for no limit."""
     means_lr: float = 1.6e-4
     """Learning rate of the centres, in units of the cameras' extent."""
     means_lr_end: float = 0.01
@@ -68,37 +68,37 @@ class TrainConfig:
     sh0_lr: float = 2.5e-3
     """Learning rate of the base colour; the higher harmonics get a twentieth."""
     adam: Literal["visible", "dense"] = "visible"
-    """visible: a step moves the Gaussians that its image shows; dense: all of them by their moments, as 3DGS does."""
+    """visible: a step moves the Gaussians that its image shows; dense: all of them by their moments, as in 3DGS."""
     sh_degree_every: int = 0
-    """Steps after which the next degree of colour joins in, as 3DGS does; 0: all degrees from the start."""
+    """Steps after which the next degree of colour is added, as in 3DGS; 0: all degrees from the start."""
     density: Densification = field(default_factory=NoDensification)
     """How the number of Gaussians changes during training, with the knobs of that policy (`densification.py`)."""
     schedule_steps: int = 30_000
     """Length of the run for which the steps of `density` and `sh_degree_every` are meant; a run of another length scales them."""
     budget_s: float | None = None
-    """Seconds of training after which the run ends, if the steps have not ended it; every schedule follows what is spent of either."""
+    """Seconds of training after which the run ends, if the steps have not ended it; every schedule follows whichever is spent faster."""
     start_scale: float = 1.0
     """Share of the image size that training begins with."""
     full_size_from: float = 0.4
     """Share of the run from which images have their full size."""
     exposure: Literal["none", "affine", "auto"] = "none"
-    """affine: every photograph has an affine map of the colours of its own, learnt with the model; auto: where exposures differ."""
+    """affine: each photograph has its own affine map of colours, learnt with the model; auto: the same, where exposures differ."""
     exposure_lr: float = 1e-3
     """Learning rate of the exposures at the start; it falls to a tenth."""
     num_looks: int = 6
-    """How often validation views are looked at in the second half of a run."""
+    """How many times the validation views are rendered in the second half of a run."""
     sky: bool = True
     """Whether Gaussians on a far half sphere are added where photographs look above the horizon."""
     antialiased: bool = False
     """Whether opacities fade where a Gaussian is smaller than a pixel (Mip-Splatting): for views from distances that differ."""
     background: Literal["black", "random"] = "black"
-    """What training sees behind the Gaussians; random: another colour at each step, which no half-transparent Gaussian can imitate."""
+    """The colour behind the Gaussians during training; random: another one at each step, which no half-transparent Gaussian can imitate."""
     fill_in: bool = True
     """Whether places that structure from motion left empty get starting points."""
     skip_images: Literal["none", "auto"] = "none"
     """auto: photographs that repeat another one, and blurred ones of which others show the same, are left out."""
     reduce_on_cpu: bool = True
-    """Whether size, steps and Gaussians are cut to what a CPU ends in minutes."""
+    """Whether size, steps and Gaussians are reduced so that a CPU finishes in minutes."""
     seed: int = 0
     """Seed of the order of images and of every random choice."""
 

@@ -1,4 +1,4 @@
-"""Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians that the pictures pull at are cloned or split, empty ones pruned.
+"""Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians with large image gradients are cloned or split, transparent ones pruned.
 
     g_i = mean over the steps that saw i of ‖(W/2, H/2) ⊙ ∂loss/∂m_i‖        m_i: projected centre in px; gsplat's normalisation
           or of ‖(W/2, H/2) ⊙ Σ_p |∂loss_p/∂m_i|‖ over pixels p, by absolute value (AbsGS, Ye 2024)
@@ -154,7 +154,7 @@ def select_prunable(
 
 
 class AdaptiveDensity(Part):
-    """Gathers the gradients of one training and edits its model on schedule; `counts` says what was done so far."""
+    """Gathers the gradients of one training and edits its model on schedule; `counts` holds what was done so far."""
 
     name = "density"
 
@@ -227,7 +227,7 @@ class AdaptiveDensity(Part):
         across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
         with np.errstate(over="ignore", invalid="ignore"):
             length = (across * across + down * down) ** 0.5
-            # The step of a gradient that is not finite is not taken, and must not be remembered here either.
+            # A step whose gradient is not finite is not taken, and must not enter the statistics either.
             length[~(length < math.inf)] = 0
             self._sums += length
         self._seen += visible

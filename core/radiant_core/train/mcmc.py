@@ -60,7 +60,7 @@ def share_place(
 
 
 class RelocatedDensity(Part):
-    """Moves, adds and shakes the Gaussians of one training; `counts.num_cloned` are those added, `num_relocated` those moved."""
+    """Relocates, adds and perturbs the Gaussians of one training; `counts.num_cloned` are those added, `num_relocated` those moved."""
 
     name = "density"
 
@@ -78,11 +78,11 @@ class RelocatedDensity(Part):
             splats.log_scales.grad += SCALE_COST / splats.log_scales.numel() * splats.log_scales.clamp(max=30).exp()
 
     def after_update(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
-        """The model, relocated and grown where a round is due, shaken where that is."""
+        """The model, relocated and grown where a round is due, perturbed where that is."""
         policy, step, schedule_step = self._policy, moment.step, moment.schedule_step
         rng = np.random.default_rng((self._config.seed, step))
         if policy.from_step < schedule_step < policy.until_step and step % policy.every == 0 and len(splats):
-            # Between two rounds the schedule moves by so much on average, whatever measures its length.
+            # The schedule's mean advance between two rounds, by steps or by time.
             growth = GROWTH_PER_STEP ** (policy.every * max(1.0, schedule_step / step))
             splats = self._edit(splats, optimizer, rng, growth)
         if step % WANDER_EVERY == 0:
@@ -94,7 +94,7 @@ class RelocatedDensity(Part):
         return finish_density(result, self.counts)
 
     def state_numbers(self) -> dict[str, Any]:
-        """The counts; a round looks at nothing else but the model."""
+        """The counts; a round depends on the model alone."""
         return asdict(self.counts)
 
     def restore(self, arrays: dict[str, NDArray[Any]], numbers: Any, splats: SplatTensors) -> None:
@@ -128,7 +128,7 @@ class RelocatedDensity(Part):
             splats,
             **{name: torch.from_numpy(changed[name]).to(device) if name in changed else tensor[index] for name, tensor in tensors.items()},
         )
-        # Those that now share a place begin anew as well: their moments belong to another opacity and size.
+        # Those that now share a place are fresh as well: their moments belong to another opacity and size.
         optimizer.select_rows(edited.tensors(), index, torch.from_numpy(fresh | (copies[rows] > 1)).to(device))
         return edited
 

@@ -1,6 +1,6 @@
 """`Part`: what may take part in a training beside its loop. Density control, exposures, validation and held Gaussians are parts.
 
-A training calls each hook of all its parts in turn, once per step unless a hook says otherwise:
+A training calls each hook of all its parts in turn, once per step unless its docstring states otherwise:
 
     wants_absgrad → render → show → loss → before_backward → backward → after_backward → Adam → hold → after_update → after_step
 """
@@ -67,7 +67,7 @@ class Part(Protocol):
         return
 
     def finish(self, result: TrainResult) -> TrainResult:
-        """The result of the run with what this part knows or changes of it. Once per run."""
+        """The result of the run with the figures and changes of this part. Once per run."""
         return result
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:

@@ -37,9 +37,9 @@ from radiant_core.train.validation import BestModel
 from radiant_core.train.views import TrainingViews
 
 STEPS_BETWEEN_LIMITS = 50
-"""How often sizes are held below their limit; it follows centres that move slowly."""
+"""How often the limits of shape are applied; centres move slowly."""
 MIN_STEADY_STEPS = 700
-"""A run of fewer steps keeps its rates to the end, however few its photographs."""
+"""A run of fewer steps keeps its rates to the end, however few photographs it has."""
 MIN_SETTLED_SHARE = 0.1
 """The rates of no run fall below this share; longer ones were not measured."""
 MAX_FAILURES = 20
@@ -48,7 +48,7 @@ MAX_FAILURES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Steps:
-    """What may move and how fast, as factors of the configuration's learning rates; 0 keeps a tensor as it is."""
+    """Factors of the configuration's learning rates; 0 keeps a tensor as it is."""
 
     means: float = 1.0
     quats: float = 1.0

@@ -37,13 +37,14 @@ class BestModel(Part):
     name = "best"
 
     def __init__(self, views: TrainingViews, num_looks: int, backend: Backend) -> None:
-        self._views, self._num_looks, self._backend = views, num_looks, backend
+        self._views, self._num_looks = views, num_looks
+        self._backend: Backend = backend
         self.looks: list[tuple[int, float]] = []
         self.splats: Splats | None = None
         self.step: int | None = None
 
     def is_due(self, progress: float) -> bool:
-        """Whether the next look is to be taken at this share of the run."""
+        """Whether the model is to be scored at this share of the run."""
         done = len(self.looks)
         return done < self._num_looks and progress >= 1 - (1 - FIRST_LOOK) * (1 - (done + 1) / self._num_looks)
 
