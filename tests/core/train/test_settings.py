@@ -27,8 +27,8 @@ def test_a_configuration_comes_back_from_its_record(preset: str, kind: str) -> N
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"density": {"kind": "grow"}}, "density: .*'none', 'adc', 'planned', 'mcmc'"),
-        ({"density": {"kind": "adc", "every": "often"}}, "every: .*valid integer"),
+        ({"density": {"kind": "grow"}}, "density.*'none', 'adc', 'planned', 'mcmc'"),
+        ({"density": {"kind": "adc", "every": "often"}}, "every.*valid integer"),
         ({"density": {"kind": "adc", "every": 0}}, "every is 0"),
         ({"num_steps": 0}, "num_steps is 0"),
     ],
