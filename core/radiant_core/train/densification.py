@@ -1,12 +1,5 @@
 """The policies of densification, each with its own knobs, and the counts of what a policy did. `TrainConfig.density` is one of them.
 
-| kind    | policy            | what it does                                                                                |
-|---------|-------------------|---------------------------------------------------------------------------------------------|
-| none    | `NoDensification` | keeps the Gaussians of the start                                                            |
-| adc     | `Adc`             | clones, splits and prunes them: the adaptive density control of 3DGS (Kerbl 2023, Sec. 5)   |
-| planned | `Adc`             | the same, under a limit of Gaussians that grows evenly to `TrainConfig.max_num_splats`      |
-| mcmc    | `Mcmc`            | relocates and adds them by sampling (Kheradmand 2024), up to `TrainConfig.max_num_splats`   |
-
 Steps are those of a run of `TrainConfig.schedule_steps`; a run of another length scales them, except for `every`.
 """
 
@@ -25,7 +18,7 @@ DensityKind = Literal["none", "adc", "planned", "mcmc"]
 
 @dataclass(frozen=True, kw_only=True)
 class NoDensification:
-    """As many Gaussians as at the start."""
+    """The Gaussians of the start and no others."""
 
     kind: Literal["none"] = "none"
     """Names the policy."""
@@ -33,10 +26,10 @@ class NoDensification:
 
 @dataclass(frozen=True, kw_only=True)
 class Adc:
-    """The adaptive density control of 3DGS."""
+    """The adaptive density control of 3DGS clones, splits and prunes Gaussians (Kerbl 2023, Sec. 5; `density.py`)."""
 
     kind: Literal["adc", "planned"] = "adc"
-    """adc: as many Gaussians as `max_num_splats` from the start; planned: a limit that grows evenly to it."""
+    """adc: up to `TrainConfig.max_num_splats` Gaussians at once; planned: under a limit that grows evenly to that number."""
     from_step: int = 500
     """Density control begins after this step."""
     until_step: int = 15_000
@@ -69,7 +62,7 @@ class Adc:
 
 @dataclass(frozen=True, kw_only=True)
 class Mcmc:
-    """Densification as sampling."""
+    """Densification as sampling relocates and adds Gaussians, up to `TrainConfig.max_num_splats` (Kheradmand 2024; `mcmc.py`)."""
 
     kind: Literal["mcmc"] = "mcmc"
     """Names the policy."""
