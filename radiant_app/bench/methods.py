@@ -56,6 +56,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import train_preset
+from radiant_core.train.densification import NoDensification
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.training_pixels import training_pixels
 from radiant_viewer.charts.curve_chart import CurvePoint
@@ -286,7 +287,7 @@ def _on_photographs(cell: Cell) -> Made:
     models = concatenate_splats([model.splats for edge in cell.devices for model in edge])
     views = cell.scene.views
     num_steps = NUM_EPOCHS_OF_PHOTOGRAPHS * len(views)
-    config = replace(cell.train, seed=cell.seed, num_steps=num_steps, densify="none", start_scale=1.0, settle_epochs=None)
+    config = replace(cell.train, seed=cell.seed, num_steps=num_steps, density=NoDensification(), start_scale=1.0, settle_epochs=None)
     return _timed(lambda: (fit_splats(models, views, config).splats, training_pixels(views.cameras, config, num_steps)))
 
 

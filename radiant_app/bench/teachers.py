@@ -30,6 +30,7 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import tree_of_plan
 from radiant_core.errors import StageFailed
 from radiant_core.evaluate.metric import Metric
+from radiant_core.io.messages import message_of
 from radiant_core.io.records import load_scene
 from radiant_core.io.run_store import file_sha256, read_json
 from radiant_core.train.config import TrainConfig
@@ -118,7 +119,7 @@ def _dealer(run: Path, edge: EdgeOfRun, quick: bool) -> SharedDealer:
     system = place_edges(even_system(1, NUM_DEVICES), positions, None, 0)
     cloud_plan = plan_regions(positions, system, method="exact")
     assert isinstance(cloud_plan, CloudPlan), "devices without a memory limit hold every plan"
-    train, aggregate = TrainConfig(**edge.task["train"]), AggregateConfig(**edge.task["aggregate"])
+    train, aggregate = message_of(TrainConfig, edge.task["train"]), AggregateConfig(**edge.task["aggregate"])
     return SharedDealer(
         system=system,
         run=run,

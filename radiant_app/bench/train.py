@@ -41,7 +41,7 @@ from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import resolve_backend
 from radiant_core.scene import SfmScene
-from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_viewer.charts.curve_chart import CurvePoint
 
@@ -55,15 +55,15 @@ UNLIMITED_STEPS = 10**9
 REFERENCE = "standard"
 ABLATIONS: dict[str, dict[str, Any]] = {
     "full size from the start": {"start_scale": 1.0},
-    "no densification": {"densify": "none"},
-    "adc instead of planned growth": {"densify": "adc"},
-    "mcmc instead of planned growth": {"densify": "mcmc"},
+    "no densification": {"density.kind": "none"},
+    "adc instead of planned growth": {"density.kind": "adc"},
+    "mcmc instead of planned growth": {"density.kind": "mcmc"},
     "Adam on visible Gaussians only": {"adam": "visible"},
     "no fill-in points": {"fill_in": False},
     "no sky": {"sky": False},
     "sizes without limit": {"max_scale_per_distance": None},
     "needles without limit": {"max_elongation": None},
-    "any number of Gaussians": {"pixels_per_splat": None},
+    "any number of Gaussians": {"density.pixels_per_splat": None},
     "all photographs": {"skip_images": "none"},
     "any number of steps": {"max_epochs": None},
     "rates that never settle": {"settle_epochs": None},
@@ -211,7 +211,7 @@ def curves_of(rows: Sequence[TrainedRow]) -> dict[str, list[CurvePoint]]:
 def _ablations(bench: TrainBench, splits: Sequence[_Split]) -> tuple[list[TrainedRow], list[Metric]]:
     whole, budget_s = bench.presets[0], bench.budgets_s[0]
     base = _config(whole, bench.long_side_px)
-    variants = {whole: base, **{name: replace(base, **change) for name, change in bench.changes.items()}}
+    variants = {whole: base, **{name: with_settings(base, change) for name, change in bench.changes.items()}}
     # What is switched off already, or on, is no ablation.
     variants = {name: config for name, config in variants.items() if name == whole or config != base}
     jobs = [(split, name, config, budget_s, seed) for split in splits for seed in bench.seeds for name, config in variants.items()]

@@ -23,6 +23,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.checkpoint import CheckpointFolder
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.densification import Adc, densification_of
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.views import TrainingViews
 
@@ -33,9 +34,15 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, den
     """Print the resident memory before the training and its peak, in bytes."""
     base = resident_bytes()
     config = TrainConfig(
-        num_steps=STEPS, schedule_steps=STEPS, sh_degree=sh_degree, max_num_splats=num_splats, densify=densify, # type: ignore[arg-type]
-        densify_from_step=1, densify_until_step=STEPS - 20, densify_every=2, densify_min_gradient=0.0, reset_opacity_every=10 * STEPS,
-    )  # fmt: skip
+        num_steps=STEPS,
+        schedule_steps=STEPS,
+        sh_degree=sh_degree,
+        max_num_splats=num_splats,
+        density=densification_of(
+            densify,  # type: ignore[arg-type]
+            Adc(from_step=1, until_step=STEPS - 20, every=2, min_gradient=0.0, reset_opacity_every=10 * STEPS),
+        ),
+    )
     splats, views = _scene(num_splats if densify == "none" else num_splats // 4, num_views, long_side_px, sh_degree)
     with tempfile.TemporaryDirectory() as folder:
         checkpoints = CheckpointFolder(Path(folder), "memory", every_s=0.5)

@@ -24,6 +24,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.choices import UploadFormat
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
+from radiant_core.io.messages import message_of
 from radiant_core.io.records import load_cameras, load_plan, load_splats
 from radiant_core.io.run_store import read_json
 from radiant_core.io.transport.upload import load_upload, save_upload
@@ -140,7 +141,7 @@ def _held_out_psnr_db(run: Path, edges: Sequence[EdgeOfRun], upload_format: Uplo
 
     models = []
     for edge in edges:
-        train, aggregate = TrainConfig(**edge.task["train"]), AggregateConfig(**edge.task["aggregate"])
+        train, aggregate = message_of(TrainConfig, edge.task["train"]), AggregateConfig(**edge.task["aggregate"])
         teachers = [Teacher(splats=received(model), cameras=own) for model, own in zip(edge.models, edge.cameras, strict=True)]
         joined = retrain_on_synthetic_views(teachers, train, aggregate, FitOptions())
         models.append(received(joined.splats))

@@ -61,10 +61,10 @@ def aggregate(
     as_json: AsJson = False,
 ) -> None:
     """Join the device models of a run once more, in another way."""
-    from radiant_app.commands import steps as commands
+    from radiant_app.commands.aggregate import aggregate as join
     from radiant_app.report.progress import terminal_display
 
-    finish(commands.aggregate(run_folder, out, aggregate_preset, epochs, terminal_display()), as_json)
+    finish(join(run_folder, out, aggregate_preset, epochs, terminal_display()), as_json)
 
 
 @app.command()

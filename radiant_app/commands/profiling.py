@@ -31,12 +31,14 @@ from radiant_app.run.dealing import deal_files
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
+from radiant_core.io.messages import message_record
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.devices.device_split import long_axis
 from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.densification import NoDensification
 
 STAGE = "profile"
 MIN_PHOTOGRAPHS = 4
@@ -103,8 +105,10 @@ def chosen_counts(num_photographs: int) -> tuple[list[int], int | None]:
 
 def shortened(train: TrainConfig, num_steps: int) -> TrainConfig:
     """The same training in fewer steps: as many rounds of density control, so that as many Gaussians come as early."""
-    every = max(1, round(train.densify_every * num_steps / train.num_steps))
-    return replace(train, num_steps=num_steps, densify_every=every)
+    density = train.density
+    if not isinstance(density, NoDensification):
+        density = replace(density, every=max(1, round(density.every * num_steps / train.num_steps)))
+    return replace(train, num_steps=num_steps, density=density)
 
 
 @dataclass(kw_only=True)
@@ -176,7 +180,7 @@ class Measuring:
         seconds = self._run(
             "device",
             folder,
-            {"train": asdict(shortened(self.train, num_steps)), "backend": self.backend, "upload": UPLOAD, "memory_bytes": None},
+            {"train": message_record(shortened(self.train, num_steps)), "backend": self.backend, "upload": UPLOAD, "memory_bytes": None},
         )
         summary = read_json(folder / "summary.json", ("train_s", "model_bytes"))
         return DeviceSample(
@@ -199,7 +203,13 @@ class Measuring:
         aggregate = aggregate_preset("default")
         # A model agrees with itself: it is retrained all the same.
         joined = asdict(replace(aggregate, num_epochs=max(1, num_epochs), agreement_db=None))
-        common = {"train": asdict(self.train), "backend": self.backend, "upload": UPLOAD, "teachers": [], "strips": [[]] * num_devices}
+        common = {
+            "train": message_record(self.train),
+            "backend": self.backend,
+            "upload": UPLOAD,
+            "teachers": [],
+            "strips": [[]] * num_devices,
+        }
         task = {"devices": names, "aggregate": joined, "cloud": _UNLIMITED_CLOUD if self.edges_pool else None, **common}
         seconds = self._run("edge", folder, task)
         train_s = read_json(folder / "summary.json", ("train_s",))["train_s"]

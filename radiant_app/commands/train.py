@@ -48,7 +48,7 @@ from radiant_core.splats import Splats
 from radiant_core.train.config import NEVER, Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_training_views
-from radiant_core.train.trainer import TrainResult
+from radiant_core.train.results import TrainResult
 from radiant_core.train.views import TrainingViews
 
 STAGE = "train"

@@ -83,7 +83,7 @@ def test_more_splits_than_a_set_allows_are_refused_with_what_it_allows(project: 
 
 
 def test_ablations_are_paired_with_the_whole(project: Path) -> None:
-    changes = {"no densification": {"densify": "none"}, "as it is": {}}
+    changes = {"no densification": {"density.kind": "none"}, "as it is": {}}
     bench = TrainBench(scene=project, presets=("default",), budgets_s=(0.5,), seeds=(0,), long_side_px=96, ablations=True, changes=changes)
     rows, metrics = bench_train(bench)
     assert [row.variant for row in rows] == ["default", "no densification"]

@@ -62,7 +62,7 @@ def test_every_skip_is_off_and_said(finished: tuple[Path, RunResult, list[Event]
     assert {d.topic for d in decisions if d.forced} >= {"size", "sky", "fill-in points", "retraining"}
     assert not [d for d in decisions if d.choice == "skipped"]
     device = read_json(folder / "run" / "devices" / "n" / "task.json")["train"]
-    assert (device["densify"], device["sky"], device["fill_in"], device["adam"], device["max_num_splats"]) == (
+    assert (device["density"]["kind"], device["sky"], device["fill_in"], device["adam"], device["max_num_splats"]) == (
         "adc", False, False, "dense", 5_000_000,
     )  # fmt: skip
     # One device at this edge: its model is retrained all the same, 10 epochs of its views.

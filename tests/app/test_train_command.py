@@ -32,7 +32,7 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.train.checkpoint import CheckpointFolder
 from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides
-from radiant_core.train.trainer import TrainState
+from radiant_core.train.results import TrainState
 
 QUICK = Overrides(num_steps=40, long_side_px=96)
 

@@ -19,11 +19,11 @@ pytestmark = pytest.mark.stress
 
 FAST_GROWTH = {
     "schedule_steps": 40,
-    "densify": "adc",
-    "densify_from_step": 1,
-    "densify_until_step": 35,
-    "densify_every": 1,
-    "densify_min_gradient": 0.0,
+    "density.kind": "adc",
+    "density.from_step": 1,
+    "density.until_step": 35,
+    "density.every": 1,
+    "density.min_gradient": 0.0,
 }
 DEVICE_GB, EDGE_GB = 0.45, 0.5
 

@@ -21,14 +21,15 @@ import radiant_app.commands.train as command
 from radiant_app.workers.memory import peak_bytes
 from radiant_core.io.run_store import read_json
 from pathlib import Path
-source, out, memory, densify = sys.argv[1:]
+from radiant_core.train.densification import Adc, densification_of
+source, out, memory, kind = sys.argv[1:]
 chosen = command.fit_to_backend
 def growing(*arguments):
     config, decisions = chosen(*arguments)
     # Every round doubles the model at most, so that it is at its limit soon; then it goes on for as long again.
-    return replace(config, densify=densify, num_steps=70, schedule_steps=70, densify_from_step=1, densify_until_step=60,
-                   densify_every=2 if densify == "planned" else 1, densify_min_gradient=0.0, reset_opacity_every=1000,
-                   pixels_per_splat=None, long_side_px=576), decisions
+    every = 2 if kind == "planned" else 1
+    adc = Adc(from_step=1, until_step=60, every=every, min_gradient=0.0, reset_opacity_every=1000, pixels_per_splat=None)
+    return replace(config, density=densification_of(kind, adc), num_steps=70, schedule_steps=70, long_side_px=576), decisions
 command.fit_to_backend = growing
 request = command.TrainRequest(source=Path(source), out=Path(out), memory_bytes=int(memory), checkpoint_every_s=1.0)
 metrics = command.train(request)

@@ -25,8 +25,10 @@ from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.densification import NoDensification
+from radiant_core.train.results import TrainResult
 from radiant_core.train.shapes import without_dead
-from radiant_core.train.trainer import FitOptions, Steps, TrainResult, fit_splats
+from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews, concatenate_views
 
 RATES_END = 0.3
@@ -214,7 +216,14 @@ def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Sp
     num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)
-    still = {"sh_degree_every": 0, "densify": "none", "start_scale": 1.0, "exposure": "none", "background": "black", "settle_epochs": None}
+    still = {
+        "sh_degree_every": 0,
+        "density": NoDensification(),
+        "start_scale": 1.0,
+        "exposure": "none",
+        "background": "black",
+        "settle_epochs": None,
+    }
     rates = {name: getattr(train_preset("paper"), name) for name in RATES} if aggregate.preset == "paper" else {}
     return replace(train, num_steps=num_steps, sh_degree=merged.sh_degree, **still, **rates)
 

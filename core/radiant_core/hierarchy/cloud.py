@@ -28,7 +28,7 @@ from radiant_core.hierarchy.messages import CloudTask, EdgeModel, SceneModel
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
 from radiant_core.plan.system import Cloud
 from radiant_core.splats import Splats
-from radiant_core.train.trainer import FitOptions
+from radiant_core.train.trainer import FitOptions, NoCheckpoints
 
 MACHINE_SHARE = 0.8
 """Of the memory that is free where the cloud runs, what joining may take unless the system file sets a limit: the rest is others'."""
@@ -115,7 +115,7 @@ def _join(
             reporter.decide(decision)
         return joined
     # What an edge only pooled, for a cloud that was expected to join, is still joined by itself where that fits.
-    alone = replace(options, checkpoints=None)
+    alone = replace(options, checkpoints=NoCheckpoints())
     for index, teacher in enumerate(teachers):
         if teacher.pooled and (left := _statistics_bytes(task, [teacher], most_bytes)) is not None:
             joined = retrain_on_synthetic_views([teacher], task.train, task.aggregate, replace(alone, statistics_bytes=left))

@@ -25,7 +25,8 @@ from radiant_core.train.initialize import first_splats, sky_share
 from radiant_core.train.memory import memory_plan, within_memory, within_vram
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from radiant_core.train.needs import fit_to_scene
-from radiant_core.train.trainer import FitOptions, TrainResult, fit_splats
+from radiant_core.train.results import TrainResult
+from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.views import TrainingViews
 from radiant_core.train.worth import worth_training
 
@@ -110,7 +111,7 @@ def fit_prepared(prepared: PreparedTraining, reporter: Reporter) -> TrainResult:
     """Take the steps of a prepared training; reports what density control did and which steps could not be taken."""
     config, initial = prepared.config, prepared.initial
     result = fit_splats(initial, prepared.views, config, prepared.options)
-    if config.densify != "none":
+    if config.density.kind != "none":
         reporter.decide(density_decision(reporter.stage, result.density, len(initial), len(result.splats)))
     if any(asdict(result.shapes).values()):
         reporter.decide(shapes_decision(reporter.stage, config, result.shapes))

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from radiant_core.decisions import Decision
-from radiant_core.train.trainer import Checkpoints, FitOptions, TrainProgress
+from radiant_core.train.results import TrainProgress
+from radiant_core.train.trainer import Checkpoints, FitOptions, NoCheckpoints
 
 
 class Reporter(Protocol):
@@ -60,8 +61,8 @@ class Machine:
     """What the process holds before it loads photographs; counts where a task limits its memory."""
     free_bytes: Callable[[], float] = lambda: float("inf")
     """What the process may still take."""
-    checkpoints: Callable[[Callable[[], str]], Checkpoints | None] = lambda key: None
-    """Where the state of a training with that key is saved against interruption; None: nowhere."""
+    checkpoints: Callable[[Callable[[], str]], Checkpoints] = lambda key: NoCheckpoints()
+    """Where the state of a training with that key is saved against interruption."""
     clock: Callable[[], float] = time.monotonic
     """What a training's seconds are measured by."""
 

@@ -1,10 +1,10 @@
-"""Checkpoints of a training: a kill loses the seconds since the last one, and the run goes on with the same bits.
+"""Checkpoints of a training: a kill loses only the seconds since the last one, and the resumed run ends with the same bits.
 
     checkpoints/step-00001200.safetensors   `TrainState`: its arrays, and in the metadata its numbers and the key of its run
     checkpoints/step-00001200.json          step, key and SHA-256 of that file; written last, so that a whole record names a whole file
 
-Once every `every_s` seconds, seldomer where writing takes long: a checkpoint that took t seconds is followed by none for 19 t, which keeps
-the share of the time at 5 %. Each file is written beside its place, forced to disk and moved there.
+Once every `every_s` seconds, less often where writing takes long: after a checkpoint that took t seconds none is written for 19 t, so
+that writing takes at most 5 % of the time. Each file is written under a temporary name, forced to disk and renamed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from radiant_core.io.run_store import content_key, file_sha256, read_json, write
 from radiant_core.render.contract import resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.trainer import FitOptions, TrainState
+from radiant_core.train.results import TrainState
+from radiant_core.train.trainer import FitOptions
 from radiant_core.train.views import TrainingViews
 
 SCHEMA = "radiant.checkpoint"
@@ -31,7 +32,7 @@ MAX_SHARE = 0.05
 
 
 def training_key(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions) -> str:
-    """Hash of all that decides the bits of a training: settings, first model, views with their pixels, renderer, software version."""
+    """Hash of all that determines the bits of a training: settings, first model, views with their pixels, renderer, software version."""
     shown = [part if part is None else [part.cameras, part.images, part.weights] for part in (views, options.validation)]
     return content_key(__version__, config, options.steps, resolve_backend(options.backend), initial.arrays(), shown)
 
@@ -62,7 +63,7 @@ class _Saved:
             return about["key"], TrainState(arrays=arrays, numbers=about["numbers"])
 
     def remove(self) -> None:
-        # The record first: without it the arrays count for nothing.
+        # The record first: arrays without a record are ignored.
         self.record.unlink(missing_ok=True)
         self.arrays.unlink(missing_ok=True)
 
@@ -79,7 +80,7 @@ class CheckpointFolder:
         clock: Callable[[], float] = time.monotonic,
         warn: Callable[[str], None] = lambda message: None,
     ) -> None:
-        """`key` says which run it is (`training_key`); `warn` is told one sentence where something was not as it should be."""
+        """`key` identifies the run (`training_key`); `warn` receives one sentence for each damaged or unwritten checkpoint."""
         if not every_s > 0:
             raise BadInput(f"checkpoints every {every_s} s: give a positive number of seconds.")
         self.folder = Path(folder)

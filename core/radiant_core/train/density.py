@@ -1,4 +1,4 @@
-"""Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians that the pictures pull at are cloned or split, empty ones pruned.
+"""Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians with large image gradients are cloned or split, transparent ones pruned.
 
     g_i = mean over the steps that saw i of ‖(W/2, H/2) ⊙ ∂loss/∂m_i‖        m_i: projected centre in px; gsplat's normalisation
           or of ‖(W/2, H/2) ⊙ Σ_p |∂loss_p/∂m_i|‖ over pixels p, by absolute value (AbsGS, Ye 2024)
@@ -6,15 +6,15 @@
     pruned:   opacity < 0.005;  after the first reset also axes > 10 % of the extent, and what is wider than a limit on screen
     reset:    opacity ← min(opacity, 0.01), its moments ← 0
 
-Statistics once per step, an edit every `densify_every` steps, O(N log N). `AdaptiveDensity` is the policy, which knows when; the edits
-are plain functions of arrays.
+Statistics once per step, an edit every `Adc.every` steps, O(N log N). `AdaptiveDensity` decides when; the edits are plain functions
+of arrays.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -27,7 +27,11 @@ from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.splats import morton_order
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.densification import Adc, DensityCounts
 from radiant_core.train.optimizer import SelectiveAdam
+from radiant_core.train.parts import Moment, Part
+from radiant_core.train.results import TrainResult
+from radiant_core.train.shapes import without_dead
 
 SPLIT_EXTENT = 0.01
 """Gaussians with an axis longer than this share of the extent are split, others cloned."""
@@ -37,27 +41,6 @@ MIN_OPACITY = 0.005
 RESET_OPACITY = 0.01
 MAX_EXTENT = 0.1
 """Gaussians with an axis longer than this share of the extent are pruned."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DensityCounts:
-    """What density control did, over one edit or a whole run."""
-
-    num_cloned: int = 0
-    num_split: int = 0
-    """Each replaced by two."""
-    num_pruned_transparent: int = 0
-    num_pruned_large: int = 0
-    """In the world or on screen."""
-    num_refused: int = 0
-    """Times a Gaussian would have been cloned or split but for the limit of Gaussians."""
-    num_resets: int = 0
-    """Resets of all opacities."""
-    num_relocated: int = 0
-    """Dead Gaussians moved onto live ones (`mcmc.py`)."""
-
-    def __add__(self, other: DensityCounts) -> DensityCounts:
-        return DensityCounts(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +77,7 @@ def density_edit(
 
     The result is in Morton order and holds at least one Gaussian, the most opaque, if the model held any.
     """
-    clone, split, num_refused = growing(gradients, model["log_scales"].max(axis=1, initial=-np.inf), rules)
+    clone, split, num_refused = select_growing(gradients, model["log_scales"].max(axis=1, initial=-np.inf), rules)
     parents = np.flatnonzero(split)
     offsets = split_offsets(model["quats"][parents], model["log_scales"][parents], rng)
     rows = np.concatenate([np.flatnonzero(~split), np.flatnonzero(clone), np.repeat(parents, CHILDREN)])
@@ -104,7 +87,7 @@ def density_edit(
     means[children] += offsets
     log_scales[children] += np.float32(math.log(CHILD_SCALE))
     seen_px = np.where(np.arange(len(rows)) < num_kept, radii_px[rows], 0)
-    transparent, large = prunable(model["logit_opacities"][rows], log_scales.max(axis=1, initial=-np.inf), seen_px, rules)
+    transparent, large = select_prunable(model["logit_opacities"][rows], log_scales.max(axis=1, initial=-np.inf), seen_px, rules)
     kept = ~(transparent | large)
     if len(rows) and not kept.any():
         kept[np.argmax(model["logit_opacities"][rows])] = True
@@ -124,7 +107,7 @@ def density_edit(
     )
 
 
-def growing(
+def select_growing(
     gradients: NDArray[np.floating], largest_log: NDArray[np.floating], rules: DensityRules
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
     """Masks (N,) of what is cloned and what is split, by mean gradient and logarithm of the longest axis (N,), and how many are refused.
@@ -144,12 +127,12 @@ def split_offsets(quats: NDArray[np.float32], log_scales: NDArray[np.float32], r
     """Where the children of K Gaussians lie relative to them (CHILDREN · K,3), drawn from their own N(0, Σ); 0 beyond float32."""
     limit = float(np.finfo(np.float32).max) / 4
     scales = np.exp(np.minimum(np.repeat(log_scales, CHILDREN, axis=0).astype(np.float64), math.log(limit)))
-    offsets = rotated(np.repeat(quats, CHILDREN, axis=0).astype(np.float64), scales * rng.standard_normal(scales.shape))
+    offsets = rotate(np.repeat(quats, CHILDREN, axis=0).astype(np.float64), scales * rng.standard_normal(scales.shape))
     offsets[~(np.abs(offsets).max(axis=1, initial=0) < limit)] = 0
     return offsets.astype(np.float32)
 
 
-def rotated(quats: FloatArray, vectors: FloatArray) -> FloatArray:
+def rotate(quats: FloatArray, vectors: FloatArray) -> FloatArray:
     """Vectors (K,3) turned by quaternions wxyz (K,4) of any length; a zero one turns nothing."""
     lengths = np.linalg.norm(quats, axis=1, keepdims=True)
     unit = np.divide(quats, lengths, out=np.tile([1.0, 0, 0, 0], (len(quats), 1)), where=lengths > 0)
@@ -159,7 +142,7 @@ def rotated(quats: FloatArray, vectors: FloatArray) -> FloatArray:
     return vectors + 2 * (w * across + np.cross(xyz, across))
 
 
-def prunable(
+def select_prunable(
     logit_opacities: NDArray[np.floating], largest_log: NDArray[np.floating], radii_px: NDArray[np.floating], rules: DensityRules
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Masks (N,) of what is too transparent and what is too large, in the world or on screen."""
@@ -170,51 +153,54 @@ def prunable(
     return transparent, large & rules.prune_large
 
 
-class AdaptiveDensity:
-    """Watches the steps of one training and edits its model on schedule; `counts` says what was done so far."""
+class AdaptiveDensity(Part):
+    """Gathers the gradients of one training and edits its model on schedule; `counts` holds what was done so far."""
 
-    def __init__(self, config: TrainConfig, extent: float, splats: SplatTensors) -> None:
+    name = "density"
+
+    def __init__(self, policy: Adc, config: TrainConfig, extent: float, splats: SplatTensors) -> None:
         """`extent` of the cameras in the world's unit; `splats` is the model before the first step."""
-        self._config = config
-        self._extent = extent
+        self._policy, self._config, self._extent = policy, config, extent
         self._num_first = len(splats)
         self._last_reset = 0
-        # Not scaled: a mean over few steps is noise. Every 7th of 2,000 steps, 27,000 Gaussians of the town were 150,000 after 98 steps.
-        self._every = config.densify_every
-        self._absolute = config.densify_gradient == "absolute"
+        self._absolute = policy.gradient == "absolute"
         self.counts = DensityCounts()
-        self._forget(splats)
+        self._reset_statistics(splats)
 
-    def wants_absgrad(self, schedule_step: float) -> bool:
-        """Whether `watch` will look at `RenderOutput.absgrad`."""
-        return self._absolute and schedule_step < self._config.densify_until_step
+    def wants_absgrad(self, moment: Moment) -> bool:
+        """Whether `before_backward` will look at `RenderOutput.absgrad`."""
+        return self._absolute and moment.schedule_step < self._policy.until_step
 
-    def watch(self, schedule_step: float, output: RenderOutput, size_wh: tuple[int, int]) -> None:
-        """Take the gradients of a rendering (one camera) when its backward pass comes."""
-        if schedule_step >= self._config.densify_until_step or not output.means2d.requires_grad:
+    def before_backward(self, moment: Moment, output: RenderOutput) -> None:
+        """Add the gradients of a rendering (one camera) to the statistics when its backward pass comes."""
+        if moment.schedule_step >= self._policy.until_step or not output.means2d.requires_grad:
             return
-        visible = _plain(output.visible)
-        if self._config.prune_radius_px is not None:
-            self._radii_px = _larger(self._radii_px, _plain(output.radii_px)[0])
+        height, width = output.images.shape[1:3]
+        visible = _as_plain(output.visible)
+        if self._policy.prune_radius_px is not None:
+            self._radii_px = _elementwise_maximum(self._radii_px, _as_plain(output.radii_px)[0])
         if self._absolute and output.absgrad is None:
             raise ValueError("density control by absolute gradients needs a rendering with absgrad=True")
-        output.means2d.register_hook(partial(self._add, visible, size_wh, output.absgrad if self._absolute else None))
+        output.means2d.register_hook(partial(self._add, visible, (width, height), output.absgrad if self._absolute else None))
 
-    def before_step(self, splats: SplatTensors) -> None:
-        """Nothing: this policy adds no gradients."""
-
-    def after_step(self, step: int, schedule_step: float, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
-        """The model after step number `step` (from 1), the same or an edited one whose tensors `optimizer` then steps."""
-        config = self._config
-        if schedule_step >= config.densify_until_step:
+    def after_update(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
+        """The model, cloned, split and pruned where an edit is due, with its opacities reset where that is."""
+        policy, schedule_step = self._policy, moment.schedule_step
+        if schedule_step >= policy.until_step:
             return splats
-        if schedule_step > config.densify_from_step and step % self._every == 0 and len(splats):
-            splats = self._edited(step, schedule_step, splats, optimizer)
-        if schedule_step // config.reset_opacity_every > self._last_reset:
-            self._last_reset = int(schedule_step // config.reset_opacity_every)
+        # `every` is not scaled: a mean over few steps is noise. With an edit at every 7th of 2,000 steps, 27,000 Gaussians of the town
+        # were 150,000 after 98 steps.
+        if schedule_step > policy.from_step and moment.step % policy.every == 0 and len(splats):
+            splats = self._edit(moment, splats, optimizer)
+        if schedule_step // policy.reset_opacity_every > self._last_reset:
+            self._last_reset = int(schedule_step // policy.reset_opacity_every)
             reset_opacities(splats, optimizer)
             self.counts += DensityCounts(num_resets=1)
         return splats
+
+    def finish(self, result: TrainResult) -> TrainResult:
+        """The result with the counts, without the Gaussians that no pixel shows."""
+        return finish_density(result, self.counts)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Copies of the sums since the last edit, and what was at the start."""
@@ -222,47 +208,50 @@ class AdaptiveDensity:
         since = {"num_first": np.array(self._num_first), "last_reset": np.array(self._last_reset)}
         return {**{name: _to_numpy(array).copy() for name, array in sums.items()}, **since}
 
-    def restore(self, arrays: dict[str, NDArray[Any]], counts: DensityCounts, splats: SplatTensors) -> None:
-        """Go on from `state_arrays` and counts of a run whose model is now `splats`."""
-        self.counts = counts
+    def state_numbers(self) -> dict[str, Any]:
+        """The counts."""
+        return asdict(self.counts)
+
+    def restore(self, arrays: dict[str, NDArray[Any]], numbers: Any, splats: SplatTensors) -> None:
+        """Go on from sums and counts of a run whose model is now `splats`."""
+        self.counts = DensityCounts(**numbers)
         self._num_first, self._last_reset = int(arrays["num_first"]), int(arrays["last_reset"])
-        self._forget(splats)
+        self._reset_statistics(splats)
         for name in ("sums", "seen", "radii_px"):
             own = getattr(self, f"_{name}")
             own[:] = arrays[name] if isinstance(own, np.ndarray) else torch.from_numpy(arrays[name]).to(own.device)
 
     def _add(self, visible: Any, size_wh: tuple[int, int], absgrad: Tensor | None, gradient: Tensor) -> None:
         # numpy on the CPU, torch on a GPU: the operators are the same, and torch's threads would spin on after each of them (libgomp).
-        taken = _plain(gradient if absgrad is None else absgrad)
+        taken = _as_plain(gradient if absgrad is None else absgrad)
         across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
         with np.errstate(over="ignore", invalid="ignore"):
             length = (across * across + down * down) ** 0.5
-            # The step of a gradient that is not finite is not taken, and must not be remembered here either.
+            # A step whose gradient is not finite is not taken, and must not enter the statistics either.
             length[~(length < math.inf)] = 0
             self._sums += length
         self._seen += visible
 
     def _limit(self, schedule_step: float) -> int:
         """How many Gaussians there may be now: all from the start, or planned growth on a straight line."""
-        config = self._config
-        if config.densify == "adc":
-            return config.max_num_splats
-        span = config.densify_until_step - config.densify_from_step
-        share = min(1.0, max(0.0, (schedule_step - config.densify_from_step) / max(1, span)))
-        return round(self._num_first + share * max(0, config.max_num_splats - self._num_first))
+        policy, most = self._policy, self._config.max_num_splats
+        if policy.kind == "adc":
+            return most
+        share = min(1.0, max(0.0, (schedule_step - policy.from_step) / max(1, policy.until_step - policy.from_step)))
+        return round(self._num_first + share * max(0, most - self._num_first))
 
-    def _edited(self, step: int, schedule_step: float, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
+    def _edit(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
         rules = DensityRules(
-            min_gradient=self._config.densify_min_absolute if self._absolute else self._config.densify_min_gradient,
+            min_gradient=self._policy.min_absolute if self._absolute else self._policy.min_gradient,
             extent=self._extent,
-            max_num_splats=self._limit(schedule_step),
-            prune_large=schedule_step > self._config.reset_opacity_every,
-            prune_radius_px=self._config.prune_radius_px,
+            max_num_splats=self._limit(moment.schedule_step),
+            prune_large=moment.schedule_step > self._policy.reset_opacity_every,
+            prune_radius_px=self._policy.prune_radius_px,
         )
         tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}
         model = {name: tensors[name].cpu().numpy() for name in ("means", "quats", "log_scales", "logit_opacities")}
         gradients = _to_numpy(self._sums) / np.maximum(_to_numpy(self._seen), 1)
-        edit = density_edit(model, gradients, _to_numpy(self._radii_px), rules, np.random.default_rng((self._config.seed, step)))
+        edit = density_edit(model, gradients, _to_numpy(self._radii_px), rules, np.random.default_rng((self._config.seed, moment.step)))
         self.counts += edit.counts
         device = splats.means.device
         rows, fresh = (torch.from_numpy(array).to(device) for array in (edit.rows, edit.fresh))
@@ -272,13 +261,19 @@ class AdaptiveDensity:
             **{name: torch.from_numpy(moved[name]).to(device) if name in moved else tensor[rows] for name, tensor in tensors.items()},
         )
         optimizer.select_rows(edited.tensors(), rows, fresh)
-        self._forget(edited)
+        self._reset_statistics(edited)
         return edited
 
-    def _forget(self, splats: SplatTensors) -> None:
+    def _reset_statistics(self, splats: SplatTensors) -> None:
         count, device = len(splats), splats.means.device
-        self._sums, self._radii_px = (_plain(torch.zeros(count, dtype=torch.float32, device=device)) for _ in range(2))
-        self._seen = _plain(torch.zeros(count, dtype=torch.int32, device=device))
+        self._sums, self._radii_px = (_as_plain(torch.zeros(count, dtype=torch.float32, device=device)) for _ in range(2))
+        self._seen = _as_plain(torch.zeros(count, dtype=torch.int32, device=device))
+
+
+def finish_density(result: TrainResult, counts: DensityCounts) -> TrainResult:
+    """The result with the counts of density control, without the Gaussians that no pixel shows."""
+    splats, num_dead = without_dead(result.splats)
+    return replace(result, splats=splats, density=counts, shapes=replace(result.shapes, num_dead=num_dead))
 
 
 @torch.no_grad()
@@ -292,7 +287,7 @@ def _logit(opacity: float) -> float:
     return math.log(opacity / (1 - opacity))
 
 
-def _plain(tensor: Tensor) -> Any:
+def _as_plain(tensor: Tensor) -> Any:
     """A tensor on the CPU as numpy, sharing memory; any other as it is, without gradient."""
     return tensor.detach().numpy() if tensor.device.type == "cpu" else tensor.detach()
 
@@ -301,5 +296,5 @@ def _to_numpy(array: Any) -> NDArray[Any]:
     return array if isinstance(array, np.ndarray) else array.cpu().numpy()
 
 
-def _larger(first: Any, second: Any) -> Any:
+def _elementwise_maximum(first: Any, second: Any) -> Any:
     return np.maximum(first, second) if isinstance(first, np.ndarray) else torch.maximum(first, second)

@@ -1,8 +1,8 @@
-"""Points where structure from motion found none: woods, water and lawns. Once per model.
+"""Points where structure from motion found none, as on woods, water and lawns. Once per model.
 
 Each training image is cut into cells; a cell below the horizon in which no sparse point is seen gets one on the ray through its middle,
-where it comes down to the height of the nearest observed points, in the cell's mean colour. Without it such places start empty, and a
-short training cannot reach there: on an aerial set the woods stayed black.
+where it comes down to the height of the nearest observed points, in the cell's mean colour. Without these points such places start empty,
+and a short training does not fill them: on an aerial set the woods stayed black.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class AddedPoints:
     points: FloatArray
     colors: NDArray[np.uint8]
 
-    def thinned(self, max_num_points: int) -> AddedPoints:
+    def thin(self, max_num_points: int) -> AddedPoints:
         """At most so many, evenly over the order in which they were found."""
         count = len(self.points)
         kept = np.unique(np.linspace(0, count - 1, min(count, max(0, max_num_points))).astype(np.int64))

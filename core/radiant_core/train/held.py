@@ -1,4 +1,4 @@
-"""Gaussians that are shown and never change: what they were is put back after each step, bit for bit. Once per step."""
+"""Gaussians that are rendered and never change: their values are restored after each step, bit for bit. Once per step."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from numpy.typing import ArrayLike
 
 from radiant_core.errors import BadInput
 from radiant_core.render.contract import SplatTensors
+from radiant_core.train.parts import Part
 
 
-class HeldRows:
-    """The Gaussians that a mask (N,) names, as they are now."""
+class HeldRows(Part):
+    """The Gaussians that a mask (N,) selects, with the values that they have when this is made."""
+
+    name = "held"
 
     def __init__(self, splats: SplatTensors, mask: ArrayLike) -> None:
         held = np.asarray(mask)
@@ -22,8 +25,8 @@ class HeldRows:
         self._rows = torch.from_numpy(np.flatnonzero(held)).to(splats.means.device)
         self._values = {name: tensor.detach()[self._rows].clone() for name, tensor in splats.tensors().items()}
 
-    def put_back(self, splats: SplatTensors) -> None:
-        """Give the named Gaussians of the same model their values back."""
+    def hold(self, splats: SplatTensors) -> None:
+        """Restore the values of these Gaussians, in place."""
         with torch.no_grad():
             for name, tensor in splats.tensors().items():
                 tensor.index_copy_(0, self._rows, self._values[name])

@@ -20,9 +20,9 @@ from radiant_core.train.views import TrainingViews
 INITIAL_OPACITY = 0.1
 NUM_SKY = 400
 SKY_OPACITY = 0.9
-"""The sky hides nothing, and where no photograph of a device looks it stays as it begins: a thin one would be a dark one there."""
+"""The sky occludes nothing. Where no photograph of a device shows it, it keeps its initial opacity; a low one would look dark."""
 SKY_RGB = (0.75, 0.75, 0.75)
-"""Colour of a sky that no photograph is given for."""
+"""Colour of the sky where no photographs are given."""
 MIN_CAMERA_SHARE = 1e-3
 """Points nearer to a camera than this share of the usual distance are no points."""
 MIN_SKY_SHARE = 0.03
@@ -40,9 +40,10 @@ def initial_splats(
 ) -> Splats:
     """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour where cameras look above the horizon.
 
-    At most `max_num_splats`, a quarter of them sky, none where `sky_rgb` is None. Duplicate points are merged, those at a camera's centre
-    left out; when there are too many,
-    they are thinned out evenly along x, their sorted order. Raises BadInput with fewer than 4 different points.
+    At most `max_num_splats`, of which up to a quarter are sky, none where `sky_rgb` is None. Duplicate points are merged, those at a
+    camera's centre left out; too many points are thinned out evenly along x, their sorted order.
+
+    Raises BadInput with fewer than 4 different points.
     """
     points, first = np.unique(np.asarray(points, np.float64), axis=0, return_index=True)
     colors = np.asarray(colors)[first]
@@ -79,13 +80,13 @@ def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_
 
 
 def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:
-    """The Gaussians that training starts from: sparse points and, where `config` wants them, fill-in points and a sky; and how many
+    """The Gaussians that training starts from: sparse points and, by `config`, fill-in points and a sky; and how many
     were filled in.
 
     `views.cameras` are those of the scene in the same order. Fill-in gets what the limit leaves, at least a quarter of it.
     """
     limit = config.max_num_splats
-    fill = fill_in_points(scene, views).thinned(max(limit - len(scene.points), limit // 4) if config.fill_in else 0)
+    fill = fill_in_points(scene, views).thin(max(limit - len(scene.points), limit // 4) if config.fill_in else 0)
     kept = np.linspace(0, len(scene.points) - 1, min(len(scene.points), max(1, limit - len(fill.points)))).astype(np.int64)
     initial = initial_splats(
         np.concatenate([scene.points[kept], fill.points]),
@@ -132,7 +133,7 @@ def camera_extent(cameras: Cameras) -> float:
 
 def _neighbour_distance(points: FloatArray) -> FloatArray:
     """Root mean square distance (P,) to the 3 nearest neighbours. Lone points, often wrong ones, get no more than 3 times the 90th
-    percentile: unlimited they cover the image and made a step 8 times as dear."""
+    percentile: without this limit they cover the image, and a step took 8 times as long."""
     distances, _ = KDTree(points).query(points, k=4)
     spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
     return np.clip(spacing, 1e-7, 3 * np.quantile(spacing, 0.9))

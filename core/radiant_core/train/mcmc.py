@@ -5,13 +5,13 @@ hard limit: a run of a twentieth of the schedule's steps, which has a twentieth 
 Gaussians share one place, each gets (their Eqn. 9)
     o' = 1 − (1 − o)^(1/n),    σ' = σ · o / Σ_{i=1..n} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
 so that the picture stays nearly the same. Opacity and size cost a little, and centres of Gaussians that are nearly transparent wander by
-their own covariance. Edits once every `densify_every` steps, the wandering every `WANDER_EVERY`, its variance as if it were every step.
+their own covariance. Edits once every `Mcmc.every` steps, the wandering every `WANDER_EVERY`, its variance as if it were every step.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,14 @@ import torch
 from numpy.typing import NDArray
 from scipy.special import comb
 
-from radiant_core.render.contract import RenderOutput, SplatTensors
+from radiant_core.render.contract import SplatTensors
 from radiant_core.splats import morton_order
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.density import MIN_OPACITY, DensityCounts, rotated
+from radiant_core.train.densification import DensityCounts, Mcmc
+from radiant_core.train.density import MIN_OPACITY, finish_density, rotate
 from radiant_core.train.optimizer import SelectiveAdam
+from radiant_core.train.parts import Moment, Part
+from radiant_core.train.results import TrainResult
 
 GROWTH_PER_STEP = 1.05**0.01
 """Per step of the schedule."""
@@ -37,7 +40,7 @@ GATE_STEEPNESS = 100.0
 """Gaussians more opaque than `MIN_OPACITY` hardly wander: the gate is sigmoid(−100 (o − 0.005))."""
 
 
-def shared_place(
+def share_place(
     logit_opacities: NDArray[np.floating], log_scales: NDArray[np.floating], num_copies: NDArray[np.integer]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Logit opacities (K,) and log scales (K,3) that each of n ≥ 1 Gaussians (K,) gets which share the place of one."""
@@ -56,22 +59,17 @@ def shared_place(
     return (np.log(shared) - np.log1p(-shared)).astype(np.float32), (log_scales + growth[:, None]).astype(np.float32)
 
 
-class RelocatedDensity:
-    """Moves, adds and shakes the Gaussians of one training; `counts.num_cloned` are those added, `num_relocated` those moved."""
+class RelocatedDensity(Part):
+    """Relocates, adds and perturbs the Gaussians of one training; `counts.num_cloned` are those added, `num_relocated` those moved."""
 
-    def __init__(self, config: TrainConfig) -> None:
-        self._config = config
+    name = "density"
+
+    def __init__(self, policy: Mcmc, config: TrainConfig) -> None:
+        self._policy, self._config = policy, config
         self.counts = DensityCounts()
 
-    def wants_absgrad(self, schedule_step: float) -> bool:
-        """Never."""
-        return False
-
-    def watch(self, schedule_step: float, output: RenderOutput, size_wh: tuple[int, int]) -> None:
-        """Nothing: this policy needs no gradients of the picture."""
-
     @torch.no_grad()
-    def before_step(self, splats: SplatTensors) -> None:
+    def after_backward(self, splats: SplatTensors) -> None:
         """Add the gradients of mean opacity and mean size, each times 0.01."""
         if splats.logit_opacities.grad is not None:
             o = splats.logit_opacities.sigmoid()
@@ -79,27 +77,31 @@ class RelocatedDensity:
         if splats.log_scales.grad is not None:
             splats.log_scales.grad += SCALE_COST / splats.log_scales.numel() * splats.log_scales.clamp(max=30).exp()
 
-    def after_step(self, step: int, schedule_step: float, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
-        """The model after step number `step` (from 1): relocated and grown where a round is due, shaken where that is."""
-        config = self._config
-        rng = np.random.default_rng((config.seed, step))
-        if config.densify_from_step < schedule_step < config.densify_until_step and step % config.densify_every == 0 and len(splats):
-            # Between two rounds the schedule moves by so much on average, whatever measures its length.
-            growth = GROWTH_PER_STEP ** (config.densify_every * max(1.0, schedule_step / step))
-            splats = self._edited(splats, optimizer, rng, growth)
+    def after_update(self, moment: Moment, splats: SplatTensors, optimizer: SelectiveAdam) -> SplatTensors:
+        """The model, relocated and grown where a round is due, perturbed where that is."""
+        policy, step, schedule_step = self._policy, moment.step, moment.schedule_step
+        rng = np.random.default_rng((self._config.seed, step))
+        if policy.from_step < schedule_step < policy.until_step and step % policy.every == 0 and len(splats):
+            # The schedule's mean advance between two rounds, by steps or by time.
+            growth = GROWTH_PER_STEP ** (policy.every * max(1.0, schedule_step / step))
+            splats = self._edit(splats, optimizer, rng, growth)
         if step % WANDER_EVERY == 0:
             wander(splats, WANDER_RATE * optimizer.rate("means") * math.sqrt(WANDER_EVERY), rng)
         return splats
 
-    def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Nothing: every round looks at the model alone."""
-        return {}
+    def finish(self, result: TrainResult) -> TrainResult:
+        """The result with the counts, without the Gaussians that no pixel shows."""
+        return finish_density(result, self.counts)
 
-    def restore(self, arrays: dict[str, NDArray[Any]], counts: DensityCounts, splats: SplatTensors) -> None:
-        """Go on with what was counted."""
-        self.counts = counts
+    def state_numbers(self) -> dict[str, Any]:
+        """The counts; a round depends on the model alone."""
+        return asdict(self.counts)
 
-    def _edited(self, splats: SplatTensors, optimizer: SelectiveAdam, rng: np.random.Generator, growth: float) -> SplatTensors:
+    def restore(self, arrays: dict[str, NDArray[Any]], numbers: Any, splats: SplatTensors) -> None:
+        """Go on from the counts."""
+        self.counts = DensityCounts(**numbers)
+
+    def _edit(self, splats: SplatTensors, optimizer: SelectiveAdam, rng: np.random.Generator, growth: float) -> SplatTensors:
         tensors = {name: tensor.detach() for name, tensor in splats.tensors().items()}
         logits = tensors["logit_opacities"].cpu().numpy()
         alive = logits > math.log(MIN_OPACITY / (1 - MIN_OPACITY))
@@ -115,7 +117,7 @@ class RelocatedDensity:
         copies = 1 + np.bincount(drawn, minlength=len(logits))
         shared = np.flatnonzero(copies > 1)
         new_logits, new_scales = logits.copy(), tensors["log_scales"].cpu().numpy().copy()
-        new_logits[shared], new_scales[shared] = shared_place(logits[shared], new_scales[shared], copies[shared])
+        new_logits[shared], new_scales[shared] = share_place(logits[shared], new_scales[shared], copies[shared])
         rows = np.concatenate([np.flatnonzero(alive), drawn])
         order = morton_order(tensors["means"].cpu().numpy()[rows])
         rows, fresh = rows[order], (np.arange(len(rows)) >= int(alive.sum()))[order]
@@ -126,7 +128,7 @@ class RelocatedDensity:
             splats,
             **{name: torch.from_numpy(changed[name]).to(device) if name in changed else tensor[index] for name, tensor in tensors.items()},
         )
-        # Those that now share a place begin anew as well: their moments belong to another opacity and size.
+        # Those that now share a place are fresh as well: their moments belong to another opacity and size.
         optimizer.select_rows(edited.tensors(), index, torch.from_numpy(fresh | (copies[rows] > 1)).to(device))
         return edited
 
@@ -143,7 +145,7 @@ def wander(splats: SplatTensors, rate: float, rng: np.random.Generator) -> None:
     index = torch.from_numpy(moving).to(splats.means.device)
     quats, log_scales = (tensor.detach()[index].cpu().numpy().astype(np.float64) for tensor in (splats.quats, splats.log_scales))
     variances = np.exp(np.clip(2 * log_scales, -60, 60))
-    noise = rotated(quats, variances * rotated(quats * [1, -1, -1, -1], rng.standard_normal((len(moving), 3))))
+    noise = rotate(quats, variances * rotate(quats * [1, -1, -1, -1], rng.standard_normal((len(moving), 3))))
     steps = noise * (gates[moving] * rate)[:, None]
     # A centre never wanders farther than its own longest axis in one go.
     limits = np.sqrt(variances.max(axis=1))

@@ -32,7 +32,7 @@ MAX_STATISTICS_SHARE = 0.25
 VRAM_SHARE = 0.8
 """Of free GPU memory, for Gaussians and a step. Not measured: no CUDA device was at hand."""
 PROCESS_BYTES = 300_000_000
-"""What a device's process holds before its photographs, where nobody can ask it: 296 MB after importing its node and the trainer."""
+"""What a device's process holds before its photographs, where it cannot be measured: 296 MB after importing its node and the trainer."""
 MIN_SPLATS = 1_000
 """A limit that leaves room for fewer is refused."""
 
@@ -45,7 +45,7 @@ class MemoryPlan:
     statistics_bytes: int
     """Budget of the kept statistics of the loss."""
     needed_bytes: int
-    """What the model above says for the two."""
+    """The prediction of the model above for the two."""
 
 
 def bytes_per_splat(sh_degree: int, *, validated: bool = False) -> float:
@@ -54,7 +54,7 @@ def bytes_per_splat(sh_degree: int, *, validated: bool = False) -> float:
 
 
 def fixed_bytes(config: TrainConfig, cameras: Cameras, base_bytes: int, *, masked: bool = False) -> int:
-    """What photographs, their masks if they have any, one step and the process take, whatever the number of Gaussians."""
+    """What photographs, their masks if they have any, one step and the process take, without any Gaussians."""
     pixels = cameras.sizes_wh.prod(axis=1)
     masks = MASK_BYTES_PER_PX * _copies(config) * float(pixels.sum()) if masked else 0.0
     return round(_fixed_bytes(config, float(pixels.sum()), float(pixels.max(initial=0)), base_bytes) + masks)
@@ -113,7 +113,7 @@ def memory_plan(
 def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """The configuration whose Gaussians fit beside one step into what a CUDA device has free, and the decision where that is fewer.
 
-    The same model as above without the photographs, which stay in the machine's own memory. Raises BadInput as `memory_plan`.
+    The same model as above without the photographs, which stay in main memory. Raises BadInput as `memory_plan`.
     """
     step = STEP_BYTES_PER_PX * float(cameras.sizes_wh.prod(axis=1).max(initial=0))
     count = int((VRAM_SHARE * free_bytes - step) // bytes_per_splat(config.sh_degree))

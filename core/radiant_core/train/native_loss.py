@@ -118,7 +118,7 @@ class _NativeLoss(torch.autograd.Function):
 
 @contextmanager
 def _as_bad_input() -> Iterator[None]:
-    """The native module knows no classes of ours: its ValueError becomes BadInput."""
+    """Raise BadInput for the native module's ValueError."""
     try:
         yield
     except ValueError as error:

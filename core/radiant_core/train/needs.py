@@ -1,6 +1,6 @@
-"""What this training needs on this machine: skips and reductions as typed decisions. Once per run.
+"""A training fitted to its machine and its photographs: reductions and choices as typed decisions. Once per run.
 
-Without a GPU full presets are cut to what ends in minutes. CPU seconds of one step (render, loss, backward, Adam) on one core:
+Without a GPU the presets are reduced to what finishes in minutes. CPU seconds of one step (render, loss, backward, Adam) on one core:
 `native` 0.02 for 13,000 Gaussians at 480×270; `reference`, plain PyTorch, 0.26 for 5,000 at 240×180.
 """
 
@@ -8,28 +8,30 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
 
 from radiant_core.decisions import Decision
 from radiant_core.scene import SfmScene
-from radiant_core.train.config import TrainConfig
+from radiant_core.train.config import TrainConfig, with_settings
+from radiant_core.train.densification import NoDensification
 from radiant_core.train.views import TrainingViews
 
 MIN_EXPOSURE_SPREAD = 0.05
-"""Standard deviation of the photographs' gains from which on each gets an exposure of its own."""
+"""Standard deviation of the photographs' gains from which on each gets its own exposure."""
 MIN_PLANNED = 4_000
-"""Planned growth may always reach so many."""
+"""Planned growth may always reach this number of Gaussians."""
 MIN_STEPS = 1_500
 """Few photographs never shorten a run below this."""
 MIN_SHARED_POINTS = 20
-"""A photograph that shows fewer points of others says nothing of its exposure."""
+"""A photograph that shares fewer points with others is not compared."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Overrides:
-    """What the user asked for by number; None leaves it to the preset and the backend."""
+    """Settings that the user gave; None leaves one to the preset and the backend."""
 
     long_side_px: int | None = None
     """Long side of the training images."""
@@ -38,7 +40,7 @@ class Overrides:
     max_num_splats: int | None = None
     """Upper limit of Gaussians of a device."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Any other setting of training by its name in `TrainConfig`."""
+    """Any other setting of training by its path in `TrainConfig`, as `with_settings` takes it."""
 
 
 _LIMITS = {
@@ -49,13 +51,13 @@ _UNITS = {"long_side_px": "px", "num_steps": "steps", "max_num_splats": "Gaussia
 
 
 def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """The configuration that this backend can carry, and a decision for each number that differs from the preset."""
+    """The configuration reduced to what this backend finishes in minutes, and a decision for each number that differs from the preset."""
     limits = _LIMITS.get(backend, Overrides()) if config.reduce_on_cpu else Overrides()
-    decisions = [_forced_setting(config, name, value) for name, value in overrides.settings.items()]
+    decisions = [_setting_decision(config, name, value) for name, value in overrides.settings.items()]
     if overrides.num_steps is not None:
-        # Steps that somebody asked for are taken, all of them.
+        # A number of steps that the user gave is not reduced.
         config = replace(config, max_epochs=None)
-    config = replace(config, **overrides.settings)
+    config = with_settings(config, overrides.settings)
     if backend in _LIMITS and not config.reduce_on_cpu:
         decisions.append(_unreduced_decision(overrides.num_steps or config.num_steps, backend))
     for name, unit in _UNITS.items():
@@ -82,11 +84,11 @@ def fit_to_backend(config: TrainConfig, backend: str, overrides: Overrides) -> t
     return config, tuple(decisions)
 
 
-def _forced_setting(config: TrainConfig, name: str, value: Any) -> Decision:
+def _setting_decision(config: TrainConfig, name: str, value: Any) -> Decision:
     return Decision(
         stage="train",
         topic=name,
-        choice=f"{value} instead of {getattr(config, name)}",
+        choice=f"{value} instead of {reduce(lambda part, field: getattr(part, field, None), name.split('.'), config)}",
         figure=float(value) if isinstance(value, int | float) else 0.0,
         unit="as set",
         reason="asked for on the command line",
@@ -127,11 +129,12 @@ def fit_to_scene(config: TrainConfig, scene: SfmScene, views: TrainingViews) -> 
 
 
 def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """Where growth has a limit to reach, no more Gaussians than the photographs have detail for."""
-    num_pixels = sum(image.shape[0] * image.shape[1] for image in views.images)
-    if config.densify not in ("planned", "mcmc") or config.pixels_per_splat is None:
+    """Where growth has a limit to reach, at most one Gaussian per `pixels_per_splat` pixels."""
+    density = config.density
+    if isinstance(density, NoDensification) or density.kind == "adc" or density.pixels_per_splat is None:
         return config, ()
-    most = max(MIN_PLANNED, num_pixels // config.pixels_per_splat)
+    num_pixels = sum(image.shape[0] * image.shape[1] for image in views.images)
+    most = max(MIN_PLANNED, num_pixels // density.pixels_per_splat)
     if most >= config.max_num_splats:
         return config, ()
     decision = Decision(
@@ -140,13 +143,13 @@ def _fit_size(config: TrainConfig, views: TrainingViews) -> tuple[TrainConfig, t
         choice=f"growth is planned to {most:,} instead of {config.max_num_splats:,}",
         figure=num_pixels / 1e6,
         unit="million pixels of training photographs",
-        reason=f"more than one Gaussian per {config.pixels_per_splat} pixels cost time and gained nothing on photographs left out",
+        reason=f"more than one Gaussian per {density.pixels_per_splat} pixels cost time and gained nothing on photographs left out",
     )
     return replace(config, max_num_splats=most), (decision,)
 
 
 def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """No more steps than the photographs have to say; schedules are scaled to them."""
+    """At most `max_epochs` steps per photograph; schedules are scaled to them."""
     if config.max_epochs is None or config.num_steps <= (most := max(MIN_STEPS, config.max_epochs * num_views)):
         return config, ()
     decision = Decision(

@@ -4,7 +4,7 @@
 
 Once per step. t counts the steps of a row, not of the run: each Gaussian moves as torch's Adam would move it on the steps that saw it
 alone, and one first seen at step 5,000 starts no faster than one seen at once. Rows that were not seen keep value, moments and count.
-Gradients count as at most ±1e18, whose square float32 still holds: an infinite v would keep its row still for good.
+Gradients count as at most ±1e18, whose square float32 still holds: an infinite v would never let its row move again.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class SelectiveAdam:
             self._groups[name].rate = rate
 
     def rate(self, name: str) -> float:
-        """The learning rate of one tensor, 0 where it keeps still."""
+        """The learning rate of one tensor, 0 where it is not optimised."""
         return self._groups[name].rate if name in self._groups else 0.0
 
     @property
@@ -91,7 +91,7 @@ class SelectiveAdam:
         return arrays
 
     def restore(self, arrays: Mapping[str, NDArray], num_steps: int) -> None:
-        """Take over what `state_arrays` gave after so many steps; ValueError for other shapes, KeyError for a missing one."""
+        """Go on from what `state_arrays` gave after `num_steps` steps; ValueError for other shapes, KeyError for a missing one."""
         device = self._row_steps.device
         for name, group in self._groups.items():
             for moments, array in ((group.first_moments, arrays[f"{name}.first"]), (group.second_moments, arrays[f"{name}.second"])):
@@ -106,16 +106,16 @@ class SelectiveAdam:
         return self._groups[name].first_moments, self._groups[name].second_moments
 
     def zero_moments(self, name: str) -> None:
-        """Forget both moments of a tensor, not its step counts; a name that is not optimised is left alone."""
+        """Zero both moments of a tensor, not its step counts; a name that is not optimised is left alone."""
         if name in self._groups:
             for moments in self.moments(name):
                 moments.zero_()
 
     @torch.no_grad()
     def select_rows(self, tensors: Mapping[str, Tensor], rows: Tensor, fresh: Tensor) -> None:
-        """Go on with `tensors`, whose row i stands for the old row rows[i] (M,): its moments and step count come along.
+        """Go on with `tensors`, whose row i stands for the old row rows[i] (M,): it keeps that row's moments and step count.
 
-        Where `fresh` (M,) is True, a new Gaussian, both are zero. Other names in `tensors` are left alone; gradients are forgotten.
+        Where `fresh` (M,) is True, a new Gaussian, both are zero. Other names in `tensors` are left alone; gradients are cleared.
         Raises BadInput where one is missing, is not contiguous, or has another number of rows; then nothing was changed.
         """
         for name in self._groups:
@@ -132,13 +132,13 @@ class SelectiveAdam:
         self._row_steps[fresh] = 0
 
     def zero_grad(self) -> None:
-        """Forget the gradients."""
+        """Clear the gradients."""
         for group in self._groups.values():
             group.tensor.grad = None
 
     @torch.no_grad()
     def step(self, visible: Tensor | None = None) -> None:
-        """Move the rows where `visible` (N,) is True, or all rows for None; a tensor without a gradient keeps still.
+        """Move the rows where `visible` (N,) is True, or all rows for None; a tensor without a gradient does not move.
 
         Do not mix both forms in one run: they count steps apart. Raises StageFailed naming the tensor, the count and the first index
         when a gradient of a row to be moved is NaN or infinite; then nothing was written.
@@ -167,7 +167,7 @@ class SelectiveAdam:
                 self._step_in_torch(group, gradient, visible)
 
     def _step_natively(self, group: _Group, gradient: Tensor, runs: NDArray[np.int32] | None) -> None:
-        # Autograd cannot see the kernel write: so it refuses a graph whose tensors have moved since.
+        # Autograd does not see what the kernel writes; the new version lets it refuse a graph of the old values.
         torch.autograd.graph.increment_version(group.tensor)
         _native.adam_step(
             group.tensor.detach(),

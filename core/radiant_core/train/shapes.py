@@ -1,10 +1,10 @@
-"""Shapes that no photograph asks for are held back: Gaussians that fill the screen, needles, and what no pixel shows.
+"""Limits of shape: Gaussians that fill the screen and needles are shortened, and those that no pixel shows are removed.
 
-    longest axis ≤ max_scale_per_distance · distance to the nearest camera     screen-filling: haze before other views
+    longest axis ≤ max_scale_per_distance · distance to the nearest camera     screen-filling: haze in other views
     longest axis ≤ max_elongation · second longest                             needles: spikes in other views
-    opacity < 1/255                                                            dead: never drawn, so that no gradient wakes it
+    opacity < 1/255                                                            dead: never drawn, so that it has no gradient
 
-The limits are kept during training, every few steps; the dead are left out of the result, which changes no bit of any picture.
+The limits are applied every few steps of training; the dead are left out of the result, which changes no bit of any picture.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from radiant_core.train.config import TrainConfig
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeCounts:
-    """How many Gaussians of a model were held at a limit when it was finished, and how many were left out as dead."""
+    """How many Gaussians of a finished model are at a limit, and how many were left out as dead."""
 
     num_screen_filling: int = 0
     num_needles: int = 0
@@ -41,16 +41,16 @@ def limit_shapes(splats: SplatTensors, camera_centers: FloatArray, config: Train
     num_needles = num_screen_filling = 0
     if config.max_elongation is not None:
         second = logs.sort(dim=1).values[:, 1:2]
-        num_needles = _clamped(logs, second + math.log(config.max_elongation))
+        num_needles = _clamp(logs, second + math.log(config.max_elongation))
     if config.max_scale_per_distance is not None:
         distances, _ = KDTree(camera_centers).query(splats.means.detach().cpu().numpy().astype(np.float64))
         limits = np.log(np.maximum(config.max_scale_per_distance * distances, np.finfo(np.float32).tiny))
-        num_screen_filling = _clamped(logs, torch.from_numpy(limits).to(logs)[:, None])
+        num_screen_filling = _clamp(logs, torch.from_numpy(limits).to(logs)[:, None])
     return ShapeCounts(num_needles=num_needles, num_screen_filling=num_screen_filling)
 
 
-def _clamped(logs: Tensor, limits: Tensor) -> int:
-    """Bring `logs` (N,3), in place, to at most `limits` (N,1); how many rows were above."""
+def _clamp(logs: Tensor, limits: Tensor) -> int:
+    """Lower `logs` (N,3), in place, to at most `limits` (N,1), and count the rows that were above."""
     above = int((logs > limits).any(dim=1).sum())
     logs.copy_(torch.minimum(logs, limits))
     return above

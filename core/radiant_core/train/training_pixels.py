@@ -11,7 +11,7 @@ from radiant_core.train.trainer import view_of_step
 def training_pixels(cameras: Cameras, config: TrainConfig, num_steps: int) -> int:
     """Σ over the steps of width × height of the view that `fit_splats` shows for `cameras`, at the reduced size it begins with.
 
-    BadInput where a budget of time decides what a step is: count while it runs.
+    BadInput where a budget of time ends the run: then the steps are not known beforehand.
     """
     if config.budget_s is not None:
         raise BadInput("a training that ends by time does not tell its pixels beforehand: give it a number of steps.")

@@ -1,10 +1,11 @@
-"""The best model of a run by views that nothing is fitted to. Looked at a few times in the second half of a run.
+"""The best model of a run by views that nothing is fitted to. They are rendered a few times in the second half of a run.
 
 The last model is not always the best: a device with few photographs overfits them.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from radiant_core.io.photos.masks import used_pixels
 from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
+from radiant_core.train.parts import Part
+from radiant_core.train.results import TrainResult
 from radiant_core.train.views import TrainingViews
 
 FIRST_LOOK = 0.5
@@ -28,24 +31,29 @@ def validation_psnr_db(splats: Splats, views: TrainingViews, backend: Backend) -
     return float(np.mean([psnr_db(view.image, image / 255, used) for view, image, used in triples if used is None or used.any()]))
 
 
-class BestModel:
+class BestModel(Part):
     """The best of `num_looks` models, one each at even shares of the second half of a run; `looks` are steps and their PSNR in dB."""
 
-    def __init__(self, views: TrainingViews, num_looks: int) -> None:
+    name = "best"
+
+    def __init__(self, views: TrainingViews, num_looks: int, backend: Backend) -> None:
         self._views, self._num_looks = views, num_looks
+        self._backend: Backend = backend
         self.looks: list[tuple[int, float]] = []
         self.splats: Splats | None = None
         self.step: int | None = None
 
     def is_due(self, progress: float) -> bool:
-        """Whether the next look is to be taken at this share of the run."""
+        """Whether the model is to be scored at this share of the run."""
         done = len(self.looks)
         return done < self._num_looks and progress >= 1 - (1 - FIRST_LOOK) * (1 - (done + 1) / self._num_looks)
 
-    def look(self, step: int, splats: SplatTensors, backend: Backend) -> None:
-        """Score the model after `step` steps and keep it if it is the best so far."""
+    def after_step(self, step: int, progress: float, splats: SplatTensors) -> None:
+        """Score the model where a look is due, and keep it if it is the best so far."""
+        if not self.is_due(progress):
+            return
         model = splats.to_splats()
-        figure = validation_psnr_db(model, self._views, backend)
+        figure = validation_psnr_db(model, self._views, self._backend)
         if not self.looks or figure > max(value for _, value in self.looks):
             self.splats, self.step = model, step
         self.looks.append((step, figure))
@@ -54,7 +62,16 @@ class BestModel:
         """The best model so far; empty without one."""
         return {} if self.splats is None else {name: array.copy() for name, array in self.splats.arrays().items()}
 
-    def restore(self, arrays: dict[str, NDArray[Any]], step: int | None, looks: list[tuple[int, float]], *, antialiased: bool) -> None:
-        """Take over what `state_arrays` gave, with the step of the best and all looks."""
-        self.splats = Splats(**arrays, antialiased=antialiased) if arrays else None
-        self.step, self.looks = step, looks
+    def state_numbers(self) -> dict[str, Any]:
+        """Step of the best model, and all looks."""
+        return {"step": self.step, "looks": [list(look) for look in self.looks]}
+
+    def restore(self, arrays: dict[str, NDArray[Any]], numbers: Any, splats: SplatTensors) -> None:
+        """Go on from the best model so far and all looks."""
+        self.splats = Splats(**arrays, antialiased=splats.antialiased) if arrays else None
+        self.step, self.looks = numbers["step"], [(int(step), float(psnr_db)) for step, psnr_db in numbers["looks"]]
+
+    def finish(self, result: TrainResult) -> TrainResult:
+        """The result with the best model in place of the last one."""
+        best = result.splats if self.splats is None else self.splats
+        return replace(result, splats=best, validation=tuple(self.looks), best_step=self.step)

@@ -17,8 +17,8 @@ from radiant_core.scene import SfmScene
 class TrainingViews:
     """V cameras with their images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none; sizes may differ.
 
-    Weights are what a synthetic view knows of each pixel, or what a mask leaves of it; where one is 0 nothing is compared.
-    Eight bits are what a photograph has: a float copy would take four times the memory. Raises BadInput when sizes disagree.
+    A weight is the confidence in a pixel of a synthetic view, or what a mask leaves of a pixel; pixels of weight 0 are not compared.
+    Eight bits, as in a photograph: a float copy would take four times the memory. Raises BadInput when sizes disagree.
     """
 
     cameras: Cameras
@@ -57,11 +57,11 @@ class TrainingViews:
         longest = max(image.shape[0] if image.shape[0] > image.shape[1] else image.shape[1] for image in self.images)
         cameras = self.cameras.scaled(max(1, round(scale * longest)))
         sizes = [(int(width), int(height)) for width, height in cameras.sizes_wh]
-        weights = None if self.weights is None else tuple(map(_reduced, self.weights, sizes))
-        return TrainingViews(cameras=cameras, images=tuple(map(_reduced, self.images, sizes)), weights=weights)
+        weights = None if self.weights is None else tuple(map(_reduce, self.weights, sizes))
+        return TrainingViews(cameras=cameras, images=tuple(map(_reduce, self.images, sizes)), weights=weights)
 
 
-def _reduced(image: NDArray[np.uint8], size_wh: tuple[int, int]) -> NDArray[np.uint8]:
+def _reduce(image: NDArray[np.uint8], size_wh: tuple[int, int]) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.uint8)
 
 

@@ -3,7 +3,7 @@
     sharpness of photograph v = exp(½ median over its sparse points p of [log e(v,p) − median over the other u that see p of log e(u,p)])
 
 e(v,p) is the mean squared brightness gradient in a window around p: sharpness compares photographs where they show the same, so that a
-photograph of a lawn is not taken for a blurred one. 1 is as sharp as the others. A photograph repeats another where both were taken from
+photograph of a lawn does not count as blurred. 1 is as sharp as the others. A photograph repeats another where both were taken from
 one place in one direction and their pictures hardly differ.
 """
 
@@ -43,9 +43,9 @@ class Worth:
 
 def images_worth(scene: SfmScene, views: TrainingViews) -> Worth:
     """The views without repeats and blurred ones; `views.cameras` are the scene's in the same order. At least one view is kept."""
-    repeated = repeats(scene, views)
+    repeated = find_repeats(scene, views)
     sharpness = relative_sharpness(scene, views)
-    blurred = _dispensable(scene, sharpness, ~repeated)
+    blurred = _find_dispensable(scene, sharpness, ~repeated)
     worst = float(np.nanmin(sharpness)) if np.isfinite(sharpness).any() else 1.0
     return Worth(kept=~(repeated | blurred), decisions=(_repeats_decision(repeated), _blur_decision(blurred, worst)))
 
@@ -103,7 +103,7 @@ def _medians_of_others(group: NDArray[np.int64], values: FloatArray) -> tuple[Fl
     return medians, sizes
 
 
-def _dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which views (V,) are blurred and show only what others show too, the most blurred first."""
     point, view = np.unique(scene.observations, axis=0).T
     num_seeing = np.bincount(point[kept[view]], minlength=len(scene.points))
@@ -118,7 +118,7 @@ def _dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.bool_]
     return blurred
 
 
-def repeats(scene: SfmScene, views: TrainingViews) -> NDArray[np.bool_]:
+def find_repeats(scene: SfmScene, views: TrainingViews) -> NDArray[np.bool_]:
     """Which views (V,) show the picture of an earlier one from its place."""
     repeated = np.zeros(len(views), bool)
     repeated[list(repeated_cameras(views.cameras, scene.points, lambda index: views.images[index]))] = True

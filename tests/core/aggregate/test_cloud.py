@@ -17,6 +17,7 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import Cloud
 from radiant_core.train.config import train_preset
+from radiant_core.train.densification import Adc, NoDensification
 from radiant_core.train.trainer import FitOptions
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -147,12 +148,12 @@ class TestPaperAggregation:
         made = retraining_config(device, aggregate_preset("paper"), MODEL, 7)
         names = ("means_lr", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr")
         assert [getattr(made, name) for name in names] == [getattr(plain, name) for name in names]
-        assert (made.num_steps, made.settle_epochs, made.densify) == (70, None, "none")
+        assert (made.num_steps, made.settle_epochs, made.density) == (70, None, NoDensification())
         ours = retraining_config(device, aggregate_preset("default"), MODEL, 7)
         assert [getattr(ours, name) for name in names] == [getattr(device, name) for name in names] and ours.scales_lr == 4 * made.scales_lr
 
     def test_all_gaussians_stay_a_lone_model_is_retrained_and_density_control_rests(self) -> None:
-        train = replace(train_preset("paper"), long_side_px=48, densify_from_step=0, densify_every=1)
+        train = replace(train_preset("paper"), long_side_px=48, density=Adc(from_step=0, every=1))
         paper = replace(aggregate_preset("paper"), num_epochs=1)
         west, east = MODEL.select(MODEL.means[:, 0] < 1), MODEL.select(MODEL.means[:, 0] > -1)
         both = retrain_on_synthetic_views(

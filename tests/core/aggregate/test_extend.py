@@ -15,6 +15,7 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.config import train_preset
+from radiant_core.train.densification import Adc, NoDensification
 from radiant_core.train.trainer import FitOptions, fit_splats
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -111,12 +112,12 @@ def test_held_gaussians_keep_their_bits_and_need_a_fixed_count() -> None:
     from radiant_core.aggregate.synthetic_views import synthetic_views
 
     views, held = synthetic_views(truth, CAMERAS), np.arange(len(old)) % 3 == 0
-    config = replace(TRAIN, num_steps=12, densify="none", start_scale=1.0)
+    config = replace(TRAIN, num_steps=12, density=NoDensification(), start_scale=1.0)
     trained = fit_splats(old, views, config, FitOptions(held=held)).splats
     for name, array in old.arrays().items():
         assert np.array_equal(getattr(trained, name)[held], array[held]), name
     assert (trained.means[~held] != old.means[~held]).any()
-    with pytest.raises(BadInput, match="densify"):
-        fit_splats(old, views, replace(config, densify="adc"), FitOptions(held=held))
+    with pytest.raises(BadInput, match="density"):
+        fit_splats(old, views, replace(config, density=Adc()), FitOptions(held=held))
     with pytest.raises(BadInput, match="one truth value"):
         fit_splats(old, views, config, FitOptions(held=held[1:]))

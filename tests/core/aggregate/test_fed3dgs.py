@@ -16,7 +16,8 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import SH_C0, Splats, concatenate_splats
-from radiant_core.train.trainer import FitOptions, TrainProgress
+from radiant_core.train.results import TrainProgress
+from radiant_core.train.trainer import FitOptions
 from tests.core.scenes import cameras_above, ground_splats
 
 WEST, EAST = cameras_above([(-2, -1), (-2, 1), (-1, 0)]), cameras_above([(2, -1), (2, 1), (1, 0)])

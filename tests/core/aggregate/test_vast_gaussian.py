@@ -21,6 +21,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.train import trainer
 from radiant_core.train.config import train_preset
+from radiant_core.train.densification import NoDensification
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews
@@ -257,7 +258,9 @@ class TestTrainingPixels:
             sizes_wh=np.concatenate([one.sizes_wh, other.sizes_wh]),
         )
         images = tuple(np.full((height, width, 3), 99, np.uint8) for width, height in cameras.sizes_wh)
-        config = replace(train_preset("draft"), num_steps=23, start_scale=start_scale, full_size_from=full_size_from, densify="none")
+        config = replace(
+            train_preset("draft"), num_steps=23, start_scale=start_scale, full_size_from=full_size_from, density=NoDensification()
+        )
         rendered: list[int] = []
         rasterize: Callable[..., Any] = trainer.rasterize
 

@@ -14,20 +14,18 @@ import pytest
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import read_json
 from radiant_core.train.checkpoint import MAX_SHARE, CheckpointFolder, training_key
-from radiant_core.train.config import TrainConfig
-from radiant_core.train.trainer import FitOptions, Training, TrainResult, TrainState, fit_splats
+from radiant_core.train.config import TrainConfig, with_settings
+from radiant_core.train.densification import Adc
+from radiant_core.train.results import TrainResult, TrainState
+from radiant_core.train.trainer import FitOptions, Training, fit_splats
 from tests.core.train.test_trainer import CONFIG, grey_start, photographs
 
 VIEWS = photographs()
 SCHEDULE = replace(CONFIG, num_steps=24, schedule_steps=24, sh_degree=1)
+EDITS = Adc(from_step=2, until_step=22, every=3, min_gradient=1e-6, reset_opacity_every=11)
 EVERYTHING = replace(
     SCHEDULE,
-    densify="adc",
-    densify_from_step=2,
-    densify_until_step=22,
-    densify_every=3,
-    densify_min_gradient=1e-6,
-    reset_opacity_every=11,
+    density=EDITS,
     max_num_splats=600,
     start_scale=0.5,
     exposure="affine",
@@ -83,9 +81,12 @@ def saved_twice(folder: Path) -> None:
     "config",
     [
         pytest.param(EVERYTHING, id="adc, exposures, half size first"),
-        pytest.param(replace(EVERYTHING, densify="planned", adam="dense", sh_degree_every=8), id="planned, dense Adam, degrees of colour"),
-        pytest.param(replace(EVERYTHING, densify="mcmc"), id="mcmc"),
-        pytest.param(replace(EVERYTHING, densify_gradient="absolute", densify_min_absolute=4e-6), id="adc by absolute gradients"),
+        pytest.param(
+            with_settings(EVERYTHING, {"density.kind": "planned", "adam": "dense", "sh_degree_every": 8}),
+            id="planned, dense Adam, degrees of colour",
+        ),
+        pytest.param(with_settings(EVERYTHING, {"density.kind": "mcmc"}), id="mcmc"),
+        pytest.param(replace(EVERYTHING, density=replace(EDITS, gradient="absolute", min_absolute=4e-6)), id="adc by absolute gradients"),
     ],
 )
 @pytest.mark.parametrize("die_after", [1, 9, 10, 23])

@@ -16,8 +16,10 @@ from radiant_core.render.contract import SplatTensors, rasterize
 from radiant_core.splats import Splats, morton_order
 from radiant_core.train import density
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.density import AdaptiveDensity, DensityCounts, DensityRules, density_edit, growing, reset_opacities, split_offsets
+from radiant_core.train.densification import Adc, DensityCounts, NoDensification
+from radiant_core.train.density import AdaptiveDensity, DensityRules, density_edit, reset_opacities, select_growing, split_offsets
 from radiant_core.train.optimizer import SelectiveAdam
+from radiant_core.train.parts import Moment
 from radiant_core.train.trainer import fit_splats
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
@@ -105,16 +107,16 @@ class TestGrowing:
     def test_the_limit_gives_room_to_the_strongest(self) -> None:
         gradients = np.array([3e-4, 9e-4, 1e-4, 5e-4, 7e-4])
         sizes = np.log(np.array([SMALL, LARGE, SMALL, SMALL, LARGE]))
-        clone, split, refused = growing(gradients, sizes, replace(RULES, max_num_splats=8))
+        clone, split, refused = select_growing(gradients, sizes, replace(RULES, max_num_splats=8))
         assert (np.flatnonzero(clone).tolist(), np.flatnonzero(split).tolist(), refused) == ([3], [1, 4], 1)
 
     @pytest.mark.parametrize("limit", [1, 5])
     def test_a_full_model_grows_by_nothing(self, limit: int) -> None:
-        clone, split, refused = growing(np.ones(5), np.zeros(5), replace(RULES, max_num_splats=limit))
+        clone, split, refused = select_growing(np.ones(5), np.zeros(5), replace(RULES, max_num_splats=limit))
         assert not clone.any() and not split.any() and refused == 5
 
     def test_exact_thresholds_belong_to_growing_and_to_cloning(self) -> None:
-        clone, split, _ = growing(np.array([2e-4, 2e-4 * (1 - 1e-12)]), np.log([0.1 * (1 - 1e-12), 0.1]), RULES)
+        clone, split, _ = select_growing(np.array([2e-4, 2e-4 * (1 - 1e-12)]), np.log([0.1 * (1 - 1e-12), 0.1]), RULES)
         assert clone.tolist() == [True, False] and not split.any()
 
 
@@ -131,19 +133,23 @@ def test_children_are_drawn_from_their_parent() -> None:
     np.testing.assert_allclose(offsets.mean(0), 0, atol=4 * 3 / math.sqrt(2 * count))
 
 
+def moment(step: int, schedule_step: float) -> Moment:
+    return Moment(step=step, view=0, progress=0.5, schedule_step=schedule_step)
+
+
 class TestSchedule:
     def policy(self, splats: SplatTensors, **fields) -> AdaptiveDensity:
-        return AdaptiveDensity(replace(train_preset("paper"), **fields), EXTENT, splats)
+        return AdaptiveDensity(Adc(**fields), train_preset("paper"), EXTENT, splats)
 
     def test_the_paper_edits_after_step_500_every_100_until_15000_and_resets_every_3000(self, monkeypatch: pytest.MonkeyPatch) -> None:
         splats = SplatTensors.from_splats(ground_splats(5))
         optimizer = SelectiveAdam({}, {})
         policy = self.policy(splats)
         edits, resets = [], []
-        monkeypatch.setattr(policy, "_edited", lambda step, schedule_step, splats, optimizer: edits.append(step) or splats)
+        monkeypatch.setattr(policy, "_edit", lambda moment, splats, optimizer: edits.append(moment.step) or splats)
         for step in range(1, 20_001):
             before = policy.counts.num_resets
-            policy.after_step(step, float(step), splats, optimizer)
+            policy.after_update(moment(step, float(step)), splats, optimizer)
             resets += [step] if policy.counts.num_resets > before else []
         assert edits == list(range(600, 15_000, 100))
         assert resets == [3_000, 6_000, 9_000, 12_000]
@@ -151,12 +157,12 @@ class TestSchedule:
     def test_milestones_of_standard_scale_with_the_run_the_interval_does_not(self, monkeypatch: pytest.MonkeyPatch) -> None:
         splats = SplatTensors.from_splats(ground_splats(5))
         config = replace(train_preset("standard"), num_steps=3_000)
-        policy = AdaptiveDensity(config, EXTENT, splats)
+        policy = AdaptiveDensity(Adc(), config, EXTENT, splats)
         edits, resets = [], []
-        monkeypatch.setattr(policy, "_edited", lambda step, schedule_step, splats, optimizer: edits.append(step) or splats)
+        monkeypatch.setattr(policy, "_edit", lambda moment, splats, optimizer: edits.append(moment.step) or splats)
         for step in range(1, config.num_steps + 1):
             before = policy.counts.num_resets
-            policy.after_step(step, step * 10.0, splats, SelectiveAdam({}, {}))
+            policy.after_update(moment(step, step * 10.0), splats, SelectiveAdam({}, {}))
             resets += [step] if policy.counts.num_resets > before else []
         assert edits == list(range(100, 1_500, 100)) and resets == [300, 600, 900, 1_200]
 
@@ -173,7 +179,7 @@ class TestSchedule:
                 splats, torch.tensor(CAMERAS.cam_from_world[one]), torch.tensor(CAMERAS.Ks[one]), 48, 36, sh_degree=0, backend="reference"
             )
             output.means2d.retain_grad()
-            policy.watch(float(step), output, (48, 36))
+            policy.before_backward(moment(step, float(step)), output)
             (output.images * torch.arange(36)[None, :, None, None] / 36).mean().backward()
             assert output.means2d.grad is not None
             sums += np.linalg.norm(output.means2d.grad[0].numpy() * [24.0, 18.0], axis=1)
@@ -188,15 +194,15 @@ class TestSchedule:
         splats = SplatTensors.from_splats(ground_splats(40))
         for tensor in splats.tensors().values():
             tensor.requires_grad_()
-        policy = self.policy(splats, densify_gradient="absolute")
-        assert policy.wants_absgrad(14_999.0) and not policy.wants_absgrad(15_000.0)
-        assert not self.policy(splats).wants_absgrad(1.0)
+        policy = self.policy(splats, gradient="absolute")
+        assert policy.wants_absgrad(moment(1, 14_999.0)) and not policy.wants_absgrad(moment(1, 15_000.0))
+        assert not self.policy(splats).wants_absgrad(moment(1, 1.0))
         sums = np.zeros(40)
         for step, factor in enumerate((1.0, -0.5, math.inf), 1):
             output = rasterize(
                 splats, torch.tensor(CAMERAS.cam_from_world[:1]), torch.tensor(CAMERAS.Ks[:1]), 48, 36, sh_degree=0, absgrad=True
             )
-            policy.watch(float(step), output, (48, 36))
+            policy.before_backward(moment(step, float(step)), output)
             (factor * output.images * torch.arange(36)[None, :, None, None] / 36).mean().backward()
             assert output.absgrad is not None
             if factor < math.inf:
@@ -209,7 +215,7 @@ class TestSchedule:
         splats.means.requires_grad_()
         output = rasterize(splats, torch.tensor(CAMERAS.cam_from_world[:1]), torch.tensor(CAMERAS.Ks[:1]), 48, 36, sh_degree=0)
         with pytest.raises(ValueError, match="absgrad=True"):
-            self.policy(splats, densify_gradient="absolute").watch(1.0, output, (48, 36))
+            self.policy(splats, gradient="absolute").before_backward(moment(1, 1.0), output)
 
 
 def test_a_reset_lowers_opacities_and_forgets_their_moments_only() -> None:
@@ -240,21 +246,19 @@ def few_splats() -> Splats:
 
 
 # No reset, after which what is larger than a tenth of these few cameras' extent would be pruned: all of it.
+EDITS = Adc(from_step=2_000, until_step=20_000, every=20, reset_opacity_every=1_000_000)
 ADC = replace(
     train_preset("standard"),
     num_steps=300,
     sh_degree=0,
-    densify_from_step=2_000,
-    densify_until_step=20_000,
-    densify_every=20,
-    reset_opacity_every=1_000_000,
+    density=EDITS,
     long_side_px=48,
 )
 
 
 def test_unexplained_detail_is_learnt_better_with_density_control_than_without() -> None:
     views = photographs()
-    without = fit_splats(few_splats(), views, replace(ADC, densify="none"))
+    without = fit_splats(few_splats(), views, replace(ADC, density=NoDensification()))
     with_adc = fit_splats(few_splats(), views, ADC)
     assert without.density == DensityCounts() and len(without.splats) == 40
     assert len(with_adc.splats) > 100
@@ -274,7 +278,7 @@ def test_a_run_with_edits_repeats_to_the_bit_and_counts_add_up() -> None:
 def test_absolute_gradients_choose_other_gaussians_by_their_own_threshold_and_repeat_to_the_bit() -> None:
     views = photographs()
     runs = {
-        key: fit_splats(few_splats(), views, replace(ADC, num_steps=120, densify_gradient=gradient, densify_min_absolute=least))
+        key: fit_splats(few_splats(), views, replace(ADC, num_steps=120, density=replace(EDITS, gradient=gradient, min_absolute=least)))
         for key, gradient, least in (
             ("mean", "mean", 8e-4),
             ("abs", "absolute", 8e-4),
@@ -297,7 +301,8 @@ def test_the_limit_of_gaussians_holds_in_a_run(adam) -> None:
 @pytest.mark.parametrize("value", [0, 255])
 def test_flat_photographs_and_one_gaussian_end_in_a_finite_model(value: int) -> None:
     images = tuple(np.full((36, 48, 3), value, np.uint8) for _ in CAMERAS.names)
-    config = replace(ADC, num_steps=60, reset_opacity_every=1_500, densify_min_gradient=0.0, max_num_splats=50)
+    density = replace(EDITS, reset_opacity_every=1_500, min_gradient=0.0)
+    config = replace(ADC, num_steps=60, density=density, max_num_splats=50)
     result = fit_splats(few_splats().select([0]), TrainingViews(cameras=CAMERAS, images=images), config)
     assert 1 <= len(result.splats) <= 50 and np.isfinite(result.last_loss) and result.density.num_resets > 0
 
@@ -305,11 +310,11 @@ def test_flat_photographs_and_one_gaussian_end_in_a_finite_model(value: int) -> 
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"densify": "grow"}, "expected one of none, adc, planned, mcmc"),
-        ({"densify_every": 0}, "densify_every is 0"),
-        ({"densify_min_gradient": math.nan}, "densify_min_gradient is nan"),
-        ({"densify_gradient": "signed"}, "densify_gradient is 'signed', expected one of mean, absolute"),
-        ({"densify_min_absolute": -1e-4}, "densify_min_absolute is -0.0001"),
+        ({"kind": "grow"}, "kind is 'grow', expected one of adc, planned"),
+        ({"every": 0}, "every is 0"),
+        ({"min_gradient": math.nan}, "min_gradient is nan"),
+        ({"gradient": "signed"}, "gradient is 'signed', expected one of mean, absolute"),
+        ({"min_absolute": -1e-4}, "min_absolute is -0.0001"),
         ({"prune_radius_px": 0.0}, "prune_radius_px is 0.0"),
         ({"means_lr_end": 0.0}, "means_lr_end is 0.0"),
         ({"schedule_steps": 0}, "schedule_steps is 0"),
@@ -317,17 +322,17 @@ def test_flat_photographs_and_one_gaussian_end_in_a_finite_model(value: int) -> 
 )
 def test_a_schedule_that_makes_no_sense_is_refused(fields: dict, message: str) -> None:
     with pytest.raises(BadInput, match=message):
-        TrainConfig(**fields)
+        TrainConfig(**fields) if hasattr(TrainConfig(), next(iter(fields))) else Adc(**fields)
 
 
 def test_the_paper_preset_has_the_papers_numbers_and_standard_those_of_3dgs() -> None:
     paper, standard = train_preset("paper"), train_preset("standard")
     for config in (paper, standard):
-        assert (config.densify_from_step, config.densify_until_step, config.densify_every, config.adam) == (500, 15_000, 100, "dense")
-        assert (config.densify, config.sky, config.fill_in, config.max_scale_per_distance) == ("adc", False, False, None)
+        assert config.density == Adc(kind="adc", from_step=500, until_step=15_000, every=100, reset_opacity_every=3_000) == Adc()
+        assert (config.adam, config.sky, config.fill_in, config.max_scale_per_distance) == ("dense", False, False, None)
     assert (paper.num_steps, paper.schedule_steps, standard.num_steps, standard.schedule_steps) == (20_000, 20_000, 30_000, 30_000)
     # 3DGS lowers the centres' rate to a hundredth at 30,000 steps, two thirds of which the paper takes.
     assert paper.means_lr_end == pytest.approx(0.01 ** (20_000 / 30_000)) and standard.means_lr_end == 0.01
     for name in ("draft", "default"):
         config = train_preset(name)
-        assert config.densify == "planned" and config.adam == "dense" and config.fill_in and config.sky and config.start_scale == 0.5
+        assert config.density.kind == "planned" and config.adam == "dense" and config.fill_in and config.sky and config.start_scale == 0.5

@@ -11,15 +11,24 @@ import torch
 from radiant_core import _native
 from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.errors import StageFailed
+from radiant_core.render.contract import SplatTensors
 from radiant_core.train.config import train_preset
+from radiant_core.train.densification import NoDensification
 from radiant_core.train.exposure import Exposures
 from radiant_core.train.needs import MIN_EXPOSURE_SPREAD, exposure_spread
+from radiant_core.train.optimizer import SelectiveAdam
+from radiant_core.train.parts import Moment
 from radiant_core.train.trainer import fit_splats
 from radiant_core.train.validation import validation_psnr_db
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
+MODEL = SplatTensors.from_splats(ground_splats(1))
 CAMERAS = cameras_above([(x, y) for x in (-2.0, 0.0, 2.0) for y in (-1.5, 1.5)])
+
+
+def moment(view: int, progress: float = 0.0) -> Moment:
+    return Moment(step=1, view=view, progress=progress, schedule_step=1.0)
 
 
 @pytest.mark.parametrize("size_wh", [(1, 1), (37, 70), (640, 96)])
@@ -30,7 +39,7 @@ def test_the_native_map_and_its_derivatives_are_those_of_float64(size_wh: tuple[
     exposures = Exposures(2, 1e-3, "cpu")
     exposures._maps[1] = torch.tensor(rng.normal(size=(3, 4)).astype(np.float32))
     towards = torch.tensor(rng.normal(size=image.shape).astype(np.float32))
-    shown = exposures.applied(1, image)
+    shown = exposures.show(moment(1), image)
     shown.backward(towards)
     exact = image.detach().double().requires_grad_()
     map_ = exposures._maps[1].double().requires_grad_()
@@ -66,15 +75,16 @@ def test_a_step_keeps_the_gauge_and_poison_is_refused_before_anything_moves() ->
     exposures = Exposures(4, 1e-2, "cpu")
     for step in range(20):
         image = torch.rand(6, 8, 3, requires_grad=True)
-        (exposures.applied(step % 3, image) * (step % 3 + 1)).sum().backward()
-        exposures.require_finite()
-        exposures.step(step % 3, step / 20)
+        now = moment(step % 3, step / 20)
+        (exposures.show(now, image) * (step % 3 + 1)).sum().backward()
+        exposures.after_backward(MODEL)
+        exposures.after_update(now, MODEL, SelectiveAdam({}, {}))
     assert exposures.largest_change > 0
     torch.testing.assert_close(exposures._maps.mean(dim=0), torch.zeros(3, 4), atol=1e-6, rtol=0)
     before = exposures.state_arrays()
-    (exposures.applied(0, torch.full((6, 8, 3), torch.nan, requires_grad=True))).sum().backward()
+    (exposures.show(moment(0), torch.full((6, 8, 3), torch.nan, requires_grad=True))).sum().backward()
     with pytest.raises(StageFailed, match="exposure is not finite"):
-        exposures.require_finite()
+        exposures.after_backward(MODEL)
     assert all(np.array_equal(array, before[name]) for name, array in exposures.state_arrays().items())
 
 
@@ -90,7 +100,7 @@ def differently_exposed() -> tuple[TrainingViews, TrainingViews]:
 
 def test_photographs_of_different_exposures_are_learnt_better_with_a_map_each() -> None:
     even, uneven = differently_exposed()
-    config = replace(train_preset("default"), num_steps=300, densify="none", start_scale=1.0, sh_degree=0, exposure_lr=5e-3)
+    config = replace(train_preset("default"), num_steps=300, density=NoDensification(), start_scale=1.0, sh_degree=0, exposure_lr=5e-3)
     figures = {}
     for exposure in ("none", "affine"):
         result = fit_splats(ground_splats(400), uneven, replace(config, exposure=exposure))

@@ -16,29 +16,28 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0
 from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.densification import Adc, Mcmc, NoDensification
 from radiant_core.train.initialize import first_splats
-from radiant_core.train.trainer import FitOptions, TrainResult, fit_splats
+from radiant_core.train.results import TrainResult
+from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
 Input = tuple[SfmScene, TrainingViews]
 CAMERAS = cameras_above([(x, y) for x in (-1.5, 0.0, 1.5) for y in (-1.0, 1.0)], size_wh=(32, 24))
+EDITS = Adc(from_step=4, until_step=36, every=6, min_gradient=1e-7, reset_opacity_every=15)
 CONFIG = replace(
     train_preset("default"),
     num_steps=40,
     schedule_steps=40,
-    densify_from_step=4,
-    densify_until_step=36,
-    densify_every=6,
-    densify_min_gradient=1e-7,
-    reset_opacity_every=15,
+    density=EDITS,
     max_num_splats=2_000,
 )
 POLICIES = {
-    "none": replace(CONFIG, densify="none"),
-    "adc": replace(CONFIG, densify="adc", adam="dense"),
-    "planned": replace(CONFIG, densify="planned", exposure="affine", start_scale=0.5),
-    "mcmc": replace(CONFIG, densify="mcmc", exposure="affine"),
+    "none": replace(CONFIG, density=NoDensification()),
+    "adc": replace(CONFIG, adam="dense"),
+    "planned": replace(CONFIG, density=replace(EDITS, kind="planned"), exposure="affine", start_scale=0.5),
+    "mcmc": replace(CONFIG, density=Mcmc(from_step=4, until_step=36, every=6), exposure="affine"),
 }
 
 
@@ -146,7 +145,7 @@ def test_a_hostile_input_ends_in_a_finite_model(name: str, policy: str) -> None:
 @pytest.mark.parametrize("name", ["all black", "flat", "all white"])
 def test_one_colour_is_learnt(name: str) -> None:
     scene, views = INPUTS[name]()
-    result = fitted((scene, views), replace(CONFIG, num_steps=150, densify="none", start_scale=1.0))
+    result = fitted((scene, views), replace(CONFIG, num_steps=150, density=NoDensification(), start_scale=1.0))
     assert result.last_loss < 0.5 * result.first_loss
     middle = next(iter(render_views(result.splats, views.cameras))).image[8:16, 10:22]
     np.testing.assert_allclose(middle, views.images[0][0, 0, 0] / 255, atol=0.12)

@@ -15,16 +15,17 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import train_preset
+from radiant_core.train.densification import Adc, NoDensification
 from radiant_core.train.fill_in import fill_in_points
 from radiant_core.train.initialize import first_splats
 from radiant_core.train.native_loss import TargetStatistics, target_loss
-from radiant_core.train.trainer import FitOptions, fit_splats, unseen_agrees
+from radiant_core.train.trainer import FitOptions, fit_splats, match_masked
 from radiant_core.train.validation import validation_psnr_db
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
 CAMERAS = cameras_above([(x, y) for x in (-2.0, 0.0, 2.0) for y in (-1.5, 1.5)])
-CONFIG = replace(train_preset("draft"), num_steps=60, sh_degree=0, densify="none")
+CONFIG = replace(train_preset("draft"), num_steps=60, sh_degree=0, density=NoDensification())
 USED = np.full((36, 48), 255, np.uint8)
 USED[8:24, 10:30] = 0
 
@@ -64,7 +65,7 @@ def test_no_window_of_ssim_carries_an_error_out_of_the_mask() -> None:
     target = torch.rand(36, 48, 3, generator=torch.Generator().manual_seed(0))
     weights = torch.from_numpy(USED / 255).float()
     image = torch.where(weights[..., None] > 0, target, 1 - target).requires_grad_()
-    loss = target_loss(unseen_agrees(image, target, weights), TargetStatistics.of(target), weights, 0.2)
+    loss = target_loss(match_masked(image, target, weights), TargetStatistics.of(target), weights, 0.2)
     loss.backward()
     assert image.grad is not None
     assert float(loss.detach()) == pytest.approx(0, abs=1e-6) and (image.grad[weights == 0] == 0).all()
@@ -135,5 +136,5 @@ def test_other_masks_are_another_training() -> None:
 
 def test_renders_stay_finite_where_every_photograph_is_masked() -> None:
     views = replace(clean(), weights=(np.zeros_like(USED),) * len(CAMERAS))
-    result = fit_splats(grey_start(), views, replace(CONFIG, num_steps=8, densify="planned", densify_every=2, max_num_splats=400))
+    result = fit_splats(grey_start(), views, replace(CONFIG, num_steps=8, density=Adc(kind="planned", every=2), max_num_splats=400))
     assert all(np.isfinite(view.image).all() for view in render_views(result.splats, CAMERAS.select([0])))

@@ -13,12 +13,15 @@ from scipy.integrate import quad
 from radiant_core.render.contract import SplatTensors
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
+from radiant_core.train.densification import Mcmc
 from radiant_core.train.density import MIN_OPACITY
-from radiant_core.train.mcmc import RelocatedDensity, shared_place, wander
+from radiant_core.train.mcmc import RelocatedDensity, share_place, wander
 from radiant_core.train.optimizer import SelectiveAdam
+from radiant_core.train.parts import Moment
 from tests.core.scenes import ground_splats
 
-CONFIG = TrainConfig(densify="mcmc", max_num_splats=10_000)
+POLICY = Mcmc()
+CONFIG = TrainConfig(density=POLICY, max_num_splats=10_000)
 DEAD_LOGIT = math.log(0.001 / 0.999)
 
 
@@ -37,11 +40,15 @@ def optimizer_of(splats: SplatTensors) -> SelectiveAdam:
     return SelectiveAdam(tensors, dict.fromkeys(tensors, 1e-3))
 
 
+def moment(step: int, schedule_step: float) -> Moment:
+    return Moment(step=step, view=0, progress=0.5, schedule_step=schedule_step)
+
+
 def after_round(
     splats: SplatTensors, config: TrainConfig = CONFIG, step: int = 1_000, schedule_step: float = 1_000.0
 ) -> tuple[RelocatedDensity, SplatTensors]:
-    policy = RelocatedDensity(config)
-    return policy, policy.after_step(step, schedule_step, splats, optimizer_of(splats))
+    policy = RelocatedDensity(POLICY, config)
+    return policy, policy.after_update(moment(step, schedule_step), splats, optimizer_of(splats))
 
 
 class TestSharedPlace:
@@ -49,7 +56,7 @@ class TestSharedPlace:
     @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.9, 0.99])
     def test_copies_in_one_place_hide_and_weigh_what_one_did(self, opacity: float, num_copies: int) -> None:
         sigma = 0.7
-        logits, scales = shared_place(np.array([logit(opacity)]), np.full((1, 3), math.log(sigma)), np.array([num_copies]))
+        logits, scales = share_place(np.array([logit(opacity)]), np.full((1, 3), math.log(sigma)), np.array([num_copies]))
         each, each_sigma = 1 / (1 + math.exp(-float(logits[0]))), math.exp(float(scales[0, 0]))
         if 1 - (1 - opacity) ** (1 / num_copies) < MIN_OPACITY:
             assert each == pytest.approx(MIN_OPACITY, rel=1e-5), "held where they still count as alive"
@@ -65,13 +72,13 @@ class TestSharedPlace:
         assert np.ptp(scales) == 0
 
     def test_one_alone_stays_as_it_is(self) -> None:
-        logits, scales = shared_place(np.array([logit(0.4), logit(0.9)]), np.log([[0.1, 0.2, 0.3], [1, 2, 3]]), np.array([1, 1]))
+        logits, scales = share_place(np.array([logit(0.4), logit(0.9)]), np.log([[0.1, 0.2, 0.3], [1, 2, 3]]), np.array([1, 1]))
         np.testing.assert_allclose(logits, [logit(0.4), logit(0.9)], rtol=1e-5)
         np.testing.assert_allclose(scales, np.log([[0.1, 0.2, 0.3], [1, 2, 3]]), atol=1e-6)
 
     def test_poison_stays_finite(self) -> None:
         logits = np.array([1e30, -1e30, np.inf, -np.inf, 60.0], np.float32)
-        new_logits, new_scales = shared_place(logits, np.zeros((5, 3), np.float32), np.array([2, 2, 51, 10**9, 51]))
+        new_logits, new_scales = share_place(logits, np.zeros((5, 3), np.float32), np.array([2, 2, 51, 10**9, 51]))
         assert np.isfinite(new_logits).all() and np.isfinite(new_scales).all()
 
 
@@ -84,12 +91,12 @@ class TestRounds:
         assert len(grown) == round(1_000 * 1.05**20)
 
     def test_a_short_run_ends_where_a_long_one_does(self) -> None:
-        config = replace(CONFIG, densify_until_step=3_000)
+        ending = Mcmc(until_step=3_000)
         sizes = []
         for ratio in (1, 5):
-            policy, splats = RelocatedDensity(config), SplatTensors.from_splats(ground_splats(300))
-            for step in range(config.densify_every, config.densify_until_step // ratio, config.densify_every):
-                splats = policy.after_step(step, float(step * ratio), splats, optimizer_of(splats))
+            policy, splats = RelocatedDensity(ending, CONFIG), SplatTensors.from_splats(ground_splats(300))
+            for step in range(ending.every, ending.until_step // ratio, ending.every):
+                splats = policy.after_update(moment(step, float(step * ratio)), splats, optimizer_of(splats))
             assert policy.counts.num_cloned == len(splats) - 300
             sizes.append(len(splats))
         # Rounds after steps 600 to 2,900 of the schedule, or after 1,000 to 2,500.

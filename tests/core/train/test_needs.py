@@ -11,6 +11,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.densification import Adc, Mcmc, NoDensification
 from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, exposure_spread, fit_to_backend, fit_to_scene
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above
@@ -33,7 +34,7 @@ def scene_of(num_views: int, gains: np.ndarray | None = None, size_wh: tuple[int
 class TestLength:
     def test_a_long_run_of_few_photographs_is_cut_and_says_so(self) -> None:
         scene, views = scene_of(20)
-        config, decisions = fit_to_scene(TrainConfig(num_steps=10**9, max_epochs=100, densify="none"), scene, views)
+        config, decisions = fit_to_scene(TrainConfig(num_steps=10**9, max_epochs=100), scene, views)
         assert config.num_steps == 2_000
         (decision,) = decisions
         assert decision.topic == "length" and "2,000" in decision.choice and decision.figure == 20 and not decision.forced
@@ -60,16 +61,16 @@ class TestLength:
 
 
 class TestSize:
-    @pytest.mark.parametrize("densify", ["planned", "mcmc"])
-    def test_growth_is_limited_by_the_pixels_of_the_photographs(self, densify) -> None:
+    @pytest.mark.parametrize("density", [Adc(kind="planned", pixels_per_splat=80), Mcmc(pixels_per_splat=80)])
+    def test_growth_is_limited_by_the_pixels_of_the_photographs(self, density) -> None:
         scene, views = scene_of(50, size_wh=(160, 120))
-        config, decisions = fit_to_scene(TrainConfig(densify=densify, pixels_per_splat=80, max_epochs=None), scene, views)
+        config, decisions = fit_to_scene(TrainConfig(density=density, max_epochs=None), scene, views)
         assert config.max_num_splats == 50 * 160 * 120 // 80 and [d.topic for d in decisions] == ["number of Gaussians"]
 
     def test_a_floor_a_switch_and_policies_without_a_limit_to_reach(self) -> None:
         scene, views = scene_of(2)
-        assert fit_to_scene(TrainConfig(densify="planned"), scene, views)[0].max_num_splats == MIN_PLANNED
-        for config in (TrainConfig(densify="planned", pixels_per_splat=None), TrainConfig(densify="adc"), TrainConfig(densify="none")):
+        assert fit_to_scene(TrainConfig(density=Adc(kind="planned")), scene, views)[0].max_num_splats == MIN_PLANNED
+        for config in (TrainConfig(density=density) for density in (Adc(kind="planned", pixels_per_splat=None), Adc(), NoDensification())):
             assert fit_to_scene(config, scene, views) == (config, ())
 
 
@@ -81,7 +82,7 @@ class TestExposure:
         logs = np.log(1 + np.round(100 * gains))
         expected = np.std([log - np.delete(logs, v).mean() for v, log in enumerate(logs)])
         assert exposure_spread(scene, views) == pytest.approx(expected, rel=1e-6)
-        config = TrainConfig(exposure="auto", densify="none")
+        config = TrainConfig(exposure="auto")
         assert fit_to_scene(config, scene, views)[0].exposure == "affine"
         assert fit_to_scene(config, *scene_of(6))[0].exposure == "none"
 

@@ -19,6 +19,7 @@ from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.densification import NoDensification
 from radiant_core.train.shapes import limit_shapes, without_dead
 from radiant_core.train.trainer import FitOptions, Training, fit_splats
 from tests.core.scenes import ground_splats
@@ -81,7 +82,7 @@ def test_a_random_background_closes_what_is_half_transparent() -> None:
     dark = replace(views, images=tuple(np.broadcast_to(black, image.shape).copy() for image in views.images))
     alphas = {}
     for background in ("black", "random"):
-        config = replace(CONFIG, background=background, densify="none")
+        config = replace(CONFIG, background=background, density=NoDensification())
         model = fit_splats(grey_start(), dark, config).splats
         alphas[background] = np.mean([view.alpha.mean() for view in render_views(model, CAMERAS)])
     assert alphas["random"] > alphas["black"] + 0.1, alphas
@@ -139,7 +140,7 @@ def test_antialiasing_keeps_small_gaussians_from_growing_with_the_distance() -> 
 
 
 def test_an_antialiased_model_learns_and_ends_antialiased() -> None:
-    config = replace(CONFIG, antialiased=True, densify="none")
+    config = replace(CONFIG, antialiased=True, density=NoDensification())
     start: Splats = replace(grey_start(), antialiased=True)
     result = fit_splats(start, photographs(), config)
     assert result.splats.antialiased and result.last_loss < result.first_loss

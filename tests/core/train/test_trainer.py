@@ -19,7 +19,8 @@ from radiant_core.splats import SH_C0, Splats
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.initialize import camera_extent, first_splats, initial_splats, sky_share
 from radiant_core.train.needs import Overrides, fit_to_backend
-from radiant_core.train.trainer import FitOptions, Steps, TrainProgress, fit_splats
+from radiant_core.train.results import TrainProgress
+from radiant_core.train.trainer import FitOptions, Steps, fit_splats
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 

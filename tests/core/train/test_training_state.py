@@ -11,17 +11,17 @@ import torch
 from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.splats import Splats
-from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.density import DensityCounts
+from radiant_core.train.config import TrainConfig, train_preset, with_settings
+from radiant_core.train.densification import Adc, DensityCounts, NoDensification
+from radiant_core.train.results import TrainState
 from radiant_core.train.trainer import (
     MAX_FAILURES,
     MIN_SETTLED_SHARE,
     FitOptions,
     Steps,
     Training,
-    TrainState,
     fit_splats,
-    settled,
+    settled_rate_share,
     view_of_step,
 )
 from radiant_core.train.validation import validation_psnr_db
@@ -29,14 +29,12 @@ from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above, ground_splats
 
 CAMERAS = cameras_above([(x, y) for x in (-2.0, 0.0, 2.0) for y in (-1.5, 1.5)])
+GROWING = Adc(kind="planned", from_step=2_000, until_step=25_000, every=5, reset_opacity_every=1_000_000)
 CONFIG = replace(
     train_preset("draft"),
     num_steps=40,
     sh_degree=1,
-    densify_from_step=2_000,
-    densify_until_step=25_000,
-    densify_every=5,
-    reset_opacity_every=1_000_000,
+    density=GROWING,
     max_num_splats=80,
     start_scale=0.5,
     exposure="affine",
@@ -61,12 +59,12 @@ def stopped_after(num_steps: int, config: TrainConfig, options: FitOptions) -> T
     return training
 
 
-@pytest.mark.parametrize("densify", ["none", "adc", "planned", "mcmc"])
+@pytest.mark.parametrize("kind", ["none", "adc", "planned", "mcmc"])
 @pytest.mark.parametrize("stop_at", [1, 13, 16, 39])
-def test_a_run_stopped_anywhere_goes_on_with_the_same_bits(densify, stop_at: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_stopped_anywhere_goes_on_with_the_same_bits(kind, stop_at: int, monkeypatch: pytest.MonkeyPatch) -> None:
     views = photographs()
     monkeypatch.setattr("radiant_core.train.trainer.MIN_STEADY_STEPS", 1)
-    config = replace(CONFIG, densify=densify, settle_epochs=1)
+    config = with_settings(CONFIG, {"density.kind": kind, "settle_epochs": 1})
     options = FitOptions(validation=views.select([0, 3]))
     whole = fit_splats(start(), views, config, options)
     state = stopped_after(stop_at, config, options).state()
@@ -79,12 +77,12 @@ def test_a_run_stopped_anywhere_goes_on_with_the_same_bits(densify, stop_at: int
         np.testing.assert_array_equal(array, resumed.splats.arrays()[name], err_msg=name)
     assert (whole.density, whole.validation, whole.best_step) == (resumed.density, resumed.validation, resumed.best_step)
     assert (whole.first_loss, whole.last_loss, whole.max_exposure) == (resumed.first_loss, resumed.last_loss, resumed.max_exposure)
-    if densify != "none":
+    if kind != "none":
         assert whole.density != DensityCounts() and len(whole.splats) > 40
 
 
 def test_a_state_is_a_copy_that_later_steps_leave_alone() -> None:
-    training = stopped_after(4, replace(CONFIG, densify="adc"), FitOptions())
+    training = stopped_after(4, replace(CONFIG, density=replace(GROWING, kind="adc")), FitOptions())
     state = training.state()
     before = {name: array.copy() for name, array in state.arrays.items()}
     training.take_step()
@@ -92,8 +90,24 @@ def test_a_state_is_a_copy_that_later_steps_leave_alone() -> None:
         np.testing.assert_array_equal(array, state.arrays[name], err_msg=name)
 
 
+def test_the_arrays_of_a_state_keep_their_names_so_that_older_checkpoints_are_read() -> None:
+    views = photographs()
+    state = stopped_after(30, CONFIG, FitOptions(validation=views.select([0]))).state()
+    splats = {"means", "quats", "log_scales", "logit_opacities", "sh0", "shN"}
+    parts = {
+        "splats": splats,
+        # These Gaussians have no higher harmonics: nothing to optimise in shN.
+        "adam": {"row_steps"} | {f"{name}.{moment}" for name in splats - {"shN"} for moment in ("first", "second")},
+        "density": {"sums", "seen", "radii_px", "num_first", "last_reset"},
+        "exposure": {"maps", "first", "second", "counts"},
+        "best": splats,
+    }
+    assert set(state.arrays) == {"losses", *(f"{part}.{name}" for part, names in parts.items() for name in names)}
+    assert {"density", "best"} < set(state.numbers) and set(state.numbers["best"]) == {"step", "looks"}
+
+
 def test_a_state_of_another_run_is_refused() -> None:
-    state = stopped_after(3, replace(CONFIG, densify="adc"), FitOptions()).state()
+    state = stopped_after(3, replace(CONFIG, density=replace(GROWING, kind="adc")), FitOptions()).state()
     other = Training(start(), photographs().select([0, 1]), CONFIG, FitOptions())
     with pytest.raises(BadInput, match=r"of another run .*exposure maps"):
         other.restore(state)
@@ -105,7 +119,8 @@ def test_time_ends_a_run_and_drives_its_schedules() -> None:
     ticks = iter(range(10**6))
     # The clock advances by one at every look: at the start, by the progress and by the report.
     options = FitOptions(clock=lambda: float(next(ticks)))
-    config = replace(CONFIG, num_steps=10**6, schedule_steps=30_000, budget_s=400.0, densify="adc", reset_opacity_every=10_000)
+    density = replace(GROWING, kind="adc", reset_opacity_every=10_000)
+    config = replace(CONFIG, num_steps=10**6, schedule_steps=30_000, budget_s=400.0, density=density)
     result = fit_splats(start(), photographs(), config, options)
     assert 20 < result.num_steps < 400 and 400 <= result.seconds < 420
     assert result.density.num_resets == 2 and result.density.num_split > 0
@@ -119,7 +134,7 @@ def test_what_comes_first_of_steps_and_time_ends_a_run() -> None:
 
 def test_the_rates_of_a_long_run_fall_and_those_of_a_short_one_do_not() -> None:
     def shares(num_steps: int, num_views: int, epochs: int | None = 12) -> list[float]:
-        return [settled(step, step / num_steps, num_views, epochs) for step in range(num_steps)]
+        return [settled_rate_share(step, step / num_steps, num_views, epochs) for step in range(num_steps)]
 
     assert set(shares(600, 10)) == set(shares(1_100, 100)) == set(shares(3_000, 10, None)) == {1.0}
     long, longer = shares(1_500, 40), shares(6_000, 40)
@@ -128,15 +143,18 @@ def test_the_rates_of_a_long_run_fall_and_those_of_a_short_one_do_not() -> None:
     # (T / N)^½ of the run passes before they fall.
     assert [max(np.flatnonzero(np.array(run) == 1)) for run in (long, longer)] == pytest.approx([1_025, 2_049], abs=1)
     assert all((np.diff(run) <= 0).all() for run in (long, longer))
-    assert settled(5, 0.0, 10, 12) == settled(0, 0.0, 10, 12) == 1.0 and settled(10_000, 3.0, 10, 12) == MIN_SETTLED_SHARE
-    assert settled(6_900, 0.99, 10, 12) > MIN_SETTLED_SHARE == shares(30_000, 10)[-1]
+    assert (
+        settled_rate_share(5, 0.0, 10, 12) == settled_rate_share(0, 0.0, 10, 12) == 1.0
+        and settled_rate_share(10_000, 3.0, 10, 12) == MIN_SETTLED_SHARE
+    )
+    assert settled_rate_share(6_900, 0.99, 10, 12) > MIN_SETTLED_SHARE == shares(30_000, 10)[-1]
 
 
 def test_settling_leaves_the_centres_their_own_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("radiant_core.train.trainer.MIN_STEADY_STEPS", 1)
     taken: list[tuple[str, float]] = []
     monkeypatch.setattr("radiant_core.train.trainer.SelectiveAdam.set_rate", lambda self, name, rate: taken.append((name, rate)))
-    config = replace(CONFIG, densify="none", settle_epochs=1)
+    config = replace(CONFIG, density=NoDensification(), settle_epochs=1)
     fit_splats(start(), photographs(), config, FitOptions(steps=Steps(end=0.5)))
     first, last, progress = dict(reversed(taken)), dict(taken), 39 / 40
     assert last["sh0"] == pytest.approx(config.sh0_lr * 0.5**progress * 6 / (39 * progress))
@@ -169,7 +187,7 @@ def test_a_step_that_is_not_finite_is_not_taken_and_counted(monkeypatch: pytest.
         return loss * torch.tensor({3: float("inf"), 5: 0.0}.get(len(calls), 1.0)) + (torch.inf if len(calls) == 5 else 0)
 
     monkeypatch.setattr("radiant_core.train.trainer.target_loss", poisoned)
-    training = Training(start(), photographs(), replace(CONFIG, num_steps=8, densify="adc"), FitOptions())
+    training = Training(start(), photographs(), replace(CONFIG, num_steps=8, density=replace(GROWING, kind="adc")), FitOptions())
     for _ in range(2):
         training.take_step()
     before = training.state().arrays

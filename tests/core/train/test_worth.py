@@ -18,9 +18,9 @@ from radiant_core.train.worth import (
     MIN_SHARPNESS,
     Worth,
     _medians_of_others,
+    find_repeats,
     images_worth,
     relative_sharpness,
-    repeats,
     worth_training,
 )
 from tests.core.scenes import cameras_above
@@ -124,18 +124,18 @@ def doubled(noise: float) -> tuple[SfmScene, TrainingViews]:
 def test_the_second_of_two_equal_photographs_is_left_out() -> None:
     for noise in (0.0, 2.0):
         scene, views = doubled(noise)
-        np.testing.assert_array_equal(repeats(scene, views), [False] * 6 + [True])
+        np.testing.assert_array_equal(find_repeats(scene, views), [False] * 6 + [True])
         assert images_worth(scene, views).decisions[0].figure == 1
 
 
 def test_another_picture_from_the_same_place_is_no_repeat() -> None:
     scene, views = doubled(0.0)
-    assert not repeats(scene, with_image(views, 6, 255 - views.images[6])).any()
+    assert not find_repeats(scene, with_image(views, 6, 255 - views.images[6])).any()
     turned = views.cameras.cam_from_world.copy()
     turned[6, :3, :3] = np.diag([-1, -1, 1]) @ turned[6, :3, :3]
     turned[6, :3, 3] = -turned[6, :3, :3] @ views.cameras.centers[6]
     cameras = replace(views.cameras, cam_from_world=turned)
-    assert not repeats(replace(scene, cameras=cameras), replace(views, cameras=cameras)).any()
+    assert not find_repeats(replace(scene, cameras=cameras), replace(views, cameras=cameras)).any()
 
 
 def test_medians_of_the_others_are_those_of_each_group_without_its_value() -> None:

@@ -41,7 +41,8 @@ from radiant_core.render.contract import Backend, SplatTensors, device_of, raste
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.native_loss import StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
-from radiant_core.train.trainer import FitOptions, TrainProgress, view_of_step
+from radiant_core.train.results import TrainProgress
+from radiant_core.train.trainer import FitOptions, view_of_step
 from radiant_core.train.views import TrainingViews
 
 

@@ -1,0 +1,134 @@
+"""The policies of densification, each with its own knobs, and the counts of what a policy did. `TrainConfig.density` is one of them.
+
+Steps are those of a run of `TrainConfig.schedule_steps`; a run of another length scales them, except for `every`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator
+
+from radiant_core.errors import BadInput
+
+DensityKind = Literal["none", "adc", "planned", "mcmc"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoDensification:
+    """The Gaussians of the start and no others."""
+
+    kind: Literal["none"] = "none"
+    """Names the policy."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adc:
+    """The adaptive density control of 3DGS clones, splits and prunes Gaussians (Kerbl 2023, Sec. 5; `density.py`)."""
+
+    kind: Literal["adc", "planned"] = "adc"
+    """adc: up to `TrainConfig.max_num_splats` Gaussians at once; planned: under a limit that grows evenly to that number."""
+    from_step: int = 500
+    """Density control begins after this step."""
+    until_step: int = 15_000
+    """Density control, with its resets of opacity, ends before this step."""
+    every: int = 100
+    """Steps between two rounds of density control; not scaled, since a mean over fewer steps is noise."""
+    min_gradient: float = 2e-4
+    """A Gaussian is cloned or split when its projected centre's mean gradient, in half image sides, is at least this."""
+    gradient: Literal["mean", "absolute"] = "mean"
+    """mean: gradients of a centre are summed over pixels with their signs, as 3DGS does; absolute: without, so that pixels
+    which pull a large Gaussian to opposite sides do not cancel (AbsGS, Ye 2024), and `min_absolute` is the threshold."""
+    min_absolute: float = 8e-4
+    """The threshold in place of `min_gradient` where `gradient` is absolute; gsplat's for it."""
+    reset_opacity_every: int = 3_000
+    """Steps between two resets of all opacities to at most 0.01."""
+    prune_radius_px: float | None = None
+    """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code of 3DGS passes 20 but
+    clears the radii before it looks at them, so that nothing is pruned by this rule; None is what it does."""
+    pixels_per_splat: int | None = 80
+    """Training pixels for each Gaussian that planned growth may reach (docs/experiments/training.md); None: any number."""
+
+    def __post_init__(self) -> None:
+        require_one_of(self, "kind", ("adc", "planned"))
+        require_one_of(self, "gradient", ("mean", "absolute"))
+        require_at_least(self, 0, ("from_step", "until_step", "min_gradient", "min_absolute"))
+        require_at_least(self, 1, ("every", "reset_opacity_every"))
+        require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
+        require_positive_or_none(self, ("prune_radius_px",))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mcmc:
+    """Densification as sampling relocates and adds Gaussians, up to `TrainConfig.max_num_splats` (Kheradmand 2024; `mcmc.py`)."""
+
+    kind: Literal["mcmc"] = "mcmc"
+    """Names the policy."""
+    from_step: int = 500
+    """Relocation and growth begin after this step."""
+    until_step: int = 15_000
+    """Relocation and growth end before this step."""
+    every: int = 100
+    """Steps between two rounds; not scaled."""
+    pixels_per_splat: int | None = 80
+    """Training pixels for each Gaussian that growth may reach; None: any number."""
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0, ("from_step", "until_step"))
+        require_at_least(self, 1, ("every",))
+        require_at_least(self, 1, ("pixels_per_splat",), or_none=True)
+
+
+Densification = Annotated[NoDensification | Adc | Mcmc, Discriminator("kind")]
+POLICIES: dict[str, type[NoDensification | Adc | Mcmc]] = {"none": NoDensification, "adc": Adc, "planned": Adc, "mcmc": Mcmc}
+
+
+def densification_of(kind: DensityKind, like: NoDensification | Adc | Mcmc) -> NoDensification | Adc | Mcmc:
+    """The policy of a kind, with the fields that it shares with `like` and its defaults for the others."""
+    shared = {field.name: getattr(like, field.name) for field in fields(POLICIES[kind]) if hasattr(like, field.name)}
+    return POLICIES[kind](**{**shared, "kind": kind})
+
+
+@dataclass(frozen=True, kw_only=True)
+class DensityCounts:
+    """What density control did, over one edit or a whole run."""
+
+    num_cloned: int = 0
+    num_split: int = 0
+    """Each replaced by two."""
+    num_pruned_transparent: int = 0
+    num_pruned_large: int = 0
+    """In the world or on screen."""
+    num_refused: int = 0
+    """Times a Gaussian would have been cloned or split but for the limit of Gaussians."""
+    num_resets: int = 0
+    """Resets of all opacities."""
+    num_relocated: int = 0
+    """Dead Gaussians moved onto live ones (`mcmc.py`)."""
+
+    def __add__(self, other: DensityCounts) -> DensityCounts:
+        return DensityCounts(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)})
+
+
+def require_at_least(config: Any, least: int, names: tuple[str, ...], *, or_none: bool = False) -> None:
+    """Raise BadInput where a field of a configuration is below `least`, or NaN."""
+    for name in names:
+        value = getattr(config, name)
+        if not (or_none and value is None) and not value >= least:
+            raise BadInput(f"{name} is {value}, expected at least {least}{', or None for no limit' if or_none else ''}.")
+
+
+def require_positive_or_none(config: Any, names: tuple[str, ...]) -> None:
+    """Raise BadInput where a field of a configuration is neither a positive number nor None."""
+    for name in names:
+        value = getattr(config, name)
+        if value is not None and not 0 < value < math.inf:
+            raise BadInput(f"{name} is {value}, expected a positive number, or None for no limit.")
+
+
+def require_one_of(config: Any, name: str, choices: tuple[str, ...]) -> None:
+    """Raise BadInput where a field of a configuration is none of the choices."""
+    if getattr(config, name) not in choices:
+        raise BadInput(f"{name} is {getattr(config, name)!r}, expected one of {', '.join(choices)}.")
