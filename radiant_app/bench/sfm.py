@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.report.progress import tracked
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -41,13 +42,14 @@ class SfmRun:
     rotation_median_deg: float
 
 
-def bench_sfm(scene_folder: Path, quick: bool) -> list[Metric]:
+def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
     """`sfm.<scene>.<spatial|exhaustive>.<seconds|registered|position_error_m|position_max_percent|rotation_error_deg>`.
 
-    `scene_folder` holds images/ with GPS and known/ (a COLMAP model). Raises BadInput when either is missing.
+    `scene` holds images/ with GPS and known/ (a COLMAP model); None is the sample town. Raises BadInput when either is missing.
     """
     from radiant_core.sfm.world import cameras_of
 
+    scene_folder = scene or sample_scenes_folder() / "town"
     if not (scene_folder / "known").is_dir():
         raise BadInput(f"{scene_folder} has no known/ cameras: give a scene of the generator, sample_scenes/town for example.")
     known = cameras_of(read_model(scene_folder / "known"))

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.console import Console
 
-from radiant_app.bench.runner import BenchOptions
+from radiant_app.bench.options import BenchOptions
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay, tracked
