@@ -11,10 +11,10 @@ test: check  ## the checks, then every test but the stress tests
 stress: check  ## minutes of random and huge input
 	$(PYTHON) -m pytest -m stress
 
-bench:  ## every benchmark that has a quick form, as JSON in build/bench
+bench:  ## the benchmarks in their quick form, as JSON in build/bench; fails where a figure is worse than in tests/baseline.json
 	./setup.sh
 	mkdir -p build/bench
-	for name in sfm plan raster; do .venv/bin/radiant bench $$name --quick --json build/bench/$$name.json || exit 1; done
+	for name in sfm plan raster; do .venv/bin/radiant bench $$name --quick --json build/bench/$$name.json --baseline tests/baseline.json || exit 1; done
 
 docs:  ## docs/cli.md from the command line itself
 	./setup.sh

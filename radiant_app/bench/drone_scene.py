@@ -1,7 +1,8 @@
-"""Made-up models for measuring rasterizers: a drone's view of bumpy terrain with boxes, as Gaussians that lie on the surface.
+"""Synthetic models for measuring rasterizers: a drone's view of bumpy terrain with boxes, as Gaussians on its surface.
 
-z(x, y) = Σ a sin(kx x + φ) sin(ky y + ψ), boxes on top; Gaussians uniform over the ground, as wide as their spacing, flat, of every
-opacity. The ground is cut so that 84 % of them stand in the frustum. Drawn once per size from a fixed seed.
+z(x, y) = Σ a sin(kx x + φ) sin(ky y + ψ), plus boxes. Gaussians are uniform over the ground, flat,
+as wide as their spacing, of all opacities. The ground is cut so that 84 % of them are in the
+frustum. Drawn once per size from a fixed seed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _WAVES = ((1.5, 0.11, 0.07), (0.6, 0.31, 0.23), (0.2, 0.9, 1.1))
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSize:
-    """How many Gaussians, seen how large."""
+    """Number of Gaussians and size of the image in px."""
 
     num_splats: int
     width: int
@@ -41,7 +42,7 @@ def drone_scene(size: SceneSize, seed: int = 0) -> tuple[Splats, Cameras]:
     """The model in random order and its one camera."""
     rng = np.random.default_rng(seed)
     cameras = drone_camera(size)
-    # Uniform over a square three times the height wide; what is too far from the image centre is cut until 84 % are inside.
+    # Uniform over a square whose side is three times the height; those farthest from the image centre are cut until 84 % are inside.
     places = rng.uniform(-1.5 * _HEIGHT_M, 1.5 * _HEIGHT_M, (8 * size.num_splats, 2))
     boxes = rng.uniform([-60, -60, 4, 4, 3], [60, 60, 14, 14, 12], (_NUM_BOXES, 5))
     heights, normals = _surface(places, boxes, rng)
@@ -50,14 +51,14 @@ def drone_scene(size: SceneSize, seed: int = 0) -> tuple[Splats, Cameras]:
     inside = np.flatnonzero(excess <= 1)[: round(SHARE_IN_FRUSTUM * size.num_splats)]
     outside = np.flatnonzero(excess > 1)
     outside = outside[np.argsort(excess[outside])][: size.num_splats - len(inside)]
-    # The inner ones are a random part of those inside; the spacing is theirs.
+    # Those inside are a random subset, whose spacing sets the width.
     spacing_m = np.sqrt((3 * _HEIGHT_M) ** 2 / len(places) * np.count_nonzero(excess <= 1) / len(inside))
     chosen = rng.permutation(np.concatenate([inside, outside]))
     return _splats(points[chosen], normals[chosen], spacing_m, rng), cameras
 
 
 def drone_camera(size: SceneSize) -> Cameras:
-    """60 m above the ground, 20° from straight down."""
+    """A camera 60 m above the ground, tilted 20° from straight down."""
     cam_from_world = np.eye(4)
     # Looking down (z of the camera along −z of the world), tilted forward.
     down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
@@ -74,7 +75,7 @@ def drone_camera(size: SceneSize) -> Cameras:
 
 
 def _surface(places: FloatArray, boxes: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Heights (P,) and normals (P,3) of the terrain, of roofs, and of walls for one in three Gaussians of a box."""
+    """Heights (P,) and normals (P,3) on terrain and roofs, and on walls for one in three Gaussians of a box."""
     x, y = places.T
     heights, slopes = np.zeros(len(places)), np.zeros((len(places), 2))
     for amplitude, along_x, along_y in _WAVES:
@@ -93,7 +94,7 @@ def _surface(places: FloatArray, boxes: FloatArray, rng: np.random.Generator) ->
 
 
 def _excess(points: FloatArray, cameras: Cameras) -> FloatArray:
-    """How far (P,) from the image centre, 1 at the border."""
+    """Distance (P,) from the image centre, 1 at the image border."""
     pose, K, (width, height) = cameras.cam_from_world[0], cameras.Ks[0], cameras.sizes_wh[0]
     inside = points @ pose[:3, :3].T + pose[:3, 3]
     pixels = inside[:, :2] / inside[:, 2:] * K[0, 0]

@@ -1,7 +1,7 @@
-"""What `radiant bench methods` compares on: one scene, dealt by one plan to edges and devices, with one seed. Once per cell.
+"""A cell of `radiant bench methods`: one scene, dealt by one plan to edges and devices, with one seed.
 
-Device models are what costs, so each is trained once per (photographs, settings, seed) and kept in the cache under the hash of them; all
-methods share them.
+Training the devices' models takes most of the time, so each is trained once per (photographs,
+settings, seed) and cached under the hash of these; all methods share them.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from radiant_core.train.views import TrainingViews
 from radiant_core.train.worth import worth_training
 
 DEVICE_SPEEDS = (1.0, 0.6)
-"""Relative speeds of an edge's devices, in turn: unequal, so that plans by time and by count differ."""
+"""Relative speeds of an edge's devices, in turn: unequal, so that plans by time and by number differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class Layout:
         return f"{self.num_edges}x{self.num_devices}"
 
     def system(self, speeds: Sequence[float] = DEVICE_SPEEDS, sites: FloatArray | None = None) -> System:
-        """Edges of devices whose seconds per camera are 1 over their speed; at sites (E,2) m, without them where the plan puts them."""
+        """Edges whose devices take 1 / speed seconds per camera; at sites (E,2) m, or without positions."""
 
         def device(edge: int, index: int) -> Device:
             speed = speeds[index % len(speeds)]
@@ -84,12 +84,12 @@ class Layout:
 
 
 def random_sites(positions: FloatArray, count: int, placement: int) -> FloatArray:
-    """Sites (count,2) m of edges, evenly at random over the hull of cameras (C,2) m and not close to each other; another placement, others.
+    """Sites (count,2) m of edges, uniform over the hull of cameras (C,2) m and apart from each other, seeded by the placement.
 
-    Nearer than the root of half an edge's share of the hull's area counts as close, a tenth less after each hundred draws in vain. k-means
-    would be no choice of placements: from most seeds it ends at the same sites.
+    Sites are at least √(hull area / (2 count)) apart, a tenth less after each hundred rejected
+    draws. k-means would not give different placements: from most seeds it ends at the same sites.
     """
-    # Some breadth, for cameras that stand in a line.
+    # Buffered, since cameras may stand in a line.
     hull = MultiPoint(positions).convex_hull.buffer(max(0.01 * float(np.ptp(positions, axis=0).max()), 1e-3))
     low, high = np.reshape(hull.bounds, (2, 2))
     apart_m, rng = float(np.sqrt(hull.area / 2 / count)), np.random.default_rng((placement, 1))
@@ -114,7 +114,7 @@ def layout_of(text: str) -> Layout:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BenchScene:
-    """A scene at the size of the comparison: training part and held-out part; photographs are read once."""
+    """A scene at the size of the comparison, its training and held-out parts; photographs are loaded once."""
 
     name: str
     training: SfmScene
@@ -130,7 +130,7 @@ class BenchScene:
 
     @cached_property
     def held_out_views(self) -> TrainingViews:
-        """The photographs that score."""
+        """All held-out photographs."""
         cameras = self.held_out.cameras.scaled(self.long_side_px)
         return TrainingViews(cameras=cameras, images=load_images(self.images, cameras))
 
@@ -153,19 +153,19 @@ def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
 
 @dataclass(frozen=True, kw_only=True)
 class Trained:
-    """A model, how it was made and what that took."""
+    """A model and the cost of its training."""
 
     splats: Splats
     cpu_s: float
     training_px: float
-    """Pixels of all the photographs that its steps rendered."""
+    """Pixels rendered by all of its steps."""
     num_views: int
     num_steps: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelCache:
-    """Models by the hash of what they were trained from."""
+    """Models by the hash of their inputs."""
 
     folder: Path
 
@@ -209,7 +209,7 @@ class Cell:
     scene: BenchScene
     layout: Layout
     placement: int
-    """0: the edges stand where a run puts them; others: at random sites."""
+    """0: edges are placed as in a run; others: at random sites."""
     seed: int
     train: TrainConfig
     """Of a device."""
@@ -219,18 +219,18 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Names the cell's files."""
+        """Prefix of the cell's files."""
         speeds = "" if self.speeds == DEVICE_SPEEDS else "-v" + "_".join(f"{speed:g}" for speed in self.speeds)
         return f"{self.scene.name}-{self.layout}{speeds}-p{self.placement}-s{self.seed}"
 
     @cached_property
     def plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-        """Regions of the edges and the devices' cameras, exactly planned."""
+        """The exact plan: regions of the edges, cameras of the devices."""
         return self._planned("exact", self.speeds)
 
     @cached_property
     def even_plan(self) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-        """The same with as many cameras for each device."""
+        """The plan with equally many cameras per device."""
         return self._planned("even", (1.0,))
 
     def _planned(self, method: PlanMethod, speeds: Sequence[float]) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
@@ -244,11 +244,11 @@ class Cell:
 
     @cached_property
     def devices(self) -> list[list[Trained]]:
-        """Models per edge of its devices with cameras."""
+        """Per edge, the models of its devices with cameras."""
         return self.device_models(self.plan[1])
 
     def device_models(self, plans: Sequence[EdgePlan]) -> list[list[Trained]]:
-        """The same for another deal."""
+        """The same for other plans of the edges."""
         config = replace(self.train, seed=self.seed)
         return [[self.cache.trained(self.scene, rows.tolist(), config) for rows in device_rows(plan)] for plan in plans]
 
@@ -265,6 +265,6 @@ class Cell:
 
 
 def device_rows(plan: EdgePlan) -> list[NDArray[np.int64]]:
-    """Rows into the training cameras, per device that has some."""
+    """Rows into the training cameras of each device that has any."""
     rows = [plan.cameras_of(device) for device in plan.device_ids]
     return [own for own in rows if len(own)]

@@ -1,4 +1,4 @@
-"""Benchmark of joining: every method on the same device models, rasterizer, split and seams. Once per (scene, layout, placement, seed).
+"""Benchmark of joining: every method on the same device models, rasterizer, split and seams. Once per (layout, placement, seed).
 
     centralised     one model of all photographs, with the steps of all devices together; the reference of every seam
     crop            device models cut at the plan's borders
@@ -10,10 +10,10 @@
     vastgaussian    its own cells, cameras and crop, its own models
     fed3dgs         its sequential server on our device models
 
-A row's CPU seconds and training pixels count what comes after the device models, and for methods that train models of their own those too.
-Models and rows are kept by cell and method in the output folder: a run that was stopped goes on where it was.
-
-Two budgets: a row tells the pixels that its method trained on; with `max_gaussians` every method's model is reduced to as many.
+CPU seconds and training pixels of a row exclude the devices' trainings, but include models that a
+method trains itself. Models and rows are cached by cell and method in the output folder, so that an
+interrupted benchmark resumes. Two budgets make methods comparable: every row states its training
+pixels, and `max_gaussians` reduces every method's model to so many Gaussians.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """`radiant bench paper`: the paper's figures and tables, made anew from our own data. Once per scene.
 
-    plan      `radiant bench plan`: costs, balance, convergence and partitions (`plan_figures.py`)
-    others    main, fed3dgs, border, balance, regions, fusion, epochs: models joined in every way (`paper_parts.py`, `paper_balance.py`)
+    plan      costs of training, convergence and partitions (`paper_plan.py`)
+    balance   even against balanced regions with the time of each device (`paper_balance.py`)
+    others    main, fed3dgs, border, regions, fusion, epochs: models joined in every way (`paper_parts.py`)
 
-Everything lands in one folder: `paper.md` with its pictures, `paper.json` with all figures, and below `models/` and `joined/` what a later
-call does not make again. The page is written anew after every part. No figure of the paper itself is on it: scenes, sizes and machines
-differ.
+Everything is written to one folder: `paper.md` with its pictures, `paper.json` with all figures, and
+in `models/` and `joined/` what a later call reuses. The page is rewritten after every section. No
+figure of the paper itself is on it: scenes, sizes and machines differ.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from radiant_app.bench.method_cells import Layout
 from radiant_app.bench.paper_arms import Arms, load_arms
 from radiant_app.bench.paper_balance import balance_part
 from radiant_app.bench.paper_parts import Part, border_part, epochs_part, fed3dgs_part, fusion_part, main_part, regions_part
-from radiant_app.bench.plan_figures import bench_plan_figures
+from radiant_app.bench.paper_plan import plan_part
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
@@ -33,24 +34,19 @@ PARTS: Mapping[str, Callable[[Arms, Sequence[int], bool], Part]] = {
     "regions": regions_part,
     "fusion": fusion_part,
     "epochs": epochs_part,
+    "plan": plan_part,
     "main": main_part,
     "fed3dgs": fed3dgs_part,
 }
-"""In the order they are made: what needs few models first, since the page can be read while the others are made. `fed3dgs` is the main
-table once more."""
+"""In the order of their making: those of few models first, so that the page can be read meanwhile. `fed3dgs` repeats the main table with
+one more row."""
 PAGE_ORDER = ("main", "regions", "epochs", "fusion", "balance", "border", "plan")
 LAYOUT, QUICK_LAYOUT = Layout(num_edges=2, num_devices=2), Layout(num_edges=2, num_devices=1)
-PLAN_PICTURES = {
-    "costs": "Time and model size against images per device",
-    "balance": "Even against balanced regions, predicted with these curves",
-    "convergence": "Convergence of ARP",
-    "partitions": "Partitions with the latency of each region",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperBench:
-    """What to make. `num_steps` of a device's training; `parts` by name, empty for all."""
+    """What to make. `num_steps` of a device's training; `parts`: names of sections, empty for all."""
 
     scene: Path
     out: Path
@@ -59,12 +55,11 @@ class PaperBench:
     long_side_px: int = 384
     num_steps: int = 500
     quick: bool = False
-    """Fewer layouts and epochs, no Fed3DGS, the planner's quick figures."""
+    """Fewer layouts, epochs and trainings, no Fed3DGS."""
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.parts) - {*PARTS, "plan"})
-        if unknown:
-            raise BadInput(f"part {unknown[0]!r} of the paper's figures is unknown: use {', '.join([*PARTS, 'plan'])}.")
+        if unknown := sorted(set(self.parts) - set(PARTS)):
+            raise BadInput(f"section {unknown[0]!r} of the paper's figures is unknown: use {', '.join(PARTS)}.")
 
 
 def bench_paper(bench: PaperBench) -> list[Metric]:
@@ -78,17 +73,7 @@ def bench_paper(bench: PaperBench) -> list[Metric]:
             continue
         made["main" if name == "fed3dgs" else name] = make(arms, seeds, bench.quick)
         _write(bench, arms, made)
-    metrics = [metric for name, part in made.items() for metric in _metrics(arms.scene.name, name, part)]
-    if not bench.parts or "plan" in bench.parts:
-        metrics += bench_plan_figures(bench.out / "plan", bench.quick)
-        made["plan"] = _plan_part()
-        _write(bench, arms, made)
-    return metrics
-
-
-def _plan_part() -> Part:
-    text = "\n\n".join(f"{caption}\n\n![{caption}](plan/{name}.png)" for name, caption in PLAN_PICTURES.items())
-    return Part(title="Planning", text=text)
+    return [metric for name, part in made.items() for metric in _metrics(arms.scene.name, name, part)]
 
 
 def _write(bench: PaperBench, arms: Arms, made: Mapping[str, Part]) -> None:

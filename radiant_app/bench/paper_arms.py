@@ -1,8 +1,8 @@
-"""Arms of `radiant bench paper`: one way each of making the model of a cell, kept with its scores. Once per (cell, arm).
+"""Arms of `radiant bench paper`: each one way of making the model of a cell, cached with its scores. Once per (cell, arm).
 
-Models and scores lie in the output folder under the hash of what they come from, so that a run which was stopped goes on where it was, and
-an arm that several parts of the page show is made once. Bands beside borders are the same for all arms of a cell: the surface is that of
-the centralised model of the first cell.
+Models and scores are stored in the output folder under the hash of their inputs, so that an
+interrupted benchmark resumes, and an arm that several sections show is made once. The bands along
+borders are the same for all arms of a cell: surfaces are those of the first cell's centralised model.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MAX_NUM_SPLATS = 200_000
 
 @dataclass(frozen=True, kw_only=True)
 class Arm:
-    """One way of making a model of a cell; `settings` are what its name does not say."""
+    """One way of making a model of a cell; `settings` complete its name."""
 
     name: str
     make: Callable[[Cell], Made]
@@ -52,7 +52,7 @@ def method_arm(name: str) -> Arm:
 
 
 def epochs_arm(name: str, num_epochs: int) -> Arm:
-    """`ours` or `paper` with another number of epochs at both tiers; none is the plain cut, which neither of them changes."""
+    """`ours` or `paper` with another number of epochs at both tiers; 0 is the plain cut for both."""
     if num_epochs == 0:
         return method_arm("crop")
     preset = aggregate_preset({"ours": "default", "paper": "paper"}[name])
@@ -64,8 +64,11 @@ def epochs_arm(name: str, num_epochs: int) -> Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRow:
-    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph; band and interior in dB over all borders of devices and edges,
-    None where too little of them is seen. CPU seconds and training pixels are those after the devices' trainings."""
+    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph; band and interior in dB over all borders.
+
+    Band and interior are None where too few pixels show a border. CPU seconds and training pixels
+    exclude the devices' trainings.
+    """
 
     scene: str
     cell: str
@@ -93,7 +96,7 @@ class ArmRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arms:
-    """The scene at one size, the folder that keeps what was made, and the layout whose centralised model says where surfaces are."""
+    """The scene at one size, the folder of the cache, and the layout whose centralised model gives the surfaces."""
 
     scene: BenchScene
     out: Path
@@ -109,7 +112,7 @@ class Arms:
         return Cell(scene=self.scene, layout=layout, placement=0, seed=seed, train=train, cache=cache, speeds=speeds)
 
     def row(self, cell: Cell, arm: Arm) -> ArmRow:
-        """The arm's figures, made where they are not kept."""
+        """The arm's figures, from the cache where it has them."""
         model, record = self._files(cell, arm)
         if model.is_file() and record.is_file():
             fields = read_json(record)
@@ -128,7 +131,7 @@ class Arms:
 
     @cached_property
     def photographs(self) -> list[FloatArray]:
-        """Those held out, (H,W,3) in 0..1."""
+        """The held-out photographs, (H,W,3) in 0..1."""
         return [image / 255 for image in self.scene.held_out_views.images]
 
     def masks(self, cell: Cell) -> SeamMasks:
@@ -171,7 +174,7 @@ class Arms:
 
 
 def load_arms(scene: Path, out: Path, layout: Layout, long_side_px: int, num_steps: int) -> Arms:
-    """Arms of a scene; BadInput where it cannot be compared on or `out` is a file."""
+    """Arms of a scene; BadInput where it has too few photographs or `out` is a file."""
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file: name a folder for the page, its pictures and the models.")
     return Arms(scene=load_bench_scene(scene, long_side_px), out=out, num_steps=num_steps, layout=layout)

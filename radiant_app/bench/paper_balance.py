@@ -1,8 +1,9 @@
-"""Even against balanced regions: how long each device trains and how good the joined scene is. Once per `radiant bench paper`.
+"""Even against balanced regions: training time of each device and quality of the joined scene. Once per `radiant bench paper`.
 
-Here every device takes as many steps per photograph, so that its time follows the number of its photographs as the plan assumes; all
-devices together take the steps of the other parts. Measured: CPU seconds of a device's training on this machine ÷ its speed. Predicted:
-the plan's curve, seconds per photograph ÷ speed, with the mean CPU seconds per photograph of all these trainings.
+Here every device takes equally many steps per photograph, so that its time follows the number of
+its photographs as the plan assumes; all devices together take the steps of the other sections.
+Measured: CPU seconds of a device's training on this machine ÷ its speed. Predicted: photographs ÷
+speed × the mean CPU seconds per photograph of all these trainings.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ NAMES = ("even", "balanced")
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceTime:
-    """A device's photographs and CPU seconds of training on this machine, mean over seeds; its speed against this machine."""
+    """A device: its speed relative to this machine, its photographs, and CPU seconds of training here, mean over seeds."""
 
     device: str
     speed: float
@@ -39,13 +40,13 @@ class DeviceTime:
 
     @property
     def measured_s(self) -> float:
-        """What the device would take."""
+        """Training time on the device."""
         return self.cpu_s / self.speed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Side:
-    """One plan's devices and joined scene; photograph_s: the mean CPU seconds per photograph, the same for both plans."""
+    """Devices and joined scene of one plan; photograph_s: mean CPU seconds per photograph over both plans."""
 
     name: str
     devices: list[DeviceTime]

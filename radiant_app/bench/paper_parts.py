@@ -1,4 +1,4 @@
-"""The parts of `radiant bench paper` that compare models: what each measures, its table and its picture. Once per part.
+"""The sections of `radiant bench paper` that compare models: their figures, tables and pictures.
 
     main      every method there is here, on one layout; `fed3dgs` adds that one to its table
     border    one border as the cut, `paper` and ours show it
@@ -7,7 +7,7 @@
     fusion    cut at both tiers, retrain at the edges alone, at the cloud alone, at both; on two systems
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
 
-What several of them show is made once (`paper_arms.py`).
+An arm that several sections show is made once (`paper_arms.py`).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ NAMES = {
     "vastgaussian": "VastGaussian",
     "fed3dgs": "Fed3DGS",
 }
-"""How methods are called on the page where their own name would not say it."""
+"""Names of methods on the page where the key is not clear."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,7 +68,7 @@ def main_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def fed3dgs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The same with Fed3DGS, whose server takes twice the time of any other; a quick run leaves it out."""
+    """The same with Fed3DGS, which takes twice the time of any other method; a quick run omits it."""
     return main_part(arms, seeds, quick) if quick else _main_table(arms, seeds, [name for name in METHODS if name != "ours edges"])
 
 
@@ -103,7 +103,7 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
 
 
 def regions_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """What joining costs and gives as there are more regions."""
+    """Cost and quality of joining against the number of regions."""
     from radiant_viewer.charts.line_chart import line_picture
 
     layouts = LAYOUTS[:2] if quick else LAYOUTS
@@ -157,7 +157,7 @@ def _region_panels(table: Mapping[str, list[tuple[float, float, float, float]]],
 
 
 def epochs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """Quality in the band and in the interior against epochs; whole photographs where the band has too little to say."""
+    """Quality in the band and in the interior against epochs; of whole photographs where the band is insufficient."""
     from radiant_viewer.charts.line_chart import line_picture
 
     epochs = QUICK_EPOCHS if quick else EPOCHS
@@ -204,7 +204,7 @@ def _epoch_panels(of: Mapping[tuple[str, int], list[ArmRow]], epochs: Sequence[i
 
 
 def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """Where retraining pays: at the edges, at the cloud, at both; on two systems."""
+    """Retraining at the edges, at the cloud, or at both, on two systems."""
     systems = ((arms.layout, DEVICE_SPEEDS), QUICK_SECOND_SYSTEM if quick else SECOND_SYSTEM)
     settings = {
         "crop": "cut at both",
@@ -228,7 +228,7 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
 
 def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
-    """The place beside a border where the cut is most behind the centralised model, as each way of joining shows it."""
+    """The place at a border where the plain cut falls most behind the centralised model, rendered by each method."""
     from radiant_viewer.charts.healing_chart import Healed, healing_picture
 
     del quick
@@ -278,7 +278,7 @@ def _worst_window(errors: Sequence[NDArray[np.floating]]) -> tuple[int, tuple[sl
 def border_length_m(plan: CloudPlan, edge_plans: Sequence[EdgePlan]) -> float:
     """Metres of all borders between edges, and between devices of one edge, inside the plan's outline."""
     between_edges = sum(border.length_m for border in shared_borders(plan))
-    # A cut is in the outline of both strips that it parts, the region's outline in one.
+    # A cut is part of the outlines of two strips, the region's outline of one.
     cuts = sum(
         sum(_perimeter_m(strip) for strip in own.strips) - _perimeter_m(region)
         for region, own in zip(plan.borders, edge_plans, strict=True)

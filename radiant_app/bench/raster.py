@@ -1,9 +1,11 @@
-"""Benchmark of the rasterizer: CPU milliseconds of forward, forward + backward and a whole training step, errors against float64 beside.
+"""Benchmark of the rasterizer: CPU milliseconds of forward, forward + backward and a whole training step, beside errors against float64.
 
-Equal for all cases of a size: Gaussians, camera, SH degree 3, threads. One run of each case after another, then the next round, so that a
-slow minute of the machine hits all of them; medians of the rounds. The peak of fused multiply-adds is measured in the same rounds.
-A pair is a pixel and a Gaussian that reaches its 4 × 4 block. Seconds with `quick` (S only), a minute or two without.
-With several threads each round also runs on one: how much faster the rasterizer gets, over how much faster the peak gets.
+Equal for all cases of a size: Gaussians, camera, SH degree 3, threads. Every round runs each case
+once, so that a slow minute of the machine affects all of them; figures are medians over the rounds.
+The peak rate of fused multiply-adds is measured in the same rounds. A pair is a pixel and a
+Gaussian that reaches its 4 × 4 block. With several threads each round also runs on one thread: the
+speed-up of the rasterizer is divided by that of the peak. Seconds with `quick` (S only), one or two
+minutes without.
 """
 
 from __future__ import annotations
@@ -34,18 +36,20 @@ from radiant_core.train.optimizer import SelectiveAdam
 
 NUM_ROUNDS = {"S": 15, "M": 9, "L": 5}
 FMA_PER_PAIR = 17 + 31
-"""Multiplications, additions and both fused that a pair of pixel and Gaussian takes forward and backward."""
+"""Multiplications, additions and fused multiply-adds per pair of pixel and Gaussian, forward and backward."""
 # Forward (raster_blend.h, blend_block): u 2, v 1, log₂ α 2, polynomial of 2ᶠ 5, weight 1, transmittance 1, sums of colour, depth and
 # weight 5. Backward (raster_blend_backward.h, instance_moments): u 2, v 1, log₂ α 2, polynomial 5, 1 − α 1, Newton step of its inverse 2,
 # transmittance 1, weight 1, c·g − B 3, B 1, h 1, hu and hv 2, nine sums 9.
-# Not counted: comparisons, masks, rounding, scaling by 2ⁿ, culling and sorting, and all that is done per Gaussian.
+# Not counted: comparisons, masks, rounding, scaling by 2ⁿ, culling, sorting, and all work per Gaussian.
 _TIME_TOLERANCE = 0.3
-"""Share by which a time may differ from run to run on a machine that does other work too."""
+"""Share by which a time may differ between runs on a machine that does other work."""
+_ERROR_TOLERANCE = 0.7
+"""Share of an error by which it may exceed an earlier one: instruction sets and other tiles change it by a factor of up to 1.7."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """One model in one order and what its runs took."""
+    """One model in one order, and the times and errors of its runs."""
 
     key: str
     splats: Splats
@@ -54,11 +58,11 @@ class Case:
     both_ms: list[float] = field(default_factory=list)
     both_wall_ms: list[float] = field(default_factory=list)
     scaling: list[float] = field(default_factory=list)
-    """Wall time on one thread over that on all, over the same of the peak."""
+    """Ratio of the wall times on one thread and on all, divided by that ratio of the peak."""
     step_ms: list[float] = field(default_factory=list)
     step_wall_ms: list[float] = field(default_factory=list)
     loss_error: list[float] = field(default_factory=list)
-    """Of the step's loss, relative to float64 PyTorch."""
+    """Error of the step's loss, relative to float64 PyTorch."""
 
 
 def bench_raster(quick: bool, threads: int | None = None) -> list[Metric]:
@@ -72,7 +76,7 @@ def bench_raster(quick: bool, threads: int | None = None) -> list[Metric]:
 
 
 def build_description(threads: int | None = None) -> str:
-    """Compiler, instruction set and threads in one line, to stand over the figures."""
+    """Compiler, instruction set and threads in one line."""
     return f"{_native.compiler()}, {_native.instruction_sets()[0]}, threads: {threads or torch.get_num_threads()}"
 
 
@@ -105,7 +109,7 @@ def _run(case: Case, peak_gain: float) -> None:
             leaf.grad = None
         render(leaves, case.cameras).images.backward(weights)
 
-    # The first pass touches fresh memory for the gradients, which a training loop does once.
+    # The first pass allocates the gradients, which a training loop does once.
     both()
     cpu_ms, wall_ms = _timed(both)
     case.both_ms.append(cpu_ms)
@@ -118,7 +122,7 @@ def _run(case: Case, peak_gain: float) -> None:
 
 
 def _run_step(case: Case) -> None:
-    """One step as a device trains: render, fused loss, backward, Adam over the Gaussians in view. The target is a darker picture."""
+    """One training step of a device: render, fused loss, backward, Adam on the visible Gaussians. The target is a darker image."""
     leaves = SplatTensors.from_splats(case.splats)
     with torch.no_grad():
         target = TargetStatistics.of(render(leaves, case.cameras).images[0] * 0.9)
@@ -150,14 +154,14 @@ def _timed(work: Callable[[], object]) -> tuple[float, float]:
 
 
 def peak_fma_per_s(threads: int = 1, rounds: int = 2_000_000) -> float:
-    """Fused multiply-adds of 16 lanes per second, by a loop that does nothing else: CPU seconds of one thread, wall seconds of several."""
+    """16-lane fused multiply-adds per second in a loop of nothing else: per CPU second of one thread, per wall second of several."""
     instruction_set = _native.instruction_sets()[0]
     if threads == 1:
-        # Of this thread, not of the process: those of OpenMP spin on for a while after a parallel operation of torch.
+        # The clock of this thread alone: OpenMP's threads go on spinning after a parallel operation of torch.
         start_s = time.thread_time()
         return _native.multiply_adds(instruction_set, rounds) / (time.thread_time() - start_s)
     with ThreadPoolExecutor(threads) as pool:
-        # One short round starts the threads, four long ones drown how unevenly they begin and end.
+        # A short round starts the threads; in the long one their uneven starts and ends do not matter.
         for factor in (0.1, 4):
             start_s = time.perf_counter()
             done = sum(pool.map(lambda _, n=int(factor * rounds): _native.multiply_adds(instruction_set, n), range(threads)))
@@ -180,11 +184,11 @@ def _metrics(case: Case, peak: float) -> list[Metric]:
         *([("thread_scaling", float(np.median(case.scaling)), "1", "higher", 0.1)] if case.scaling else []),
         ("step_cpu_ms", float(np.median(case.step_ms)), "ms", "lower", _TIME_TOLERANCE),
         ("step_wall_ms", float(np.median(case.step_wall_ms)), "ms", "info", 0),
-        ("step_loss_rel_error", float(np.median(case.loss_error)), "1", "lower", 0.5),
-        ("image_max_error", errors.image_max, "1", "lower", 0.5),
-        ("image_rms_error", errors.image_rms, "1", "lower", 0.5),
+        ("step_loss_rel_error", float(np.median(case.loss_error)), "1", "lower", _ERROR_TOLERANCE),
+        ("image_max_error", errors.image_max, "1", "lower", _ERROR_TOLERANCE),
+        ("image_rms_error", errors.image_rms, "1", "lower", _ERROR_TOLERANCE),
         ("image_max_error_undecided", errors.undecided_max, "1", "info", 0),
-        ("grad_rel_error", errors.gradient, "1", "lower", 0.5),
+        ("grad_rel_error", errors.gradient, "1", "lower", _ERROR_TOLERANCE),
         ("peak_rss_bytes", float(peak_rss_bytes(case.splats, case.key)), "bytes", "lower", 0.1),
         ("pairs_per_s", pairs / both_ms * 1e3, "1/s", "higher", _TIME_TOLERANCE),
         ("fma_peak_fraction", pairs * FMA_PER_PAIR / 16 / (both_ms * 1e-3 * peak), "1", "higher", _TIME_TOLERANCE),
@@ -196,7 +200,7 @@ def _metrics(case: Case, peak: float) -> list[Metric]:
 
 
 def peak_rss_bytes(splats: Splats, key: str) -> int:
-    """Memory above what the imports take, model included, of a fresh process that renders forward and backward three times."""
+    """Peak memory, less that of the imports, of a new process that loads the model and renders it forward and backward three times."""
     with TemporaryDirectory(prefix="radiant-bench-raster-") as folder:
         file = Path(folder) / "model.npz"
         np.savez(file, allow_pickle=False, **splats.arrays())

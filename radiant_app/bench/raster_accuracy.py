@@ -1,4 +1,4 @@
-"""How far the rasterizer's picture and gradients of the benchmark's scene lie from float64, and how much work the scene is."""
+"""Errors of the rasterizer's image and gradients against float64 on the benchmark's scene, and how many pairs the scene has."""
 
 from __future__ import annotations
 
@@ -17,40 +17,40 @@ from radiant_core.splats import Splats
 NUM_TILES = 64
 TILE_PX = 16
 SEED = zlib.crc32(__version__.encode())
-"""Which tiles the error is measured on: others with each version of the project."""
+"""Selects the tiles on which errors are measured; it changes with the version of the project."""
 UNDECIDED = 1e-5
-"""A pair whose ln α comes this near to α_min, or to where the pixel is cut, may fall on either side."""
+"""A pair whose ln α is this close to α_min, or to the cut of transmittance, may fall on either side of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TileErrors:
-    """How far picture and gradients lie from float64 on 64 tiles."""
+    """Errors of image and gradients against float64 on 64 tiles."""
 
     image_max: float
-    """Of pixels without an undecided pair."""
+    """Largest error over pixels without an undecided pair."""
     image_rms: float
-    """Of the same pixels and all three colours."""
+    """Root mean square over the same pixels and all three channels."""
     undecided_max: float
-    """Of the other pixels."""
+    """Largest error over the other pixels."""
     gradient: float
-    """‖g − g64‖ / ‖g64‖ of the worst tensor."""
+    """Largest ‖g − g64‖ / ‖g64‖ over the six tensors."""
 
 
 def render(leaves: SplatTensors, cameras: Cameras, backend: Backend = "auto") -> RenderOutput:
-    """The one view of the scene, degree 3, black background."""
+    """Render the scene's one view with SH degree 3 on a black background."""
     width, height = (int(side) for side in cameras.sizes_wh[0])
     viewmats, Ks = torch.tensor(cameras.cam_from_world), torch.tensor(cameras.Ks)
     return rasterize(leaves, viewmats, Ks, width, height, sh_degree=3, backend=backend)
 
 
 def image_gradient(cameras: Cameras) -> Tensor:
-    """∂loss/∂image (1,H,W,3), fixed random numbers of the size a mean over pixels has."""
+    """∂loss/∂image (1,H,W,3): fixed random numbers of the magnitude that a mean over pixels has."""
     width, height = (int(side) for side in cameras.sizes_wh[0])
     return torch.rand(1, height, width, 3, generator=torch.Generator().manual_seed(0)) / (width * height)
 
 
 def num_pairs(splats: Splats, cameras: Cameras) -> int:
-    """Pixel–Gaussian pairs that forward and backward each go through."""
+    """Pairs of pixel and Gaussian that forward and backward each process."""
     from radiant_core.render.native_backend import count_pairs
 
     width, height = (int(side) for side in cameras.sizes_wh[0])
@@ -60,8 +60,9 @@ def num_pairs(splats: Splats, cameras: Cameras) -> int:
 def tile_errors(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> TileErrors:
     """Errors of one rendering and its gradients on 64 random tiles.
 
-    Only Gaussians whose box touches those tiles take part; to the tiles' pixels that is the whole model. A pixel is undecided where a
-    change of all ln opacities by 1e-5 up and down makes it jump, which a second difference shows.
+    Only Gaussians whose box overlaps these tiles are rendered; no other one contributes to their
+    pixels. A pixel is undecided where it jumps when all ln opacities change by ±1e-5, which is
+    detected by the second difference.
     """
     keep = _random_tiles(cameras)
     with torch.no_grad():
@@ -95,7 +96,7 @@ def tile_errors(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> 
 
 
 def _shifted(tensors: SplatTensors, shift: float) -> SplatTensors:
-    """With ln opacities moved by `shift`, those beyond 0.99 by less."""
+    """The model with ln opacities changed by `shift`, by less where opacity exceeds 0.99."""
     logits = tensors.logit_opacities
     return replace(tensors, logit_opacities=logits + shift / torch.sigmoid(-logits).clamp_min(1e-2))
 

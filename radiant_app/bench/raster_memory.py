@@ -1,4 +1,4 @@
-"""A process of its own that renders one stored model forward and backward, and prints by how many bytes its memory has grown at most.
+"""A separate process that renders one stored model forward and backward and prints by how many bytes its peak memory grew.
 
 python -m radiant_app.bench.raster_memory MODEL.npz S|M|L THREADS
 """

@@ -1,9 +1,10 @@
-"""Benchmark of structure from motion: seconds beside position and rotation error, GPS neighbours against exhaustive matching.
+"""Benchmark of structure from motion: seconds beside position and rotation errors, GPS neighbours against exhaustive matching.
 
-On a scene of the generator, whose cameras are known exactly. Errors are what is left after the best similarity to the known
-cameras: e = ‖s R c + t − c*‖ and the angle of R*ᵀ R R_c. Equal for both: photographs, features, mapper, threads. The runs are
-interleaved (spatial, exhaustive, spatial, …) so that a slow minute of the machine hits both; medians of three. Quick: one run
-of each with 1,500 features, faster and rougher: compare quick figures with quick ones only.
+The scene is one of the generator, whose cameras are known exactly. Errors are the residuals of the
+best similarity to the known cameras: e = ‖s R c + t − c*‖ and the angle of R*ᵀ R R_c. Equal for
+both: photographs, features, mapper, threads. Runs are interleaved (spatial, exhaustive, spatial, …)
+so that a slow minute of the machine affects both; figures are medians of three. Quick: one run each
+with 1,500 features, faster and less accurate: compare quick figures with quick ones only.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.report.progress import tracked
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -27,12 +29,12 @@ MatchingKind = Literal["spatial", "exhaustive"]
 NUM_RUNS = 3
 QUICK_FEATURES = 1500
 _TIME_TOLERANCE, _ERROR_TOLERANCE = 0.3, 0.5
-"""Shares by which a time (another load of the machine) and an error (threads in another order) may differ from run to run."""
+"""Shares by which a time (load of the machine) and an error (order of threads) may differ between runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SfmRun:
-    """What one run took and how far its cameras are from the known ones, medians and maxima over the cameras."""
+    """Time of one run and errors of its cameras, medians and maxima over the cameras."""
 
     seconds: float
     num_registered: int
@@ -41,13 +43,14 @@ class SfmRun:
     rotation_median_deg: float
 
 
-def bench_sfm(scene_folder: Path, quick: bool) -> list[Metric]:
+def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
     """`sfm.<scene>.<spatial|exhaustive>.<seconds|registered|position_error_m|position_max_percent|rotation_error_deg>`.
 
-    `scene_folder` holds images/ with GPS and known/ (a COLMAP model). Raises BadInput when either is missing.
+    `scene` holds images/ with GPS and known/ (a COLMAP model); None is the sample town. Raises BadInput when either is missing.
     """
     from radiant_core.sfm.world_frame.world import cameras_of
 
+    scene_folder = scene or sample_scenes_folder() / "town"
     if not (scene_folder / "known").is_dir():
         raise BadInput(f"{scene_folder} has no known/ cameras: give a scene of the generator, sample_scenes/town for example.")
     known = cameras_of(read_model(scene_folder / "known"))

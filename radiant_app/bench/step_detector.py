@@ -1,10 +1,11 @@
-"""Measures the step detector: thresholds, false alarms and power on virtual borders inside centralised models.
+"""Calibration of the step detector: thresholds, false alarms and power on virtual borders inside centralised models.
 
-`python -m radiant_app.bench.step_detector [--borders 40] MODEL.ply…` lays as many random straight lines through each model, where nothing
-was ever joined. Thresholds are the score quantiles at which 5 % of all lines show any quantity, the same share α of each; false alarms are
-counted on the other half of the lines than the thresholds come from, and the other way round. Power is for the printed thresholds, on every
-fourth line, with a step planted in the model itself: all Gaussians whose centre is left of the line are brighter, higher, or fewer; or none
-is left at the line.
+`python -m radiant_app.bench.step_detector [--borders 40] MODEL.ply…` draws as many random straight
+lines through each model, where nothing was joined. Thresholds are the quantiles of the scores at
+which 5 % of all lines raise an alarm in any quantity, with the same share α for each quantity. False
+alarms are cross-validated: counted on one half of the lines with the thresholds of the other half.
+Power is that of the printed thresholds on every fourth line, with a step planted in the model: the
+Gaussians left of the line become brighter, higher or fewer, or those at the line are removed.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ FALSE_ALARMS = 0.05
 MIN_SPAN = 0.5
 """Shortest line, as a share of the box's diagonal over √2."""
 Plant = Callable[[Splats, FloatArray], Splats]
-"""A model and a line (2,2) to the model with a step across it."""
+"""Maps a model and a line (2,2) to the model with a step across the line."""
 
 
 def plants() -> dict[tuple[Quantity, str], Plant]:
-    """Planted steps by the quantity that should show them."""
+    """Planted steps by the quantity that should detect them."""
     return {
         **{("colour", f"{levels}/255"): _brighter(levels) for levels in (2, 5, 10, 20)},
         **{("height", f"{step_m * 100:g} cm"): _higher(step_m) for step_m in (0.05, 0.1)},
@@ -42,8 +43,11 @@ def plants() -> dict[tuple[Quantity, str], Plant]:
 
 
 def virtual_borders(splats: Splats, count: int, seed: int = 0) -> list[FloatArray]:
-    """Random lines (2,2) m across the box that holds, each way, the middle 80 % of the smaller half of what shows, since photographs were
-    taken of where Gaussians are small; BadInput for an empty model."""
+    """Random lines (2,2) m across the region that was photographed; BadInput for an empty model.
+
+    Photographed regions have small Gaussians: the region is the box of the middle 80 % in x and y of
+    the smaller half of the opaque ones.
+    """
     shows = np.flatnonzero(splats.logit_opacities > np.log(MIN_OPACITY / (1 - MIN_OPACITY)))
     if len(shows) < 100:
         raise BadInput(f"the model has {len(shows)} Gaussians that show, expected 100 or more: train it first.")
@@ -61,7 +65,7 @@ def virtual_borders(splats: Splats, count: int, seed: int = 0) -> list[FloatArra
 
 
 def thresholds_of(scores: FloatArray) -> FloatArray:
-    """Thresholds (Q,) that 5 % of the lines (L,Q) exceed in any quantity, each alone by the same share of lines; NaN counts as no alarm."""
+    """Thresholds (Q,) that 5 % of the lines (L,Q) exceed in any quantity, each quantity on the same share of lines; NaN is no alarm."""
     scores = np.nan_to_num(scores, nan=0.0)
     low, high = 0.0, FALSE_ALARMS
     for _ in range(30):
@@ -72,7 +76,7 @@ def thresholds_of(scores: FloatArray) -> FloatArray:
 
 
 def cross_validated_false_alarms(scores: FloatArray) -> float:
-    """Share of lines (L,Q) with an alarm by thresholds from the other half."""
+    """Share of lines (L,Q) with an alarm by the thresholds of the other half of the lines."""
     halves = [scores[::2], scores[1::2]]
     alarms = [(np.nan_to_num(one) > thresholds_of(other)).any(axis=1) for one, other in (halves, halves[::-1])]
     return float(np.concatenate(alarms).mean())

@@ -1,12 +1,14 @@
 """Benchmark of training: held-out PSNR against CPU seconds and Gaussians, presets against each other at budgets of CPU time.
 
-One model of all training photographs of a scene, no tiers. Budgets are CPU seconds of the whole process, in which a loaded machine counts
-no more than an idle one. Equal for all presets: scene, photographs, size, budgets, seeds, held-out photographs; every row has its Gaussians
-beside it. A preset is also given half of each budget, and the difference to the reference at the full one is stated with the 95 % bounds of
-a bootstrap over images and seeds. More `splits` hold out other photographs, each split with models of its own, so that a single photograph
-weighs less; the bootstrap draws among the images of all, and with one seed knows nothing of how a split's model varies. `ablations`: the
-first preset with one thing switched off at a time, at the first budget, paired.
-With a folder for its rows a run that ended early is gone on with.
+One model of all training photographs of a scene, without tiers. Budgets are CPU seconds of the
+whole process, which do not depend on the load of the machine. Equal for all presets: scene,
+photographs, size, budgets, seeds, held-out photographs; every row states its number of Gaussians.
+Each preset is also trained with half of each budget, and its difference to the reference at the
+full budget is stated with the 95 % bounds of a bootstrap over images and seeds. More `splits` hold
+out other photographs, each with its own models, so that a single photograph weighs less; the
+bootstrap draws from the images of all splits, and with one seed it does not cover how a split's
+model varies. `ablations`: the first preset with one part switched off at a time, at the first
+budget, paired. With a folder for its rows an interrupted benchmark resumes.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.console import Console
 
-from radiant_app.bench.runner import BenchOptions
+from radiant_app.bench.options import BenchOptions
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay, tracked
@@ -46,7 +48,7 @@ from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_viewer.charts.curve_chart import CurvePoint
 
 BUDGETS_S = (60.0, 180.0, 600.0)
-"""CPU seconds; the last is five minutes of two cores."""
+"""CPU seconds; the last is five minutes on two cores."""
 LONG_SIDE_PX = 1152
 ABLATION_LONG_SIDE_PX = 576
 ABLATION_BUDGET_S = 90.0
@@ -91,7 +93,7 @@ class TrainBench:
     ablations: bool = False
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: ABLATIONS)
     out: Path | None = None
-    """Folder of the rows; those that are there already are not measured again."""
+    """Folder of the rows; rows that exist are not measured again."""
 
     def __post_init__(self) -> None:
         given = self.presets, self.budgets_s, self.seeds, self.splits
@@ -102,10 +104,10 @@ class TrainBench:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainedRow:
-    """One trained model: its variant, the budget it was given, and what it took and reached.
+    """One trained model: its variant and budget, its cost and its quality.
 
-    Per held-out image psnr_db, and psnr_cc_db of the render after an affine correction of its colours: a photograph's exposure is nothing
-    that a model could know.
+    Per held-out image psnr_db, and psnr_cc_db of the render after an affine correction of its
+    colours, since a model cannot predict the exposure of a photograph.
     """
 
     variant: str
@@ -161,7 +163,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
             (split, preset, _config(preset, bench.long_side_px), budget_s, seed)
             for split in splits
             for budget_s in sorted({*bench.budgets_s, *halves})
-            # The reference first: with its largest budget done, every difference at half the time is known.
+            # The reference first: once its largest budget is done, each further row completes a difference at half the time.
             for preset in sorted(bench.presets, key=lambda preset: preset != REFERENCE)
             for seed in bench.seeds
             if budget_s in bench.budgets_s or preset != REFERENCE
@@ -177,7 +179,7 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
 
 
 def bench_of(options: BenchOptions) -> TrainBench:
-    """The benchmark that the command line asks for; `quick` is two budgets of seconds at a small size."""
+    """The benchmark that the options ask for; `quick` has two budgets of seconds at a small size."""
     ablations = options.ablations
     budgets_s = options.budgets_s or ((4.0, 8.0) if options.quick else (ABLATION_BUDGET_S,) if ablations else BUDGETS_S)
     num_seeds = options.num_seeds or (len(ABLATION_SEEDS) if ablations and not options.quick else 1)
@@ -212,7 +214,7 @@ def _ablations(bench: TrainBench, splits: Sequence[_Split]) -> tuple[list[Traine
     whole, budget_s = bench.presets[0], bench.budgets_s[0]
     base = _config(whole, bench.long_side_px)
     variants = {whole: base, **{name: with_settings(base, change) for name, change in bench.changes.items()}}
-    # What is switched off already, or on, is no ablation.
+    # A change that the preset makes already is no ablation.
     variants = {name: config for name, config in variants.items() if name == whole or config != base}
     jobs = [(split, name, config, budget_s, seed) for split in splits for seed in bench.seeds for name, config in variants.items()]
     rows = [_row(bench.out, *job) for job in tracked(jobs, "bench train")]
@@ -291,7 +293,7 @@ def _trained(split: _Split, variant: str, config: TrainConfig, budget_s: float, 
     training, views, _ = worth_training(split.training, views, config)
     config, _ = fit_to_scene(replace(config, seed=seed, budget_s=budget_s), training, views)
     initial, _ = first_splats(training, views, config)
-    # What was decided and placed before the first step belongs to the budget as well.
+    # Work before the first step counts towards the budget as well.
     spent_s = time.process_time() - begun_s
     config = replace(config, budget_s=max(1e-3, budget_s - spent_s))
     result = fit_splats(initial, views, config, FitOptions(clock=time.process_time))
@@ -333,7 +335,7 @@ _FIGURES = ("cpu_s", "num_gaussians", "num_steps")
 def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
     key = f"train.{scene}.{_key(rows[0].variant)}.{rows[0].budget_s:g}s"
     means = {name: float(np.mean([getattr(row, name) for row in rows])) for name in _FIGURES}
-    # Over images, as differences are: splits may hold out one more or less.
+    # Over images, as in the differences: splits may hold out different numbers.
     means |= {f"mean_{name}": float(_by_seed_and_image(rows, name).mean()) for name in ("psnr_db", "psnr_cc_db")}
     return [
         Metric(key=f"{key}.psnr_db", value=means["mean_psnr_db"], unit="dB", direction="higher"),
@@ -345,7 +347,7 @@ def _row_metrics(scene: str, rows: Sequence[TrainedRow]) -> list[Metric]:
 
 
 def _difference_metrics(key: str, rows: Sequence[TrainedRow], one: tuple[str, float], other: tuple[str, float]) -> list[Metric]:
-    """The paired difference of two groups of rows, as photographs are and with colours corrected."""
+    """The paired differences of two groups of rows in PSNR, without and with corrected colours."""
     groups = _groups(rows)
     metrics = []
     for figure, mark in (("psnr_db", ""), ("psnr_cc_db", "cc_")):

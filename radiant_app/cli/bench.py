@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
+from radiant_app.bench.options import BenchName, BenchOptions
 from radiant_app.cli.option_types import BenchPlot, BenchScene, LongSide
 
 
 def bench(
-    name: Annotated[
-        Literal["sfm", "plan", "borders", "fed3dgs", "raster", "train", "methods", "paper", "upload", "teachers", "viewer"],
-        typer.Argument(help="What to measure."),
-    ],
+    name: Annotated[BenchName, typer.Argument(help="What to measure.")],
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
     scene: BenchScene = None,
@@ -26,14 +24,18 @@ def bench(
     long_side_px: LongSide = None,
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
     plot: BenchPlot = None,
-    method: Annotated[list[str] | None, typer.Option(help="methods: those to compare; paper: parts; train: ablations; else all.")] = None,
+    method: Annotated[list[str] | None, typer.Option(help="methods: those compared; paper: sections; train: ablations; else all.")] = None,
     layout: Annotated[str, typer.Option(help="methods: edges x devices per edge.")] = "2x2",
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
     max_gaussians: Annotated[int | None, typer.Option(min=1, help="methods: reduce every method's model to as many.")] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train: folder of what is made; a later call goes on.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train: folder of models; a later call resumes.")] = None,
+    baseline: Annotated[
+        Path | None, typer.Option(help="sfm, plan, raster: file of earlier figures; exit code 1 where a new one is worse.")
+    ] = None,
+    bless: Annotated[bool, typer.Option("--bless", help="Write the figures into the baseline instead of comparing.")] = False,
 ) -> None:
     """Run time beside error."""
-    from radiant_app.bench.runner import BenchOptions, run_bench
+    from radiant_app.bench.runner import run_bench
 
     options = BenchOptions(
         quick=quick,
@@ -51,5 +53,7 @@ def bench(
         num_placements=placements,
         max_gaussians=max_gaussians,
         out=out,
+        baseline=baseline,
+        bless=bless,
     )
     run_bench(name, json_file, options)

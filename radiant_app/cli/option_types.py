@@ -23,12 +23,10 @@ RasterCellOption = Annotated[float | None, option("plan.raster_cell_m")]
 BenchScene = Annotated[
     Path | None,
     typer.Option(
-        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm' or a run; "
-        "upload, teachers: a finished run; "
-        "borders: that or a folder of runs."
+        help="sfm: scene with known cameras; train: photographs, a COLMAP project or a run; methods, paper: 'radiant sfm' or a run."
     ),
 ]
-BenchPlot = Annotated[Path | None, typer.Option(help="train, methods, fed3dgs: PNG of the curves; plan: folder of its figures, alone.")]
+BenchPlot = Annotated[Path | None, typer.Option(help="train, methods: PNG of the curves.")]
 SizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height of a picture in px.")]
 UpOption = Annotated[str | None, option("sfm.up")]
 DistanceOption = Annotated[str | None, option("sfm.distance")]

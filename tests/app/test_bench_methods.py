@@ -12,7 +12,8 @@ from rich.console import Console
 
 from radiant_app.bench.method_cells import Layout, layout_of, random_sites
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
-from radiant_app.bench.runner import BenchOptions, run_bench
+from radiant_app.bench.options import BenchOptions
+from radiant_app.bench.runner import run_bench
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
@@ -114,5 +115,5 @@ def test_the_command_prints_a_table_and_draws_a_picture(bench: MethodBench, tmp_
             run_bench("methods", None, BenchOptions(**options))
     with pytest.raises(BadInput, match="--max-gaussians is for"):
         run_bench("plan", None, BenchOptions(max_gaussians=5))
-    with pytest.raises(BadInput, match="--out are for the benchmarks methods"):
+    with pytest.raises(BadInput, match="--out is for train, methods, paper"):
         run_bench("plan", None, BenchOptions(out=tmp_path))

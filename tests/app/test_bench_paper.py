@@ -11,18 +11,17 @@ import pytest
 from rich.console import Console
 from shapely import LineString, Polygon
 
-from radiant_app.bench import paper
 from radiant_app.bench.method_cells import Layout, load_bench_scene
 from radiant_app.bench.methods import METHODS
+from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.paper import PAGE_ORDER, PARTS, PaperBench, bench_paper
 from radiant_app.bench.paper_arms import Arms, epochs_arm, method_arm
 from radiant_app.bench.paper_parts import _worst_window, border_length_m
-from radiant_app.bench.runner import BenchOptions, run_bench
+from radiant_app.bench.runner import run_bench
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.metric import Metric
 from radiant_core.io.run_store import read_json
 from radiant_core.render.rendered_view import render_views
 
@@ -37,23 +36,21 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "scene"
 
 
-def test_a_page_of_every_part_is_made_once_and_kept(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_plan(folder: Path, quick: bool) -> list[Metric]:
-        assert folder == tmp_path / "out" / "plan" and quick
-        return [Metric(key="plan.figures.x", value=1.0, unit="1", direction="info")]
-
-    monkeypatch.setattr(paper, "bench_plan_figures", no_plan)
+def test_a_page_of_every_part_is_made_once_and_kept(scene: Path, tmp_path: Path) -> None:
     bench = PaperBench(scene=scene, out=tmp_path / "out", long_side_px=48, num_steps=8, quick=True)
     metrics = bench_paper(bench)
     page = (bench.out / "paper.md").read_text()
     record = read_json(bench.out / "paper.json")
     assert page.count("\n## ") == len(PAGE_ORDER) == len(record["parts"]) and "Scene scene: 10 photographs to train on, 2 held out" in page
-    for name in ("main", "regions", "epochs", "balance", "border"):
+    for name in ("main", "regions", "epochs", "balance", "border", "costs", "convergence", "partitions"):
         assert f"({name}.png)" in page and (bench.out / f"{name}.png").stat().st_size > 5_000
-    assert "Band and interior are insufficient: borders lie in" in page and metrics[-1].key == "plan.figures.x"
+    assert "Band and interior are insufficient: borders lie in" in page
     rows = {row["arm"]: row for row in record["parts"]["main"]["figures"]}
     assert set(rows) == {*METHODS} - {"ours edges", "fed3dgs"}
     assert rows["crop"]["training_px"] == 0 < rows["ours"]["training_px"] < rows["paper"]["training_px"]
+    planned = record["parts"]["plan"]["figures"]
+    assert planned["costs"]["photographs"] == [2, 5, 10]
+    assert set(planned["convergence"]) == {"exact", "paper", "paper-halved", "paper-literal"}
     balance = record["parts"]["balance"]["figures"]
     for devices in balance["devices"].values():
         assert sum(device["num_photographs"] for device in devices) == 10
@@ -101,9 +98,9 @@ def test_the_worst_window_is_where_the_errors_are() -> None:
 
 
 def test_what_is_wrong_is_told_before_anything_is_made(scene: Path, tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match=f"'magic' of the paper's figures is unknown: use {', '.join([*PARTS, 'plan'])}"):
+    with pytest.raises(BadInput, match=f"'magic' of the paper's figures is unknown: use {', '.join(PARTS)}"):
         PaperBench(scene=scene, out=tmp_path, parts=("main", "magic"))
-    assert {*PAGE_ORDER} == {*PARTS, "plan"} - {"fed3dgs"}
+    assert {*PAGE_ORDER} == {*PARTS} - {"fed3dgs"}
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="is a file: name a folder"):
         bench_paper(PaperBench(scene=scene, out=tmp_path / "file"))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
 
+import radiant_app
 from radiant_app.bench import plan as bench
-from radiant_app.bench.plan import LayoutKind, bench_plan, camera_layout
+from radiant_app.bench.plan import LayoutKind, bench_plan, camera_layout, drag_metrics, system_metrics
+from radiant_app.files.system_file import load_system
 
 
 @pytest.mark.parametrize("kind", get_args(LayoutKind))
@@ -29,10 +32,32 @@ def test_a_lawnmower_flies_from_neighbour_to_neighbour() -> None:
 
 def test_exact_is_at_the_bound_and_no_method_below(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "_QUICK_SIZES", ((60, 3),))
-    metrics = {metric.key: metric.value for metric in bench_plan(quick=True)}
+    monkeypatch.setattr(bench, "_QUICK_SCALES", ())
+    metrics = {metric.key: metric.value for metric in bench_plan(quick=True) if ".60x3." in metric.key}
     assert len(metrics) == 4 * 4 * 2
     ratios = {key: value for key, value in metrics.items() if key.endswith("makespan_over_bound")}
     assert all(value == 1.0 for key, value in ratios.items() if ".exact." in key)
     assert all(value >= 1.0 for value in ratios.values())
     assert all(value > 0 for key, value in metrics.items() if key.endswith("time_ms"))
     assert "plan.60x3.street.paper.makespan_over_bound" in metrics
+
+
+@pytest.mark.parametrize(("number", "num_edges", "num_devices"), [(1, 3, 5), (2, 4, 7)])
+def test_the_papers_systems_have_a_device_per_gpu_that_a_region_lists(number: int, num_edges: int, num_devices: int) -> None:
+    system = load_system(Path(radiant_app.__file__).parent / "systems" / f"paper_{number}.toml")
+    assert (len(system.edges), len(system.devices)) == (num_edges, num_devices)
+
+
+def test_exact_is_never_slower_than_what_it_is_compared_with() -> None:
+    seconds = {metric.key: metric.value for metric in system_metrics()}
+    assert len(seconds) == 12
+    for key, value in seconds.items():
+        system, scene = key.split(".")[1:3]
+        assert seconds[f"plan.{system}.{scene}.exact.simulated_s"] <= value
+
+
+def test_a_dragged_edge_keeps_the_bound_and_a_dragged_weight_is_planned_around() -> None:
+    figures = {metric.key: metric.value for metric in drag_metrics(3)}
+    assert figures["plan.2000x64.drag_makespan_over_bound"] == 1.0
+    assert 0 < figures["plan.2000x64.weight_drag_median_ms"] <= figures["plan.2000x64.weight_drag_p95_ms"]
+    assert 0 <= figures["plan.2000x64.weight_drag_outside"] <= 40

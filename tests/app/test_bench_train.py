@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from radiant_app.bench.runner import BenchOptions, run_bench
+from radiant_app.bench.options import BenchOptions
+from radiant_app.bench.runner import run_bench
 from radiant_app.bench.train import TrainBench, TrainedRow, _by_seed_and_image, _load, _split, _trained, bench_of, bench_train, curves_of
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_core.errors import BadInput
@@ -138,13 +139,13 @@ def test_the_command_writes_figures_and_a_picture(project: Path, tmp_path: Path)
 
 
 def test_options_that_do_not_belong_together_are_refused(project: Path, tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="are for the benchmark train, not for raster"):
+    with pytest.raises(BadInput, match="--budget is for train, not for raster"):
         run_bench("raster", None, BenchOptions(budgets_s=(1.0,)))
     with pytest.raises(BadInput, match="there is no folder"):
         run_bench("train", None, BenchOptions(scene=project, plot=tmp_path / "nowhere" / "a.png"))
     with pytest.raises(BadInput, match="give one or more of each"):
         TrainBench(scene=project, budgets_s=(float("nan"),))
-    with pytest.raises(BadInput, match="--splits is for the benchmark train"):
+    with pytest.raises(BadInput, match="--splits is for train"):
         run_bench("raster", None, BenchOptions(num_splits=2))
     with pytest.raises(BadInput, match="train preset 'best' is unknown"):
         bench_train(TrainBench(scene=project, presets=("best",), budgets_s=(0.1,)))

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from radiant_app.bench.teachers import ViewTimes, simulated_latency_s
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
@@ -19,8 +18,6 @@ from radiant_app.run.dealing import SharedDealer
 from radiant_app.workers.nodes import run_node
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree, tree_of_plan
-from radiant_core.choices import UploadFormat
-from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_splats
@@ -202,28 +199,6 @@ def test_the_plan_counts_the_bytes_of_the_upload() -> None:
 def test_single_devices_get_no_teacher(dealt: SharedDealer) -> None:
     lonely = replace(dealt.edge_plans[0], device_of_camera=np.zeros(5, np.int64))
     assert [node.tier for node in tree_of_plan(dealt.cloud_plan, [lonely], teachers=True)] == ["device", "edge", "cloud"]
-
-
-def test_simulated_latency_by_hand() -> None:
-    views = ViewTimes(render_s=1.0, read_s=0.25)
-    arrivals, counts = [10.0, 100.0, 20.0], [4, 5, 6]
-    assert simulated_latency_s(arrivals, counts, views, 3.0, early=False) == 3 + 15
-    # Both others are rendered long before 100 s; the last one's 5 views are not.
-    assert simulated_latency_s(arrivals, counts, views, 3.0, early=True) == 3 + 10 * 0.25 + 5
-    # The second begins at 17 s, is ready to render at 20 s, and is stopped at 22.5 s with two views done.
-    assert simulated_latency_s([10.0, 22.5, 10.0], counts, views, 3.0, early=True) == 3 + 6 * 0.25 + 9
-    # Nobody is early when all arrive at once.
-    assert simulated_latency_s([5.0] * 3, counts, views, 3.0, early=True) == 3 + 15
-
-
-def test_benchmarks_of_a_run_want_a_run(tmp_path: Path) -> None:
-    from radiant_app.bench.runner import BenchOptions, run_bench
-
-    for name in ("upload", "teachers"):
-        with pytest.raises(BadInput, match=f"the benchmark {name} measures a finished run: name its folder with --scene"):
-            run_bench(name, None, BenchOptions())
-        with pytest.raises(BadInput, match=r"holds no plan\.json"):
-            run_bench(name, None, BenchOptions(scene=tmp_path))
 
 
 def prepared_edge(dealer: SharedDealer) -> tuple[NodeTask, list[str]]:

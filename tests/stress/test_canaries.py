@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.bench.leakage import sent_pictures
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.workers.inbox import VIRTUAL_CAMERAS
 from radiant_core.io.colmap.model import read_model, write_model
@@ -25,6 +24,7 @@ from radiant_core.io.records import load_cameras
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, Canaries, Search, add_broken, canaries_of, files_with, watermark
 from tests.app.test_field import assert_models_and_little_else_were_sent
 from tests.contract.ray_machines import ray_cluster
+from tests.stress.sent_pictures import sent_pictures
 
 pytestmark = pytest.mark.stress
 
@@ -167,5 +167,7 @@ def what_pictures_show(run: Path) -> str:
         sent = sent_pictures(run, edge, [name for name in DEVICES if name.startswith(edge)], SIZE_PX)
         assert sent is not None, "edges of several devices whose cloud retrains send pictures"
         assert sent.moved_m.min() > 1e-3 and sent.turned_deg.min() > 1e-3, "no virtual camera is a photograph's"
-        told.append(f"{edge}: cameras {sent.moved_m.min():.3f} m, {sent.turned_deg.min():.3f}° off at least; pictures {sent.as_sent}")
+        told.append(
+            f"{edge}: cameras {sent.moved_m.min():.3f} m, {sent.turned_deg.min():.3f}° off at least; pictures {sent.psnr_db.mean():.1f} dB"
+        )
     return "; ".join(told)

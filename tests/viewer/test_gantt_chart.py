@@ -1,4 +1,4 @@
-"""Gantt and fleet charts: bars of both kinds where they belong, many rows, and what cannot be drawn."""
+"""Gantt charts: bars of both kinds where they belong, many rows, and what cannot be drawn."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.charts.charts import STAGE_COLORS, TimelineSpan
-from radiant_viewer.charts.fleet_chart import fleet_picture
 from radiant_viewer.charts.gantt_chart import FOOT_PX, MAX_ROWS, PALE, ROW_PX, TOP_PX, GanttRow, gantt_picture
 
 
@@ -51,11 +50,3 @@ def test_nothing_to_draw_is_refused() -> None:
         gantt_picture([GanttRow(name="d", predicted=(span("train", 0, 1),))], "Narrow", width_px=100)
     with pytest.raises(BadInput, match="expected 0 ≤ start ≤ stop"):
         span("train", float("nan"), 1.0)
-
-
-def test_a_fleet_chart_has_a_panel_per_system_and_refuses_poison() -> None:
-    line = [(4.0, 60.0, 50.0, 70.0), (8.0, 80.0, 70.0, 95.0)]
-    assert (fleet_picture({"System 1": {"a": line}, "System 2": {"a": line}}) != 255).any(axis=2).mean() > 0.01
-    for bad in ([], [(4.0, np.nan, 1.0, 1.0)], [(4.0, 0.0, 1.0, 1.0)], [(4.0, 1.0)]):
-        with pytest.raises(BadInput, match="fleet"):
-            fleet_picture({"System 1": {"a": bad}})

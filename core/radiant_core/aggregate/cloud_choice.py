@@ -9,7 +9,7 @@ step of dense Adam touches all of them. 0.39 GB is a worker with its libraries a
 beside the rest); seven copies are the models, their sum, the tensors
 that move with gradient and two moments, and the result; 500 bytes are the rasterizer's; a view keeps 4 bytes a pixel, the step on one view
 takes 100 and its loss 36; the loss may keep those 36 of every view (`StatisticsCache`), in what memory is left.
-`python -m radiant_app.bench.retrain_memory` measures it, tests/stress compares.
+`python -m tests.stress.retrain_memory` measures it; tests/stress/test_cloud_memory.py compares.
 
 Views are never made smaller to fit: pictures of half the size teach about as much as a cut leaves, smaller ones less
 (docs/experiments/aggregation.md).

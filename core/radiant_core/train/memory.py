@@ -8,7 +8,7 @@ share s of its side that training begins with; m: 1 where photographs have masks
 parameters, gradients, two moments, what an edit or a checkpoint copies; 600 bytes each are the rasterizer's and an edit's.
 
 The constants are set so that tests/stress/test_train_memory.py holds on the sample town with planned growth: allowed 0.6, 1 and 2 GB, it
-peaked at 0.62, 1.00 and 2.14 GB. `python -m radiant_app.bench.train_memory` shows one case of other sizes.
+peaked at 0.62, 1.00 and 2.14 GB.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from radiant_core.plan.regions.transport import deal_with_counts
 from radiant_core.plan.revision.assigned import assigned_plan
 from radiant_core.plan.revision.captured import plan_of_captured, plan_of_owners, taken_for_others
 from radiant_core.plan.revision.replan import Situation, replan
-from radiant_core.plan.timeline.simulate import BandwidthTrace, fleet_of, merged_s, simulate
+from radiant_core.plan.timeline.simulate import BandwidthTrace, fleet_of, simulate
 from radiant_core.plan.waypoints import Waypoints
 
 from .instances import linear_system
@@ -74,7 +74,6 @@ CALLS: list[tuple[str, Callable[[], object]]] = [
     ("weights", lambda: cell_polygons(PLACES, WRONG, PLACES)),
     ("quotas", lambda: profile_warnings(SYSTEM, WRONG, ProfileKey(preset="p", num_steps=1, long_side_px=1))),
     ("quotas", lambda: fleet_of(SYSTEM, WRONG)),
-    ("arrivals_s", lambda: merged_s(WRONG, 1.0)),
     ("times_s", lambda: BandwidthTrace(times_s=WRONG, shares=np.ones(1))),
     ("shares", lambda: BandwidthTrace(times_s=np.zeros(1), shares=WRONG)),
     *((name, lambda name=name: replace(FLEET, **{name: WRONG})) for name in ("start_s", "work_s", "model_bytes", "repair_s")),
@@ -144,10 +143,6 @@ def test_a_fleet_may_do_nothing_and_a_trace_may_be_one_step() -> None:
     for times, shares in (([0.0, 1.0, 1.0], [1, 1, 1]), ([0.5], [1]), ([0.0], [0]), ([], [])):
         with pytest.raises(BadInput, match="a bandwidth trace needs rising times from 0 s and positive shares"):
             BandwidthTrace(times_s=np.array(times, float), shares=np.array(shares, float))
-    for mergers, merge_s in ((0, 1.0), (1, np.nan), (1, -0.1), (1, np.inf)):
-        with pytest.raises(BadInput, match=f"{mergers} mergers of {merge_s} s per model"):
-            merged_s([1.0], merge_s, mergers)
-    assert merged_s([3.0, 1.0], 0.0) == 3.0 and merged_s([], 1.0) == 0.0
 
 
 def test_forecasts_need_as_many_views_as_cameras() -> None:

@@ -4,12 +4,11 @@
     edge m:   waits for its devices that do not drop out, aggregates, sends what it joined
     send(t, s): ends when ∫ share(τ) dτ from t reaches s, s the seconds at full bandwidth and share a trace of the network
 
-All arrays at once, O(D + E): a million devices in some 50 ms. Merging at one server in order of arrival is a loop over clients.
+All arrays at once, O(D + E): a million devices in some 50 ms.
 """
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,17 +108,6 @@ def simulate(fleet: Fleet, trace: BandwidthTrace | None = None) -> Timeline:
     sending = joined_bytes / fleet.edge_uplink_bytes_per_s
     edge_done = joined + sending if trace is None else trace.sent_s(joined, sending)
     return Timeline(device_done_s=np.where(fleet.dropped, np.inf, done), edge_ready_s=ready, edge_done_s=np.where(nobody, 0.0, edge_done))
-
-
-def merged_s(arrivals_s: ArrayLike, merge_s: float, num_mergers: int = 1) -> float:
-    """When a server that merges client models one after another, each `merge_s` (Fed3DGS), is done; several mergers take turns."""
-    arrivals_s = np.sort(checked_array("arrivals_s", arrivals_s, (None,)))
-    if num_mergers < 1 or not np.isfinite(merge_s) or merge_s < 0:
-        raise BadInput(f"{num_mergers} mergers of {merge_s} s per model: give at least one, and a finite time of at least 0.")
-    free_s = [0.0] * num_mergers
-    for arrival_s in arrivals_s.tolist():
-        heapq.heappush(free_s, max(heapq.heappop(free_s), arrival_s) + merge_s)
-    return max(free_s)
 
 
 def fleet_of(system: System, quotas: ArrayLike) -> Fleet:

@@ -1,8 +1,7 @@
-"""A process of its own that retrains two made-up edge models as the cloud does, and prints by how many bytes its memory grew at most, or,
-within a limit, how many it held at most.
+"""A separate process that retrains two synthetic edge models as the cloud does and prints how far its peak memory grew.
 
-python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE        (the constants of `aggregate/cloud_choice.py`)
-python -m radiant_app.bench.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE BYTES  within so many, as a node with a limit does
+python -m tests.stress.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE         the constants of `aggregate/cloud_choice.py`
+python -m tests.stress.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE BYTES   the peak itself, within a limit of so many bytes
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ from radiant_core.train.trainer import FitOptions
 
 
 def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, memory_bytes: int | None = None) -> None:
-    """Print the growth of the peak resident memory in bytes, within a limit the peak itself; every view is shown once."""
+    """Print the growth of the peak resident memory in bytes, or with a limit the peak itself; each view is rendered once."""
     for name in ("radiant_app.workers.nodes", "radiant_app.workers.task_schema"):
-        # What a worker holds besides.
+        # Modules that a worker has loaded as well.
         import_module(name)
     splats, camera = drone_scene(SceneSize(num_splats=num_splats, width=long_side_px, height=long_side_px * 3 // 4))
     splats = replace(splats, shN=np.zeros((num_splats, SH_BASES[sh_degree] - 1, 3), np.float32))
@@ -48,7 +47,7 @@ def main(num_splats: int, num_views: int, long_side_px: int, sh_degree: int, mem
     before = reset_peak_bytes()
     teachers = [Teacher(splats=model, cameras=own) for model, own in zip(models, cameras, strict=True)]
     retrain_on_synthetic_views(teachers, replace(train_preset("paper"), long_side_px=long_side_px), aggregate, options)
-    # The models themselves were there before the count began.
+    # The models were in memory before the count began.
     print(peak_bytes() if memory_bytes is not None else peak_bytes() - before + model_bytes)
 
 

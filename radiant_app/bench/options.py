@@ -1,0 +1,91 @@
+"""Which benchmarks there are, their options, and which of them accepts which option."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Literal, get_args
+
+from radiant_core.errors import BadInput
+
+BenchName = Literal["sfm", "plan", "raster", "train", "methods", "paper"]
+_ON_MODELS: tuple[BenchName, ...] = ("train", "methods", "paper")
+ACCEPTED_BY: Mapping[str, tuple[BenchName, ...]] = {
+    "scene": ("sfm", *_ON_MODELS),
+    "threads": ("raster",),
+    "presets": ("train",),
+    "budgets_s": ("train",),
+    "num_seeds": _ON_MODELS,
+    "num_splits": ("train",),
+    "long_side_px": _ON_MODELS,
+    "ablations": ("train",),
+    "plot": ("train", "methods"),
+    "methods": _ON_MODELS,
+    "layout": ("methods",),
+    "num_placements": ("methods",),
+    "max_gaussians": ("methods",),
+    "out": _ON_MODELS,
+    "baseline": ("sfm", "plan", "raster"),
+}
+"""Benchmarks by option; an option that is not here is accepted by all."""
+_FLAGS = {
+    "presets": "--preset",
+    "budgets_s": "--budget",
+    "num_seeds": "--seeds",
+    "num_splits": "--splits",
+    "methods": "--method",
+    "num_placements": "--placements",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions:
+    """Options of all benchmarks."""
+
+    quick: bool = False
+    """Fewer and smaller cases."""
+    scene: Path | None = None
+    """Scene with known cameras (sfm); photographs, a COLMAP project, a folder of `radiant sfm` or a run."""
+    threads: int | None = None
+    """Threads of the rasterizer; None for all cores."""
+    presets: tuple[str, ...] = ()
+    """Presets to compare; empty for default and standard."""
+    budgets_s: tuple[float, ...] = ()
+    """CPU seconds of training; empty for the benchmark's own."""
+    num_seeds: int | None = None
+    """Models of each kind."""
+    num_splits: int = 1
+    """How many eighths of the photographs are held out, one after the other."""
+    long_side_px: int | None = None
+    """Size of the training images."""
+    ablations: bool = False
+    """Whether parts of the training are switched off, one at a time."""
+    plot: Path | None = None
+    """PNG of the curves."""
+    methods: tuple[str, ...] = ()
+    """Methods to compare (methods), sections of the page (paper) or ablations (train); empty for all."""
+    layout: str = "2x2"
+    """Edges x devices per edge."""
+    num_placements: int = 1
+    """Placements of the edges."""
+    max_gaussians: int | None = None
+    """Every method's model is reduced to so many."""
+    out: Path | None = None
+    """Folder of models and rows, from which a later call continues, and of the page (paper)."""
+    baseline: Path | None = None
+    """File of earlier figures that the new ones must not be worse than."""
+    bless: bool = False
+    """Whether the new figures replace those in `baseline`."""
+
+    def check(self, name: BenchName) -> None:
+        """Raise BadInput where the benchmark does not accept an option or lacks one."""
+        for field in fields(self):
+            accepted_by = ACCEPTED_BY.get(field.name, get_args(BenchName))
+            if getattr(self, field.name) != field.default and name not in accepted_by:
+                flag = _FLAGS.get(field.name, "--" + field.name.replace("_", "-"))
+                raise BadInput(f"{flag} is for {', '.join(accepted_by)}, not for {name}: leave it out.")
+        if name in ("methods", "paper") and (self.scene is None or self.out is None):
+            raise BadInput(f"the benchmark {name} needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
+        if self.bless and self.baseline is None:
+            raise BadInput("--bless writes the figures into the file of --baseline: name it.")
