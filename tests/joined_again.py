@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from radiant_app.events import Decided, Event, Warned
-from radiant_app.workers.nodes import load_images, run_node
+from radiant_app.workers.nodes import run_node
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
+from radiant_core.train.photographs import load_images
 
 
 @dataclass(frozen=True)

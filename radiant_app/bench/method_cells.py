@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPoint, Point
 
-from radiant_app.workers.nodes import load_images
 from radiant_app.workers.sources import scored_scene_of
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
@@ -37,6 +36,7 @@ from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.initialize import first_splats
 from radiant_core.train.needs import fit_to_scene
+from radiant_core.train.photographs import load_images
 from radiant_core.train.trainer import fit_splats
 from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews

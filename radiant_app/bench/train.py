@@ -28,8 +28,8 @@ from radiant_app.bench.options import BenchOptions
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay, tracked
-from radiant_app.workers.nodes import load_images, load_training_views, sfm_progress
-from radiant_app.workers.sources import masks_of_scene, scored_scene_of
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.sources import masks_of_scene, reconstruct_source, scored_scene_of, sfm_task
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
@@ -38,13 +38,20 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.hierarchy.device import fit_prepared, prepare_training
+from radiant_core.hierarchy.messages import DeviceTask
+from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
 from radiant_core.train.needs import Overrides, fit_to_backend
+from radiant_core.train.photographs import load_images, load_training_views
 from radiant_viewer.charts.curve_chart import CurvePoint
 
 BUDGETS_S = (60.0, 180.0, 600.0)
@@ -233,16 +240,14 @@ def _config(preset: str, long_side_px: int) -> TrainConfig:
 
 
 def _load(source: Path, work: Path) -> _Source:
-    from radiant_app.workers.sources import reconstruct_source
-
     try:
         scene, _, images = scored_scene_of(source)
         masks = masks_of_scene(source)
     except BadInput:
-        task = {"source": str(source), "sfm": {}}
+        task = sfm_task(source, SfmConfig(), None, Placement())
         display = ProgressDisplay(Console(stderr=True))
         with stage_bar(display, "sfm"):
-            result = reconstruct_source(task, work / "sfm", lambda progress: display(sfm_progress("sfm", progress)))
+            result = reconstruct_source(task, work / "sfm", EventReporter(stage="sfm", emit=display).sfm_progress)
         scene, images, masks = result.scene, result.undistorted_folder, None
     name = source.resolve().parent.name if source.name in ("images", "sfm") else source.resolve().name
     return _Source(name=name, scene=scene, images=images, masks=masks)
@@ -281,22 +286,16 @@ def _row(out: Path | None, split: _Split, variant: str, config: TrainConfig, bud
 
 
 def _trained(split: _Split, variant: str, config: TrainConfig, budget_s: float, seed: int) -> TrainedRow:
-    from radiant_core.render.rendered_view import render_views
-    from radiant_core.train.initialize import first_splats
-    from radiant_core.train.needs import fit_to_scene
-    from radiant_core.train.trainer import FitOptions, fit_splats
-    from radiant_core.train.worth import worth_training
-
     cameras = split.training.cameras.scaled(config.long_side_px)
     views = load_training_views(split.source.images, cameras, split.source.masks)
     begun_s = time.process_time()
-    training, views, _ = worth_training(split.training, views, config)
-    config, _ = fit_to_scene(replace(config, seed=seed, budget_s=budget_s), training, views)
-    initial, _ = first_splats(training, views, config)
+    config = replace(config, seed=seed, budget_s=budget_s)
+    task = DeviceTask(scene=split.training, train=config, backend=resolve_backend("auto"))
+    machine = Machine(clock=time.process_time)
+    prepared = prepare_training(task, views, Recorder(), machine)
     # Work before the first step counts towards the budget as well.
-    spent_s = time.process_time() - begun_s
-    config = replace(config, budget_s=max(1e-3, budget_s - spent_s))
-    result = fit_splats(initial, views, config, FitOptions(clock=time.process_time))
+    left_s = max(1e-3, budget_s - (time.process_time() - begun_s))
+    result = fit_prepared(replace(prepared, config=replace(prepared.config, budget_s=left_s)), Recorder())
     cpu_s = time.process_time() - begun_s
     scored = split.held_out.cameras.scaled(config.long_side_px)
     photographs = load_images(split.source.images, scored)

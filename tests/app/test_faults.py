@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from radiant_app.run.field_dealing import DeviceShare, FieldDealer
 
 from radiant_app.events import Event, StageDone, StageStarted, Warned
 from radiant_app.executors.fold import Faults
@@ -16,7 +17,6 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
 from radiant_app.run.config import ExecutionOptions, PlanOptions, RunConfig
 from radiant_app.run.dealing import SharedDealer
-from radiant_app.run.field_dealing import DeviceShare, FieldDealer
 from radiant_app.run.promises import promises_of
 from radiant_app.run.rescue import Rescue, plan_key, replanned
 from radiant_app.run.time_left import LATE_FACTOR, LEAST_S, TimeLeftListener

@@ -15,6 +15,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from radiant_app.run.field import Captured, _by_poses, _middle, _tell_unplaced
 from rich.console import Console
 
 from radiant_app.commands.demo import sample_scenes_folder
@@ -24,7 +25,6 @@ from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress,
 from radiant_app.report.html import ledger_by_tier
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
-from radiant_app.run.field import Captured, _by_poses, _middle, _tell_unplaced
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.stages import Progress
 from radiant_app.workers.field_nodes import _placed, _placed_once, run_field, run_positions

@@ -14,8 +14,8 @@ from radiant_app.commands.train import TrainRequest, train
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.dealing import deal_masks, received
-from radiant_app.workers.sources import masks_of_scene
 from radiant_app.workers.evaluation import scored_part
+from radiant_app.workers.sources import masks_of_scene
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import write_json

@@ -26,10 +26,10 @@ from radiant_app.report.html import TIERS
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import EvaluateOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
-from radiant_app.workers.sources import all_files
 from radiant_app.workers.inbox import read_inbox
 from radiant_app.workers.memory import resident_bytes
 from radiant_app.workers.nodes import run_cloud, run_device, run_edge
+from radiant_app.workers.sources import all_files
 from radiant_core import __version__
 from radiant_core.aggregate.extend import NewRegion
 from radiant_core.cameras import concatenate_cameras

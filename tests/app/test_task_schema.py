@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from radiant_app.workers.task_schema import SCHEMAS, require_schema, require_task
 
 from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, give_task, introduce, introduce_scoring, take_task
-from radiant_app.workers.task_schema import SCHEMAS, require_schema, require_task
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import write_json

@@ -6,6 +6,7 @@ What crosses between two nodes passes through the codec, so that the bits are th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from radiant_core.hierarchy.cloud import join_cloud
 from radiant_core.hierarchy.device import train_device
@@ -18,6 +19,14 @@ from radiant_core.scene import SfmScene
 from radiant_core.train.views import TrainingViews
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InProcessRun:
+    """The scene, and what each edge sent."""
+
+    scene: SceneModel
+    edges: Mapping[str, EdgeModel]
+
+
 def run_in_process(
     recipe: Recipe,
     scene: SfmScene,
@@ -25,11 +34,12 @@ def run_in_process(
     reporter_of: Callable[[str], Reporter] = lambda stage: Recorder(stage=stage),
     machine: Machine = Machine(),
     train: Callable[[DeviceTask, TrainingViews, Reporter], DeviceModel] = train_device,
-) -> SceneModel:
-    """The scene that a run by this recipe makes of the planned cameras' scene and photographs.
+) -> InProcessRun:
+    """What a run by this recipe makes of the planned cameras' scene and photographs.
 
     `train` may be replaced by a function that keeps models it has trained before.
     """
+    edges: dict[str, EdgeModel] = {}
     sent: dict[str, EdgeModel | str] = {}
     num_dealt: dict[str, int] = {}
     joined: dict[str, Mapping[str, float | int]] = {}
@@ -44,7 +54,9 @@ def run_in_process(
         if not models:
             continue
         edge = join_edge(recipe.edge_task(plan.edge_id, dealt), models, reporter_of(f"edges/{plan.edge_id}"))
+        edges[plan.edge_id] = edge
         if edge.splats is not None:
             sent[plan.edge_id] = passed_on(edge, recipe.upload, recipe.train.long_side_px)
             num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
-    return join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
+    scene = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
+    return InProcessRun(scene=scene, edges=edges)

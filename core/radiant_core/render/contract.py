@@ -33,7 +33,8 @@ MAX_SIDE_PX = 1_000_000
 MAX_FAR_M = 1e15
 """What is farther is not drawn, whatever far_m says: squares of such depths would leave float32."""
 
-Backend = Literal["auto", "gsplat", "native", "reference"]
+Renderer = Literal["gsplat", "native", "reference"]
+Backend = Literal["auto", Renderer]
 """auto: gsplat for tensors on CUDA, native on the CPU, reference where neither can be used. gsplat: CUDA kernels, an optional extra;
 native: C++ for float32 on the CPU; reference: plain PyTorch on any device in any type, the oracle."""
 
@@ -180,7 +181,7 @@ class ViewOptions:
     absgrad: bool = False
 
 
-def resolve_backend(backend: Backend) -> str:
+def resolve_backend(backend: Backend) -> Renderer:
     """The backend that `auto` stands for with float32 models on this machine: gsplat where it can be used, else native."""
     from radiant_core.render.gsplat_backend import missing_for_gsplat
 
