@@ -8,9 +8,14 @@ Matching = Literal["auto", "spatial", "exhaustive"]
 """auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each with its GPS neighbours;
 exhaustive: every pair."""
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
-"""exact: the least makespan, with the regions' borders as near to the edges as possible; paper: the paper's Alg. 1; voronoi: the
-nearest edge; even: equal counts."""
+"""exact: the least makespan; paper: the paper's Alg. 1; voronoi: the nearest edge; even: equal counts."""
 UploadFormat = Literal["float32", "float16", "spz"]
 """float32: exact; float16: half the bytes, centres in 21 bits; spz: about a fifth, through Open3D."""
 LpipsNetwork = Literal["vgg", "alex"]
 """Backbone of LPIPS: VGG16 or AlexNet."""
+ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"]
+"""ply, spz, sog: a model; geojson, colmap: regions and cameras; mesh, dsm: the surface."""
+Trajectory = Literal["orbit", "border"]
+"""orbit: once around the scene; border: along a border of two edges."""
+View = Literal["regions", "cameras", "seams", "splats", "compare"]
+"""What the picture of a run shows."""

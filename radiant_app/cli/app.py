@@ -6,7 +6,7 @@ import json
 import sys
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -24,6 +24,7 @@ from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals, interrupt_
 from radiant_app.quantities import size_wh_of
 from radiant_app.report.tables import finish, print_figures
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory
+from radiant_core.choices import View
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 
 app = typer.Typer(
@@ -33,7 +34,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-View = Literal["regions", "cameras", "seams", "splats", "compare"]
 
 RunFolder = Annotated[Path, typer.Argument(help="Folder of a finished run.", show_default=False)]
 _INSPECTED_HELP = "Folder of `radiant run`, `train` or `sfm`; a plan, or its folder; for the window also a 3DGS .ply."

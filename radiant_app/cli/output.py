@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from radiant_app.cli.option_types import AsJson, SizeOption
 from radiant_app.report.tables import finish
+from radiant_core.choices import ExportFormat, Trajectory
 
 
 def render(
@@ -18,7 +19,7 @@ def render(
     ],
     cameras: Annotated[Path | None, typer.Option(help="cameras.safetensors; without any path the held-out cameras.")] = None,
     trajectory: Annotated[
-        Literal["orbit", "border"] | None, typer.Option(help="orbit: once around the scene; border: along one, the worst seam by default.")
+        Trajectory | None, typer.Option(help="orbit: once around the scene; border: along one, the worst seam by default.")
     ] = None,
     border: Annotated[str | None, typer.Option(help="Two edges, as EAST,WEST: fly along their border.", show_default=False)] = None,
     keyframes: Annotated[
@@ -58,7 +59,7 @@ def export(
     ],
     out: Annotated[Path, typer.Argument(help="File to write; a folder for COLMAP. Its ending says what.", show_default=False)],
     format: Annotated[  # noqa: A002
-        Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"] | None,
+        ExportFormat | None,
         typer.Option(help="Model: ply, spz, sog. Scene: geojson (regions, cameras), colmap. Surface: mesh (PLY), dsm (GeoTIFF)."),
     ] = None,
     resolution: Annotated[

@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
 from radiant_app.events import Decided, Warned
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.memory import available_bytes
+from radiant_core.choices import ExportFormat
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply, save_ply
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from radiant_core.scene import SfmScene
     from radiant_viewer.runs.run_view import RunView
 
-ExportFormat = Literal["ply", "spz", "sog", "geojson", "colmap", "mesh", "dsm"]
 ENDINGS: dict[str, ExportFormat] = {
     ".ply": "ply", ".spz": "spz", ".sog": "sog", ".geojson": "geojson", ".json": "geojson", ".tif": "dsm", ".tiff": "dsm", "": "colmap",
 }  # fmt: skip

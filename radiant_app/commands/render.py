@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from radiant_app.files.run_folder import new_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import png_bytes
 from radiant_core.cameras import Cameras
+from radiant_core.choices import Trajectory
 from radiant_core.errors import BadInput
 from radiant_core.geometry.open3d_ops import surface_points
 from radiant_core.io.ply import load_ply
@@ -49,7 +50,7 @@ class RenderRequest:
     model: Path
     out: Path
     cameras: Path | None = None
-    trajectory: Literal["orbit", "border"] | None = None
+    trajectory: Trajectory | None = None
     border: tuple[str, ...] | None = None
     keyframes: Path | None = None
     num_frames: int = 120

@@ -16,9 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
-
-from radiant_app.files.toml_file import sentence
+from radiant_app.run import config as config_module
 from radiant_app.run.config import RUN_PRESETS, Option, RunConfig, RunPreset, SettingsOf, TrainOptions
 from radiant_core.errors import BadInput
 
@@ -28,7 +26,6 @@ _PRESET_HELP = (
     "paper: all as in the paper, nothing skipped or reduced: Alg. 1 and RTP, 20,000 steps with densification, edges and cloud retrain all "
     "parameters for 10 epochs, crop-merge only beyond the limits of [cloud] in the system file. A single option given beside it wins."
 )
-_Text: Any = Annotated[str, Field(min_length=1)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +53,11 @@ class ConfigField:
 
     @property
     def checked_kind(self) -> Any:
-        """Its type with its limits; a path is text."""
-        kind = self.kind if not self.is_path else _Text | None if type(None) in get_args(self.kind) else _Text
+        """Its type with its limits, for pydantic; a path is text."""
+        from pydantic import Field
+
+        text: Any = Annotated[str, Field(min_length=1)]
+        kind = self.kind if not self.is_path else text | None if type(None) in get_args(self.kind) else text
         return kind if self.option is None else Annotated[kind, Field(ge=self.option.min, le=self.option.max)]
 
     @property
@@ -71,12 +71,20 @@ class ConfigField:
             return Path(value).expanduser()
         return self.option.parse(value) if self.option is not None and self.option.parse is not None else value
 
-    def read(self, value: Any, *, typed: bool = False) -> Any:
-        """A value from a file, or as `typed` on a command line; "none" is None. Raises pydantic's ValidationError."""
+    def read(self, value: Any, kind: str | None = None) -> Any:
+        """The value in a `kind` of file, or the text given to `--set`; "none" is None. BadInput names the place and what is expected."""
+        from pydantic import ConfigDict, TypeAdapter, ValidationError
+
         if isinstance(value, str) and value.strip().lower() == "none" and type(None) in get_args(self.kind):
             return None
-        adapter = TypeAdapter(self.checked_kind, config=ConfigDict(strict=True, allow_inf_nan=typed))
-        checked = adapter.validate_strings(value.strip(), strict=False) if typed else adapter.validate_python(value)
+        adapter = TypeAdapter(self.checked_kind, config=ConfigDict(strict=True, allow_inf_nan=kind is None))
+        try:
+            checked = adapter.validate_strings(value.strip(), strict=False) if kind is None else adapter.validate_python(value)
+        except ValidationError as error:
+            from radiant_app.files.toml_file import sentence
+
+            typed = f"--set '{self.path}={value}': {error.errors()[0]['msg'].lower()}."
+            raise BadInput(typed if kind is None else sentence(error, kind, self.path)) from error
         return checked if checked is None or not self.is_path else Path(checked).expanduser()
 
 
@@ -88,7 +96,7 @@ def config_fields() -> dict[str, ConfigField]:
 
 
 def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
-    hints, sentences = get_type_hints(config, include_extras=True), _sentences_under_fields(config)
+    hints = get_type_hints(config, include_extras=True)
     for each in fields(config):
         path, hint = f"{prefix}{each.name}", hints[each.name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
@@ -98,15 +106,18 @@ def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
         elif isinstance(kind, type) and is_dataclass(kind):
             yield from _fields_of(kind, f"{path}.")
         else:
-            yield ConfigField(path=path, kind=kind, default=each.default, help=sentences.get(each.name, ""), option=mark)
+            yield ConfigField(
+                path=path, kind=kind, default=each.default, help=_sentences_under_fields()[f"{config.__name__}.{each.name}"], option=mark
+            )
 
 
-def _sentences_under_fields(config: type) -> dict[str, str]:
-    """Field → the text that stands under it in the source, on one line."""
-    (defined,) = ast.parse(inspect.getsource(config)).body
-    assert isinstance(defined, ast.ClassDef)
+@cache
+def _sentences_under_fields() -> dict[str, str]:
+    """Class.field of `radiant_app.run.config` → the text that stands under it in the source, on one line."""
+    classes = [node for node in ast.parse(inspect.getsource(config_module)).body if isinstance(node, ast.ClassDef)]
     return {
-        field.target.id: " ".join(text.value.value.split())
+        f"{defined.name}.{field.target.id}": " ".join(text.value.value.split())
+        for defined in classes
         for field, text in pairwise(defined.body)
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
         if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant) and isinstance(text.value.value, str)
@@ -179,10 +190,7 @@ def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[st
             continue
         if field is None:
             raise BadInput(f"{path} is not a key of a {kind}: {_instead(path)}.")
-        try:
-            values[path] = field.read(value)
-        except ValidationError as error:
-            raise BadInput(sentence(error, kind, path)) from error
+        values[path] = field.read(value, kind)
     return values
 
 
@@ -200,10 +208,7 @@ def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: st
             raise BadInput(f"--set {text!r} sets nothing: {_instead(path, section)}.")
         if path in values:
             raise BadInput(f"--set {path} is given twice: keep one of them.")
-        try:
-            values[path] = field.read(value, typed=True)
-        except ValidationError as error:
-            raise BadInput(f"--set {text!r}: {error.errors()[0]['msg'].lower()}.") from error
+        values[path] = field.read(value)
     return values
 
 

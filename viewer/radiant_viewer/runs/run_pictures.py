@@ -9,11 +9,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
 from radiant_core.cameras import Cameras
+from radiant_core.choices import View
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import Border
@@ -41,7 +42,6 @@ from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_vie
 from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, seen_box
 
-View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats: the model in 3D;
 compare: held-out photographs beside their renders, worst, middle and best."""
 SIZE_WH = (1280, 900)
