@@ -32,13 +32,13 @@ from radiant_app.report.progress import tracked
 from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
 from radiant_core.aggregate.balance import balanced, exposure_balance
+from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
+from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
 from radiant_core.aggregate.pooling import pictures_of, pooled
 from radiant_core.aggregate.retrain import Joined, retrain_on_synthetic_views
-from radiant_core.aggregate.rivals.fed3dgs import Fed3dgsConfig, fed3dgs
-from radiant_core.aggregate.rivals.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.synthetic_views import Teacher
 from radiant_core.aggregate.virtual_cameras import drawn_cameras
 from radiant_core.cameras import concatenate_cameras

@@ -31,7 +31,7 @@ from radiant_app.workers.nodes import load_images
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
 from radiant_core.io.run_store import read_json, write_atomic, write_json
-from radiant_core.plan.comparators import Compared, compare
+from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.profiles.curve_fit import FittedCurve, fit_curve
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.system import Device, Edge, System
@@ -180,7 +180,7 @@ def _methods(folder: Path, quick: bool) -> list[Metric]:
     ]
 
 
-def _draw_partitions(path: Path, positions: Any, rows: list[Compared], system: System, title: str) -> None:
+def _draw_partitions(path: Path, positions: Any, rows: list[ComparedPlan], system: System, title: str) -> None:
     from radiant_viewer.charts.partition_chart import Partition, partitions_picture
     from radiant_viewer.pictures.images import save_png
 

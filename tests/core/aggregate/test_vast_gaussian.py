@@ -11,9 +11,9 @@ import pytest
 import shapely
 from scipy.spatial.transform import Rotation
 
-from radiant_core.aggregate.rivals.box_coverage import box_coverage
-from radiant_core.aggregate.rivals.vast_borders import cell_owners, nearest_cell_border
-from radiant_core.aggregate.rivals.vast_gaussian import VastGaussianConfig, crop_cells, scene_of_cell, vast_cells, vast_gaussian
+from radiant_core.aggregate.baselines.box_coverage import box_coverage
+from radiant_core.aggregate.baselines.vast_borders import cell_owners, nearest_cell_border
+from radiant_core.aggregate.baselines.vast_gaussian import VastGaussianConfig, crop_cells, scene_of_cell, vast_cells, vast_gaussian
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame

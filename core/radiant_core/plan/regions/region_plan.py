@@ -351,10 +351,10 @@ def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: 
     it loses by a squared side length more, which no rounding undoes.
     """
     weights = weights.copy()
-    rival = int(counts.argmax())
+    other = int(counts.argmax())
     for edge in np.flatnonzero(counts == 0):
-        to_edge, to_rival = (np.sum((plane.outline - plane.sites[index]) ** 2, axis=1) for index in (edge, rival))
-        weights[edge] = min(weights[edge], weights[rival] + float((to_edge - to_rival).min()) - plane.side_m**2)
+        to_edge, to_other = (np.sum((plane.outline - plane.sites[index]) ** 2, axis=1) for index in (edge, other))
+        weights[edge] = min(weights[edge], weights[other] + float((to_edge - to_other).min()) - plane.side_m**2)
     return weights
 
 
