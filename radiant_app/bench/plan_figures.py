@@ -35,7 +35,7 @@ from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.profiles.curve_fit import FittedCurve, fit_curve
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.system import Device, Edge, System
-from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend

@@ -39,7 +39,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend

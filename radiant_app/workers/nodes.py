@@ -218,8 +218,8 @@ def without_useless(
 
 def needed(scene: SfmScene, views: TrainingViews, config: TrainConfig, backend: Any, running: tuple[str, Emit]) -> TrainConfig:
     """The configuration as this scene needs it and a CUDA device can hold it; tells what was decided."""
-    from radiant_core.render.contract import resolve_backend
     from radiant_core.render.gsplat_backend import free_vram_bytes
+    from radiant_core.render.rasterize import resolve_backend
     from radiant_core.train.memory import within_vram
     from radiant_core.train.needs import fit_to_scene
 

@@ -15,7 +15,8 @@ import torch
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.render.contract import FEATURES, Backend, Feature, SplatTensors, device_of, rasterize
+from radiant_core.render.contract import FEATURES, Backend, Feature, SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize
 from radiant_core.splats import TENSORS, Splats
 
 from . import gaussians

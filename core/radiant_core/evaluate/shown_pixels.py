@@ -15,7 +15,8 @@ import torch
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.render.contract import Backend, SplatTensors, device_of, rasterize, resolve_backend
+from radiant_core.render.contract import Backend, SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_C0, Splats
 
 

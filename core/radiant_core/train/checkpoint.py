@@ -18,7 +18,7 @@ from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
 from radiant_core.io.array_file import load_arrays, naming, stream_arrays
 from radiant_core.io.run_store import content_key, file_sha256, read_json, write_json
-from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rasterize import resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.trainer import FitOptions, TrainState
