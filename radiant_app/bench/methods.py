@@ -40,7 +40,7 @@ from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
 from radiant_core.aggregate.pooling import pictures_of, pooled
 from radiant_core.aggregate.retrain import Joined, retrain_on_synthetic_views
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.aggregate.virtual_cameras import drawn_cameras
+from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
@@ -259,7 +259,7 @@ def join_cell(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tu
                 teachers = balanced(teachers, exposure_balance(teachers))
             edge = pooled(teachers, aggregate, claims) if pools else joined(teachers, claims)
             rng = np.random.default_rng([cell.seed, index])
-            virtual, near = drawn_cameras(concatenate_cameras(cameras), edge.splats.means, rng)
+            virtual, near = virtual_cameras(concatenate_cameras(cameras), edge.splats.means, rng)
             shown = pictures_of(teachers, virtual, near, cell.train.long_side_px) if pools else {}
             edges.append((index, Teacher(splats=edge.splats, cameras=virtual, rendered=shown, pooled=pools)))
             pixels += _pixels(teachers, edge)

@@ -46,10 +46,10 @@ def virtual_cameras_of(folder: Path, cameras: Sequence[Cameras], splats: Splats)
 
     They are drawn by a seed made of what the edge was sent: the same run gives the same cameras, and the cloud cannot undo the draw.
     """
-    from radiant_core.aggregate.virtual_cameras import drawn_cameras
+    from radiant_core.aggregate.virtual_cameras import virtual_cameras
 
     rng = np.random.default_rng(int(content_key(folder / "inbox")[:32], 16))
-    return drawn_cameras(concatenate_cameras(cameras), splats.means, rng)
+    return virtual_cameras(concatenate_cameras(cameras), splats.means, rng)
 
 
 def pool_settings(edge: str, plan: CloudPlan, system: System, aggregate: AggregateConfig) -> dict[str, Any] | None:

@@ -174,10 +174,8 @@ def refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -
     they signed, of another run, addressed to another node, or a second one. `places`: sender → folder with its files."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node"), MAX_RECORD_BYTES)
     tier = "edges" if post["node"] == "cloud" else "devices"
-    acceptance = Acceptance(run=post["run"], receiver=post["node"])
-    for sender in senders:
-        # Which cameras a sender was to deliver is the plan's to know: here each is one region.
-        acceptance = acceptance.planned(sender, f"{tier}/{sender}", [sender])
+    expected = {sender: f"{tier}/{sender}" for sender in senders}
+    acceptance = Acceptance(run=post["run"], receiver=post["node"], senders=expected)
     found = {}
     for sender in senders:
         try:

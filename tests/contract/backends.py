@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
@@ -18,6 +19,26 @@ from radiant_core.splats import SH_C0, Splats
 NATIVE = tuple(f"native-{name}" for name in instruction_sets())
 GSPLAT = () if missing_for_gsplat() else ("gsplat",)
 BACKENDS = (*GSPLAT, *NATIVE, "reference")
+
+Feature = Literal[
+    "colour, alpha, depth",
+    "radii",
+    "2D-mean gradients",
+    "absolute gradients",
+    "background",
+    "SH 0-3",
+    "antialiased",
+    "several cameras",
+    "float64",
+    "camera gradients",
+]
+FEATURES: dict[str, frozenset[Feature]] = {
+    "gsplat": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
+    "native": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
+    "reference": frozenset(get_args(Feature)),
+}
+"""What each backend can do. Gradients of all six tensors and the background go without saying."""
+
 BACKGROUND = (0.1, 0.4, 0.7)
 
 

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import torch
@@ -29,25 +29,6 @@ TRANSMITTANCE_CUT = 1e-4
 Backend = Literal["auto", "gsplat", "native", "reference"]
 """auto: gsplat for tensors on CUDA, native on the CPU, reference where neither can be used. gsplat: CUDA kernels, an optional extra;
 native: C++ for float32 on the CPU; reference: plain PyTorch on any device in any type, the oracle."""
-
-Feature = Literal[
-    "colour, alpha, depth",
-    "radii",
-    "2D-mean gradients",
-    "absolute gradients",
-    "background",
-    "SH 0-3",
-    "antialiased",
-    "several cameras",
-    "float64",
-    "camera gradients",
-]
-FEATURES: dict[str, frozenset[Feature]] = {
-    "gsplat": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
-    "native": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
-    "reference": frozenset(get_args(Feature)),
-}
-"""What each backend can do; the contract test holds them to it. Gradients of all six tensors and the background go without saying."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,7 +14,7 @@ from radiant_core.aggregate.ownership import claims_of_cells, ownership
 from radiant_core.aggregate.pooling import pictures_of, pooled
 from radiant_core.aggregate.retrain import retrain_on_synthetic_views
 from radiant_core.aggregate.synthetic_views import Teacher, views_in_bytes
-from radiant_core.aggregate.virtual_cameras import drawn_cameras, virtual_cameras
+from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
@@ -38,7 +38,7 @@ def dark_and_bright() -> tuple[Teacher, Teacher]:
 
 def virtual(seed: int = 0) -> tuple:
     teachers = dark_and_bright()
-    return drawn_cameras(concatenate_cameras([WEST, EAST]), teachers[0].splats.means, np.random.default_rng(seed))
+    return virtual_cameras(concatenate_cameras([WEST, EAST]), teachers[0].splats.means, np.random.default_rng(seed))
 
 
 def test_a_virtual_camera_is_drawn_near_the_one_it_names() -> None:
@@ -47,7 +47,7 @@ def test_a_virtual_camera_is_drawn_near_the_one_it_names() -> None:
     assert sorted(near) == [0, 1, 2, 3]
     # Within 2 % of the distance to the ground, far less than the cameras stand apart.
     assert np.linalg.norm(drawn.centers - real.centers[near], axis=1).max() < 0.2
-    again = virtual_cameras(real, dark_and_bright()[0].splats.means, np.random.default_rng(0))
+    again, _ = virtual_cameras(real, dark_and_bright()[0].splats.means, np.random.default_rng(0))
     assert again.names == drawn.names
 
 

@@ -75,7 +75,7 @@ def taken(folder: Path, public: Path, state: Acceptance) -> tuple[Acceptance, st
 
 
 def waiting() -> Acceptance:
-    return Acceptance(run=RUN, receiver="edges/north").planned("devices/north-1", "devices/north-1", ["c"])
+    return Acceptance(run=RUN, receiver="edges/north", senders={"devices/north-1": "devices/north-1"})
 
 
 def test_what_was_sent_arrives_once(tmp_path: Path) -> None:

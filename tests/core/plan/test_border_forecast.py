@@ -19,6 +19,8 @@ from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
 
+from .instances import dense
+
 OPTICS = Optics(field_of_view_deg=90, aspect=1.0)
 
 
@@ -102,7 +104,7 @@ def test_buffers_by_share_and_by_distance_are_those_counted_by_hand() -> None:
     plan, positions = planned(), grid()
     edges = split_edges(positions, plan, system())
     shares = region_shares(ground_footprints(views_before_capture(positions, np.full(100, 10.0), OPTICS)), plan.borders)
-    matrix = shares.dense()
+    matrix = dense(shares)
     for rule in (BufferRule(min_share=0.2), BufferRule(within_m=6.0)):
         made = plan_buffers(positions, shares, plan, edges, system(), rule)
         for index, buffer in enumerate(made):

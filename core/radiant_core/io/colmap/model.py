@@ -20,7 +20,6 @@ __all__ = [
     "ColmapModel",
     "ColmapPoints",
     "checked_model",
-    "find_model",
     "image_names",
     "model_files",
     "read_model",
@@ -29,16 +28,6 @@ __all__ = [
 MAX_FILE_BYTES = 1 << 33
 STEMS = ("cameras", "images", "points3D")
 _PARSERS = {parser.SUFFIX: parser for parser in (colmap_binary, colmap_text)}
-
-
-def find_model(folder: Path) -> Path:
-    """`folder` itself, `folder/sparse/0` or `folder/sparse`, whichever holds a model first; BadInput where none does."""
-    for candidate in (folder, folder / "sparse" / "0", folder / "sparse"):
-        if _format_of(candidate) is not None:
-            return candidate
-    raise BadInput(
-        f"{folder} holds no COLMAP model: expected cameras, images and points3D as .bin or .txt there, in sparse/0 or in sparse."
-    )
 
 
 def model_files(folder: Path) -> list[Path]:
