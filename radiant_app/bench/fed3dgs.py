@@ -31,7 +31,7 @@ from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Edge, System
-from radiant_core.plan.timeline.simulate import fleet_of, merged_s, simulate
+from radiant_core.plan.timeline.simulate import fleet_of, merge_end_s, simulate
 
 IMAGES_PER_CLIENT = 150
 MERGE_CONSTANT_S, MERGE_S_PER_IMAGE = 5.0, 0.6
@@ -106,7 +106,7 @@ def methods_s(system: System, num_clients: int, merge_factor: float, *, with_pap
     arrivals_s = simulate(fleet_of(replace_aggregation(system), even)).device_done_s
     merge_s = merge_factor * (MERGE_CONSTANT_S + MERGE_S_PER_IMAGE * IMAGES_PER_CLIENT)
     for name, num_mergers in (("fed3dgs", 1), ("fed3dgs_4", 4), ("fed3dgs_edges", len(system.edges))):
-        seconds[name] = merged_s(arrivals_s, merge_s, num_mergers=num_mergers)
+        seconds[name] = merge_end_s(arrivals_s, merge_s, num_mergers=num_mergers)
     return seconds
 
 

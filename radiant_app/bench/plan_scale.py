@@ -28,7 +28,7 @@ from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
-from radiant_core.plan.timeline.simulate import fleet_of, merged_s, simulate
+from radiant_core.plan.timeline.simulate import fleet_of, merge_end_s, simulate
 
 _SIZES: tuple[tuple[int, int, LayoutKind], ...] = (
     (1700, 4, "uniform"),
@@ -284,8 +284,8 @@ def _methods_s(system: System, positions: FloatArray, merge_factor: float) -> di
     merge_s = merge_factor * _MERGE_S_PER_CAMERA * len(positions)
     alone = replace_aggregation(placed)
     done_s = simulate(fleet_of(alone, even)).device_done_s
-    seconds["fed3dgs"] = merged_s(done_s, merge_s / num_devices)
-    seconds["fed3dgs_4_mergers"] = merged_s(done_s, merge_s / num_devices, num_mergers=4)
+    seconds["fed3dgs"] = merge_end_s(done_s, merge_s / num_devices)
+    seconds["fed3dgs_4_mergers"] = merge_end_s(done_s, merge_s / num_devices, num_mergers=4)
     return seconds
 
 

@@ -18,7 +18,7 @@ from radiant_app.files.system_file import even_system
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.waypoints.reader import exif_waypoints
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.counts.count_raster import count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
+from radiant_core.plan.counts.count_raster import assign_to_regions, count_raster, regions_of_raster, system_without_devices
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
@@ -36,9 +36,9 @@ def costs(positions: FloatArray, system: System, seed: int) -> list[tuple[float,
     for cell_m in CELLS_M:
         raster = count_raster(positions, cell_m)
         placed = place_edges(system, positions, None, seed)
-        regions = regions_of_raster(raster, known_to_the_cloud(placed, len(positions)))
+        regions = regions_of_raster(raster, system_without_devices(placed, len(positions)))
         assert isinstance(regions, CloudPlan)
-        plan = followed_by_edges(regions, positions, placed)
+        plan = assign_to_regions(regions, positions, placed)
         found.append((plan.makespan_s / exact.makespan_s, float((plan.edge_of_camera != exact.edge_of_camera).mean())))
     return found
 

@@ -31,7 +31,7 @@ from radiant_app.workers.nodes import load_images, load_training_views, sfm_prog
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
-from radiant_core.evaluate.color_correction import color_corrected
+from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.metric import Metric
@@ -317,7 +317,7 @@ def _trained(split: _Split, variant: str, config: TrainConfig, budget_s: float, 
 
 def _psnrs_db(image: ArrayLike, photograph: ArrayLike, used: Used) -> tuple[float, float]:
     """PSNR in dB of an image (H,W,3) and of its colours corrected to the photograph's."""
-    return psnr_db(image, photograph, used), psnr_db(color_corrected(image, photograph, used), photograph, used)
+    return psnr_db(image, photograph, used), psnr_db(correct_colors(image, photograph, used), photograph, used)
 
 
 def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedRow]]:

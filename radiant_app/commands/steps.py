@@ -61,10 +61,10 @@ def sfm(  # noqa: PLR0913
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
     """Join the device models of a finished run with other settings; writes a PLY. No system file is read: the cloud has no limit."""
-    from radiant_core.aggregate.balance import balanced, exposure_balance
+    from radiant_core.aggregate.balance import balance_teachers, exposure_balance
     from radiant_core.aggregate.crop_merge import crop_merge
     from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
-    from radiant_core.aggregate.pooling import pictures_of, pooled
+    from radiant_core.aggregate.pooling import pool_teachers, render_pictures
     from radiant_core.aggregate.retrain import retrain_on_synthetic_views
     from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.train.config import TrainConfig
@@ -93,10 +93,12 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
             teachers = [Teacher(splats=model, cameras=own) for model, own in zip(device_models, device_cameras, strict=True)]
             pools = config.edges_pool and len(teachers) > 1
             if pools:
-                teachers = balanced(teachers, exposure_balance(teachers))
-            joined = pooled(teachers, config, claims) if pools else retrain_on_synthetic_views(teachers, train, config, options, claims)
+                teachers = balance_teachers(teachers, exposure_balance(teachers))
+            joined = (
+                pool_teachers(teachers, config, claims) if pools else retrain_on_synthetic_views(teachers, train, config, options, claims)
+            )
         virtual, near = virtual_cameras_of(run / "edges" / edge, device_cameras, joined.splats)
-        shown = pictures_of(teachers, virtual, near, train.long_side_px) if pools else {}
+        shown = render_pictures(teachers, virtual, near, train.long_side_px) if pools else {}
         asked.append(Teacher(splats=joined.splats, cameras=virtual, rendered=shown, pooled=pools))
         rows.append(row)
         seconds += joined.trained.seconds

@@ -22,7 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.counts.count_raster import CountRaster, count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
+from radiant_core.plan.counts.count_raster import CountRaster, assign_to_regions, count_raster, regions_of_raster, system_without_devices
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.edge_sites import place_edges
@@ -34,7 +34,7 @@ STAGE = "planning"
 
 def cloud_task(raster: CountRaster, system: System, method: PlanMethod) -> dict[str, Any]:
     """All that the cloud is told: the raster, and of each edge place, curve and how many cameras it holds."""
-    told = known_to_the_cloud(system, int(raster.counts.sum()))
+    told = system_without_devices(system, int(raster.counts.sum()))
     edges = [
         {
             "id": edge.id,
@@ -61,7 +61,7 @@ def planned_at_cloud(task: dict[str, Any]) -> CloudPlan:
 def planned_from_raster(system: System, positions: FloatArray, cell_m: float, method: PlanMethod) -> CloudPlan:
     """Both sides of it in this process, for placed edges and cameras (C,2) m; raises as `planned_at_cloud`."""
     regions = planned_at_cloud(cloud_task(count_raster(positions, cell_m), system, method))
-    return followed_by_edges(regions, positions, system)
+    return assign_to_regions(regions, positions, system)
 
 
 def placed_by_raster(system: System, positions: FloatArray, origin: FloatArray | None, cell_m: float | None, seed: int) -> System:
@@ -81,7 +81,7 @@ def plan_at_cloud(
     write_json(folder / "task.json", task)
     run_task(NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task)), listen, clock)
     regions, _ = load_plan(folder / "regions.json")
-    plan = followed_by_edges(regions, positions, system)
+    plan = assign_to_regions(regions, positions, system)
     listen(Decided(decision=raster_decision(cell_m, plan)))
     return plan
 

@@ -57,9 +57,9 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.count_raster import middles_of_cells
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.revision.assigned import assigned_plan, device_indices
-from radiant_core.plan.revision.captured import plan_of_owners, taken_for_others
+from radiant_core.plan.revision.captured import captured_for_other_edges, plan_of_owners
 from radiant_core.plan.system import System
-from radiant_core.sfm.given_poses import GivenPoses, given_poses
+from radiant_core.sfm.given_poses import GivenPoses, read_given_poses
 
 MAX_NAMED = 5
 """Photographs named in one warning."""
@@ -104,7 +104,7 @@ def run_in_the_field(config: RunConfig, system: System, progress: Progress) -> t
     # The plan is made anew by a resumed run, from what lies there by then.
     progress.manifest.forget("plan")
     folders = _device_folders(config.source, system)
-    poses = given_poses(config.source, config.poses) if config.frames == "known" else None
+    poses = read_given_poses(config.source, config.poses) if config.frames == "known" else None
     captured = _captured(config, poses, folders, progress)
     system = with_uploads(system, config.upload, progress)
     system, cloud_plan, edge_plans, shares = _planned(config, system, captured, folders, progress)
@@ -384,7 +384,7 @@ def _planned(
             regions, strips, planned = plan_around(config.plan, captured.origin)
             devices = device_indices(owners, system)
             cloud_plan, edge_plans = plan_of_owners(regions, strips, devices, positions, system=system)
-            _tell_taken_for_others(owners, taken_for_others(strips, planned, devices, positions), progress)
+            _tell_taken_for_others(owners, captured_for_other_edges(strips, planned, devices, positions), progress)
         save_plan(config.out / "plan.json", cloud_plan, edge_plans, warnings=tell_warnings(config, system, edge_plans, progress))
         save_system(config.out, system)
         if config.plan is not None and (told := deal_uncaptured(config.out, made_before(config.plan), system, set(owners))) is not None:

@@ -52,7 +52,10 @@ def sfm_task(source: Path, sfm: dict[str, Any], masks: Path | None, placement: d
 
 def reconstruct_source(task: dict[str, Any], folder: Path, report: Callable[[Any], None]) -> Any:
     """The `SfmResult` of the source that a task names, made in `folder`."""
-    from radiant_core.sfm.reconstruct import Placement, SfmConfig, reconstruct, scene_from_colmap, scene_from_mill19
+    from radiant_core.sfm.config import SfmConfig
+    from radiant_core.sfm.known_poses import scene_from_mill19
+    from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
+    from radiant_core.sfm.world_frame.placement import Placement
 
     kind, images, model = detect_source(Path(task["source"]))
     masks = None if task.get("masks") is None else Path(task["masks"])

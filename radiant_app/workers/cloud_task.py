@@ -90,7 +90,7 @@ def retrain_settings(run: Path, edges: Sequence[str], plan: CloudPlan, system: S
 def sent_pictures(path: Path, model: Splats, cameras: Cameras) -> tuple[Rendered, str | None]:
     """The pictures at virtual cameras that an edge sent beside its model, by index of the camera; none, and why, where they are broken or
     show something else than the model does."""
-    from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, shown_alike_db
+    from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, measure_agreement_db
     from radiant_core.io.view_file import load_views
 
     if not path.is_file():
@@ -99,7 +99,7 @@ def sent_pictures(path: Path, model: Splats, cameras: Cameras) -> tuple[Rendered
         views = load_views(path, [(int(width), int(height)) for width, height in cameras.sizes_wh])
     except BadInput as error:
         return {}, str(error)
-    if views and (agreement_db := shown_alike_db(model, cameras, views)) < MIN_AGREEMENT_DB:
+    if views and (agreement_db := measure_agreement_db(model, cameras, views)) < MIN_AGREEMENT_DB:
         return {}, f"they differ from what its model shows ({agreement_db:.1f} dB, expected {MIN_AGREEMENT_DB:g} or more)."
     return dict(enumerate(views)), None
 

@@ -33,10 +33,10 @@ from radiant_core.io.transport.delivery import (
     Delivery,
     Kind,
     check_files,
+    describe_files,
     load_delivery,
     require_nothing_else,
     save_delivery,
-    sent_files,
 )
 from radiant_core.io.transport.signing import PUBLIC_NAME, load_public_key, make_signing_key
 
@@ -106,7 +106,7 @@ def _register(key: Path, place: Path) -> None:
 def give_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, names: Iterable[str]) -> None:
     """Sign, by the key of the node `sender`, the files `names` in the folder `place` as a task for `receiver`; other files than before
     make a new attempt. Record and signature are laid beside them, in given/."""
-    files = sent_files({name: place / name for name in names})
+    files = describe_files({name: place / name for name in names})
     delivery = Delivery(run=run_number(run), sender=sender, receiver=receiver, kind=kind, attempt=1, files=files)
     counted = run / sender / IDENTITY / GIVEN / receiver / f"{kind}.json"
     if counted.is_file():
@@ -156,7 +156,7 @@ def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
         receiver=post["receiver"],
         kind=_KINDS[post["node"].split("/")[0]],
         attempt=_last_attempt(folder) + 1,
-        files=sent_files(paths),
+        files=describe_files(paths),
     )
     return save_delivery(folder, delivery, folder / IDENTITY)
 

@@ -247,7 +247,7 @@ def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: st
     from radiant_core.sfm.config import SfmConfig
     from radiant_core.sfm.copies import without_repeats
     from radiant_core.sfm.known_poses import pinhole_photographs, scene_from_poses, without_copies
-    from radiant_core.sfm.memory import within_memory
+    from radiant_core.sfm.memory import limit_to_memory
 
     def report(progress: Any) -> None:
         emit(sfm_progress(stage, progress))
@@ -260,7 +260,7 @@ def _placed_by_poses(folder: Path, photos: Path, task: dict[str, Any], stage: st
         cameras, photos = pinhole_photographs(folder / "poses", photos, folder / "pinhole", config.threads, report)
     given = len(cameras)
     cameras, _ = without_copies(cameras, photos)
-    config, decisions = within_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])
+    config, decisions = limit_to_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])
     for decision in decisions:
         emit(Decided(decision=replace(decision, stage=stage)))
     scene, _ = without_repeats(scene_from_poses(cameras, photos, work, config, report), photos)

@@ -74,9 +74,9 @@ def read_inbox(
 
 def _without_contradicted(inbox: Inbox, stage: str, emit: Emit) -> Inbox:
     """The inbox without models that most of their neighbours contradict."""
-    from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, contradicted
+    from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, find_contradictions
 
-    found = contradicted(inbox.models, inbox.cameras)
+    found = find_contradictions(inbox.models, inbox.cameras)
     if not np.isfinite(found.agreement_db).any():
         return inbox
     refused = {inbox.senders[index]: reason for index, reason in found.refused.items()}

@@ -290,10 +290,10 @@ def run_teacher(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
 
 def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     """Join the devices' models by retraining on what each shows at its own cameras, or leave that to the cloud."""
-    from radiant_core.aggregate.balance import balanced, exposure_balance
+    from radiant_core.aggregate.balance import balance_teachers, exposure_balance
     from radiant_core.aggregate.config import AggregateConfig
     from radiant_core.aggregate.ownership import claims_of_polygons
-    from radiant_core.aggregate.pooling import pictures_of, pooled
+    from radiant_core.aggregate.pooling import pool_teachers, render_pictures
     from radiant_core.aggregate.retrain import cut_at_borders, retrain_on_synthetic_views
     from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.io.view_file import save_views
@@ -321,8 +321,8 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     claims = claims_of_polygons(strips)
     if left is not None:
         balance = exposure_balance(teachers, task["backend"])
-        teachers = balanced(teachers, balance)
-        joined = pooled(teachers, aggregate, claims)
+        teachers = balance_teachers(teachers, balance)
+        joined = pool_teachers(teachers, aggregate, claims)
         decisions = [exposures_decision(stage, balance), faint_decision(stage, aggregate, joined), left]
     elif (kept := _edge_statistics_bytes(inbox, train, task.get("memory_bytes"), (stage, emit))) is None:
         joined, decisions = cut_at_borders(teachers, claims), []
@@ -339,7 +339,7 @@ def run_edge(folder: Path, stage: str, emit: Emit) -> Sequence[str]:
     write_json(folder / "summary.json", {**training_summary(result), "num_models": len(inbox.models)})
     virtual, near = virtual_cameras_of(folder, inbox.cameras, splats)
     save_cameras(folder / VIRTUAL_CAMERAS, virtual)
-    shown = {} if left is None else pictures_of(teachers, virtual, near, train.long_side_px, task["backend"])
+    shown = {} if left is None else render_pictures(teachers, virtual, near, train.long_side_px, task["backend"])
     save_views(folder / VIRTUAL_VIEWS, [shown[index] for index in sorted(shown)])
     uploaded = _save_upload(folder, splats, task["upload"], stage, emit)
     outputs = ["model.safetensors", "summary.json", VIRTUAL_CAMERAS, VIRTUAL_VIEWS, *save_frames(folder, inbox), *uploaded]

@@ -16,8 +16,9 @@ from radiant_core.errors import BadInput
 from radiant_core.io.colmap import binary as colmap_binary
 from radiant_core.io.colmap import model as colmap
 from radiant_core.io.colmap import text as colmap_text
-from radiant_core.io.colmap.model import ColmapCamera, ColmapModel, ColmapPoints, checked_model, read_model, write_model
-from radiant_core.io.colmap.records import PARAM_COUNTS
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.records import PARAM_COUNTS, ColmapCamera, ColmapModel, ColmapPoints, check_model
+from radiant_core.io.colmap.text import write_model
 
 STEMS = ("cameras", "images", "points3D")
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "known"
@@ -249,7 +250,7 @@ def test_sides_end_at_131072_px_and_two_models_have_no_distortion(text_model: Pa
 
 
 def with_one(model: ColmapCamera) -> ColmapModel:
-    return checked_model([model], [], ColmapPoints(**NO_POINTS), "here")
+    return check_model([model], [], ColmapPoints(**NO_POINTS), "here")
 
 
 NO_POINTS = {

@@ -12,7 +12,7 @@ import simpy
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.counts.deadline import edge_tables, fastest_counts
-from radiant_core.plan.timeline.simulate import BandwidthTrace, Fleet, fleet_of, merged_s, simulate
+from radiant_core.plan.timeline.simulate import BandwidthTrace, Fleet, fleet_of, merge_end_s, simulate
 
 from .instances import random_system
 
@@ -127,9 +127,9 @@ def test_an_undisturbed_fleet_takes_the_planned_times(seed: int) -> None:
 
 
 def test_one_merger_takes_one_model_after_the_other_and_more_share_them() -> None:
-    assert merged_s([0.0, 0.0, 100.0], 10.0) == 110.0
-    assert merged_s([0.0] * 8, 10.0) == 80.0
-    assert merged_s([0.0] * 8, 10.0, num_mergers=4) == 20.0
+    assert merge_end_s([0.0, 0.0, 100.0], 10.0) == 110.0
+    assert merge_end_s([0.0] * 8, 10.0) == 80.0
+    assert merge_end_s([0.0] * 8, 10.0, num_mergers=4) == 20.0
 
 
 def test_what_cannot_be_played_is_refused() -> None:
@@ -147,4 +147,4 @@ def test_what_cannot_be_played_is_refused() -> None:
     with pytest.raises(BadInput, match="trace"):
         BandwidthTrace(times_s=np.array([0.0, 1.0]), shares=np.array([1.0, 0.0]))
     with pytest.raises(BadInput, match="mergers"):
-        merged_s([0.0], 1.0, num_mergers=0)
+        merge_end_s([0.0], 1.0, num_mergers=0)

@@ -13,12 +13,15 @@ import torch
 from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap.model import read_model, write_model
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.text import write_model
 from radiant_core.io.photos.listing import Photograph, list_photographs
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.colmap.mapping import MappingJob, without_strays
-from radiant_core.sfm.reconstruct import SfmConfig, SfmProgress, SfmResult, reconstruct, scene_from_colmap, scene_from_mill19
+from radiant_core.sfm.config import SfmConfig, SfmProgress, SfmResult
+from radiant_core.sfm.known_poses import scene_from_mill19
+from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 from radiant_core.sfm.world_frame.align import compare_centers
 from radiant_core.sfm.world_frame.world import cameras_of
 

@@ -165,7 +165,7 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
     if not len(polygons):
         raise BadInput("there is no region: give at least one polygon.")
     corners = [checked_array("a region", polygon, (None, 2)) for polygon in polygons]
-    order, lows, highs = by_west_end(footprints)
+    order, lows, highs = sort_from_west(footprints)
     widest_m = float((highs[:, 0] - lows[:, 0]).max(initial=0.0))
     found: list[tuple[FloatArray, NDArray[np.int64], int]] = []
     for region, polygon in enumerate(corners):
@@ -189,7 +189,7 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
     )
 
 
-def by_west_end(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+def sort_from_west(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Images (K,) that see ground, from west to east, and the corners (K,2) of their bounding boxes."""
     seen = np.flatnonzero(footprints.areas_m2 > 0)
     lows, highs = footprints.polygons[seen].min(axis=1), footprints.polygons[seen].max(axis=1)

@@ -111,7 +111,7 @@ def simulate(fleet: Fleet, trace: BandwidthTrace | None = None) -> Timeline:
     return Timeline(device_done_s=np.where(fleet.dropped, np.inf, done), edge_ready_s=ready, edge_done_s=np.where(nobody, 0.0, edge_done))
 
 
-def merged_s(arrivals_s: ArrayLike, merge_s: float, num_mergers: int = 1) -> float:
+def merge_end_s(arrivals_s: ArrayLike, merge_s: float, num_mergers: int = 1) -> float:
     """When a server that merges client models one after another, each `merge_s` (Fed3DGS), is done; several mergers take turns."""
     arrivals_s = np.sort(checked_array("arrivals_s", arrivals_s, (None,)))
     if num_mergers < 1 or not np.isfinite(merge_s) or merge_s < 0:
