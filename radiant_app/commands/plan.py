@@ -141,7 +141,7 @@ def _is_scene(source: Path) -> bool:
 
 def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[str, Any]:
     """Plan the training cameras of a scene; the plan and its picture."""
-    from radiant_viewer.pictures.views import plan_picture
+    from radiant_viewer.runs.run_pictures import plan_picture
 
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
@@ -160,7 +160,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
     """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
-    from radiant_viewer.pictures.views import waypoint_plan_picture
+    from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
     waypoints = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m

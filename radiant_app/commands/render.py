@@ -140,7 +140,7 @@ def held_out_of_training(run: RunView) -> Cameras:
 
 
 def _flight(request: RenderRequest, lens: Lens) -> Cameras:
-    from radiant_viewer.pictures.views import ground_height
+    from radiant_viewer.runs.run_pictures import ground_height
 
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")
@@ -180,7 +180,7 @@ def _orbit_around(box: FloatArray, num_frames: int, lens: Lens) -> Cameras:
 
 def _border(run: Any, names: tuple[str, ...] | None) -> Border:
     """The border of two edges, or without names that with the largest colour step."""
-    from radiant_viewer.pictures.views import worst_border
+    from radiant_viewer.runs.run_pictures import worst_border
 
     edge_ids = run.cloud_plan.edge_ids
     if names is None:

@@ -249,7 +249,7 @@ def _progress_of(run: Path, manifest: Manifest, system: System, edges: Sequence[
 def _write(out: Path, before: _Before, new: Replan) -> None:
     from radiant_viewer.charts.gantt_chart import gantt_picture
     from radiant_viewer.pictures.images import save_png
-    from radiant_viewer.pictures.replan_picture import replan_picture
+    from radiant_viewer.runs.replan_picture import replan_picture
 
     picture = replan_picture(before.positions, new)
     rows = _gantt_rows(new)

@@ -119,7 +119,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
 def screenshot(run: Path, view: Any, path: Path, size_wh: tuple[int, int] = (1280, 900), camera: str | None = None) -> str:
     """Write one view of a run, a training or a scene as PNG."""
     from radiant_viewer.pictures.images import save_png
-    from radiant_viewer.pictures.views import screenshot as make_screenshot
+    from radiant_viewer.runs.run_pictures import screenshot as make_screenshot
 
     save_png(path, make_screenshot(run, view, size_wh, camera))
     return f"written: {path}"

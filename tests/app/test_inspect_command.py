@@ -30,7 +30,7 @@ from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import FixWeight, LockRegion, PinCameras
 from radiant_viewer.editing.plan_files import load_other_plan, save_edited_plan, subject_of
 from radiant_viewer.runs.plan_view import likely_ground_m, load_plan_view
-from radiant_viewer.runs.subject import subject_of_run
+from radiant_viewer.window.subject import subject_of_run
 from tests.app.test_plan_command import grid_csv, make_plan
 from tests.viewer.made_up_run import made_up_town, save_run
 

@@ -26,7 +26,7 @@ from radiant_core.render.trajectories import middle_box
 from radiant_core.splats import concatenate_splats
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_view import is_planned, load_run_view
-from radiant_viewer.runs.subject import load_subject
+from radiant_viewer.window.subject import load_subject
 from tests.app.test_output_commands import radiant
 from tests.viewer.made_up_run import Town, made_up_town
 

@@ -21,7 +21,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
-from radiant_viewer.runs.camera_roles import CameraRoles
+from radiant_viewer.layers.camera_roles import CameraRoles
 
 _CONDITION = re.compile(r"\s*([a-z_]+)\s*(<=|>=|!=|<|>|=|~)\s*(.+?)\s*")
 

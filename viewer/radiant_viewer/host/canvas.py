@@ -19,6 +19,7 @@ from vtkmodules.vtkCommonCore import vtkCommand
 from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray, checked_array
+from radiant_viewer.host.scale_bar import ScaleBar
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer, is_alike, update_layer
 from radiant_viewer.layers.layer import CLOUD_SIZE, Layer
 from radiant_viewer.layers.map_labels import add_map_labels
@@ -27,7 +28,6 @@ from radiant_viewer.layers.themes import LIGHT, Theme, themed
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.offscreen import aim_camera
 from radiant_viewer.pictures.view_pose import ViewPose
-from radiant_viewer.window.scale_bar import ScaleBar
 
 CLICK_PX = 4
 LABEL_SIZE = 11

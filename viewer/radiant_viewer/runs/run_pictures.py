@@ -25,6 +25,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.charts.charts import comparison_picture
 from radiant_viewer.layers.camera_layer import camera_layer
+from radiant_viewer.layers.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.layers.forecast_layer import buffer_layer, forecast_layers
 from radiant_viewer.layers.layer import Label, Layer
 from radiant_viewer.layers.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
@@ -34,12 +35,11 @@ from radiant_viewer.layers.waypoint_layer import waypoint_layer
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.pictures.offscreen import render_map, render_view
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
+from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
 from radiant_viewer.runs.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures, seam_band_width
-from radiant_viewer.runs.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, required_splats
 from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, seen_box
-from radiant_viewer.splats.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
 
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats: the model in 3D;

@@ -10,13 +10,13 @@ from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.scene import SfmScene
 from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject
 from radiant_viewer.layers.camera_layer import camera_layer
+from radiant_viewer.layers.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.layers.change_layer import changed_layer, constraint_layer
 from radiant_viewer.layers.footprint_layer import footprint_layer, overlap_layer
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.load_layer import load_layer
 from radiant_viewer.layers.region_layer import border_layer, edge_site_layer, region_layer, strip_layer
-from radiant_viewer.pictures.views import ground_height
-from radiant_viewer.runs.camera_roles import CameraRoles, camera_roles
+from radiant_viewer.runs.run_pictures import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 PYRAMIDS_IN_DRAGS = 500

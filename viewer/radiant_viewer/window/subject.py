@@ -9,12 +9,12 @@ from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
+from radiant_viewer.editing.plan_layers import with_planning_layers
 from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.layer import Layer
-from radiant_viewer.layers.plan_layers import with_planning_layers
 from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
-from radiant_viewer.pictures.views import ground_height, plan_layers, seam_of
 from radiant_viewer.runs.plan_view import load_plan_view
+from radiant_viewer.runs.run_pictures import ground_height, plan_layers, seam_of
 from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_run_view
 
 

@@ -14,7 +14,7 @@ from radiant_viewer.layers.waypoint_layer import waypoint_layer
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.offscreen import render_map
 from radiant_viewer.pictures.page import PageText
-from radiant_viewer.pictures.views import SIZE_WH
+from radiant_viewer.runs.run_pictures import SIZE_WH
 
 MAX_MARKS = 20_000
 

@@ -19,9 +19,9 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
+from radiant_viewer.host.picture_label import PictureLabel
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.splats.splat_process import Frame, Kind, SplatProcess
-from radiant_viewer.window.picture_label import PictureLabel
 
 if TYPE_CHECKING:
     from radiant_viewer.window.window import InspectorWindow
