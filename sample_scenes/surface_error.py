@@ -20,7 +20,7 @@ import numpy as np
 import open3d as o3d
 
 from radiant_core.frames import geodetic_from_enu
-from radiant_core.geometry.surface import Surface, extract_surface, sharpened, surface_grid, trusted_depth
+from radiant_core.geometry.surface import Surface, extract_surface, sharpen_opacities, surface_grid, trusted_depth
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.export.geotiff import HeightGrid
 from radiant_core.map_projection import utm_from_geodetic
@@ -92,7 +92,7 @@ def compare_depths(scene: SfmScene, splats: Splats) -> None:
     ways = {
         "as they are": splats,
         **{f"from {least} on": splats.select(opacities >= least) for least in (0.1, 0.3, 0.5)},
-        "sharpened": sharpened(splats),
+        "sharpened": sharpen_opacities(splats),
     }
     views = scene.restricted_to(np.linspace(1, len(scene.cameras) - 2, 6).astype(np.int64))
     cameras = views.cameras.scaled(320)

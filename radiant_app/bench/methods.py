@@ -31,16 +31,16 @@ from radiant_app.bench.method_cells import BenchScene, Cell, Layout, ModelCache,
 from radiant_app.report.progress import tracked
 from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
-from radiant_core.aggregate.balance import balanced, exposure_balance
+from radiant_core.aggregate.balance import balance_teachers, exposure_balance
+from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs
+from radiant_core.aggregate.baselines.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import claims_of_cells, claims_of_polygons
-from radiant_core.aggregate.pooling import pictures_of, pooled
+from radiant_core.aggregate.pooling import pool_teachers, render_pictures
 from radiant_core.aggregate.retrain import Joined, retrain_on_synthetic_views
-from radiant_core.aggregate.rivals.fed3dgs import Fed3dgsConfig, fed3dgs
-from radiant_core.aggregate.rivals.vast_gaussian import vast_gaussian
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.aggregate.virtual_cameras import drawn_cameras
+from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
@@ -49,7 +49,7 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.seam_error import SeamMasks, seam_masks
 from radiant_core.evaluate.seam_scores import SeamScores, seam_excess, seam_scores
-from radiant_core.evaluate.shown_pixels import strongest
+from radiant_core.evaluate.shown_pixels import select_strongest
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -175,7 +175,7 @@ def _row(bench: MethodBench, cell: Cell, method: str, scored: _Scored) -> Method
         return MethodRow(**{**fields, "psnr_db": tuple(fields["psnr_db"])})
     made = _made(bench.out / "made" / name, cell, method)
     if most is not None:
-        made = replace(made, splats=strongest(made.splats, cell.scene.views.cameras, most))
+        made = replace(made, splats=select_strongest(made.splats, cell.scene.views.cameras, most))
     masks, reference = scored.reference(cell)
     views = list(render_views(made.splats, cell.scene.held_out_views.cameras))
     photographs = _photographs(cell.scene)
@@ -257,11 +257,11 @@ def join_cell(cell: Cell, aggregate: AggregateConfig, plans: tuple[CloudPlan, tu
             claims = claims_of_polygons([strip for strip in plan.strips if len(strip)])
             pools = aggregate.edges_pool and len(teachers) > 1
             if pools:
-                teachers = balanced(teachers, exposure_balance(teachers))
-            edge = pooled(teachers, aggregate, claims) if pools else joined(teachers, claims)
+                teachers = balance_teachers(teachers, exposure_balance(teachers))
+            edge = pool_teachers(teachers, aggregate, claims) if pools else joined(teachers, claims)
             rng = np.random.default_rng([cell.seed, index])
-            virtual, near = drawn_cameras(concatenate_cameras(cameras), edge.splats.means, rng)
-            shown = pictures_of(teachers, virtual, near, cell.train.long_side_px) if pools else {}
+            virtual, near = virtual_cameras(concatenate_cameras(cameras), edge.splats.means, rng)
+            shown = render_pictures(teachers, virtual, near, cell.train.long_side_px) if pools else {}
             edges.append((index, Teacher(splats=edge.splats, cameras=virtual, rendered=shown, pooled=pools)))
             pixels += _pixels(teachers, edge)
         rows = [index for index, _ in edges]

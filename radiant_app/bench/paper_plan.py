@@ -18,7 +18,7 @@ from radiant_app.bench.paper_arms import Arms
 from radiant_app.bench.paper_parts import Part
 from radiant_app.bench.plan import camera_layout, unequal_system
 from radiant_app.report.progress import tracked
-from radiant_core.plan.comparators import compare
+from radiant_core.plan.baselines import compare
 from radiant_core.plan.profiles.curve_fit import fit_curve
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_viewer.charts.line_chart import Line, Panel, line_picture

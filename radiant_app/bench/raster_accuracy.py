@@ -11,7 +11,8 @@ from torch import Tensor
 
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
-from radiant_core.render.contract import Backend, RenderOutput, SplatTensors, rasterize
+from radiant_core.render.contract import Backend, RenderOutput, SplatTensors
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats
 
 NUM_TILES = 64

@@ -62,7 +62,8 @@ def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
 
 
 def _run(images: Path, matching: MatchingKind, known: Cameras, num_features: int | None) -> SfmRun:
-    from radiant_core.sfm.reconstruct import SfmConfig, reconstruct
+    from radiant_core.sfm.config import SfmConfig
+    from radiant_core.sfm.reconstruct import reconstruct
     from radiant_core.sfm.world_frame.align import compare_centers
 
     config = SfmConfig(matching=matching)

@@ -33,7 +33,7 @@ from radiant_app.workers.sources import masks_of_scene, reconstruct_source, scor
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
-from radiant_core.evaluate.color_correction import color_corrected
+from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.metric import Metric
@@ -44,7 +44,7 @@ from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rasterize import resolve_backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.config import SfmConfig
@@ -318,7 +318,7 @@ def _trained(split: _Split, variant: str, config: TrainConfig, budget_s: float, 
 
 def _psnrs_db(image: ArrayLike, photograph: ArrayLike, used: Used) -> tuple[float, float]:
     """PSNR in dB of an image (H,W,3) and of its colours corrected to the photograph's."""
-    return psnr_db(image, photograph, used), psnr_db(color_corrected(image, photograph, used), photograph, used)
+    return psnr_db(image, photograph, used), psnr_db(correct_colors(image, photograph, used), photograph, used)
 
 
 def _groups(rows: Sequence[TrainedRow]) -> dict[tuple[str, float], list[TrainedRow]]:

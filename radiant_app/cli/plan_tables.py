@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from radiant_app.commands.plan_content import border_table
-from radiant_core.plan.comparators import Compared
+from radiant_core.plan.baselines import ComparedPlan
 
 
-def method_row(row: Compared) -> dict[str, Any]:
+def method_row(row: ComparedPlan) -> dict[str, Any]:
     """A method's figures as plain values."""
     return {
         "method": row.method,

@@ -47,7 +47,7 @@ from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.io.waypoints.reader import FoundWaypoints, exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.comparators import Compared, compare
+from radiant_core.plan.baselines import ComparedPlan, compare
 from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -115,7 +115,7 @@ class _Plan:
     edges: tuple[EdgePlan, ...]
     system: System
     """As planned, its edges placed."""
-    compared: tuple[Compared, ...] = ()
+    compared: tuple[ComparedPlan, ...] = ()
     warnings: tuple[str, ...] = ()
     """What its predictions are to be taken with."""
     curve: tuple[SlackPoint, ...] = ()
@@ -297,7 +297,7 @@ def _summary(out: Path, made: _Plan, warnings: tuple[str, ...]) -> dict[str, Any
     }
 
 
-def _comparison(out: Path, compared: Sequence[Compared]) -> dict[str, Any]:
+def _comparison(out: Path, compared: Sequence[ComparedPlan]) -> dict[str, Any]:
     without = {} if any(row.method == "content" for row in compared) else {"methods_left_out": NO_CONTENT}
     return {"methods": [method_row(row) for row in compared], **without, "comparison": str(beside(out, METHODS))}
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from radiant_app.run.prediction_error import curves_note, gantt_rows
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.comparators import Compared
+from radiant_core.plan.baselines import ComparedPlan
 from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
@@ -34,7 +34,7 @@ def plan_gantt(system: System, edges: Sequence[EdgePlan]) -> Image:
 
 
 def side_pictures(
-    positions: FloatArray, unit: str, cloud: CloudPlan, compared: Sequence[Compared], curve: Sequence[SlackPoint]
+    positions: FloatArray, unit: str, cloud: CloudPlan, compared: Sequence[ComparedPlan], curve: Sequence[SlackPoint]
 ) -> dict[str, Image]:
     """Endings and pictures of what was asked for: the methods compared on positions (P,2), and what slacks buy."""
     pictures: dict[str, Image] = {}
@@ -47,7 +47,7 @@ def side_pictures(
     return pictures
 
 
-def _methods_picture(positions: FloatArray, unit: str, cloud: CloudPlan, compared: Sequence[Compared]) -> Image:
+def _methods_picture(positions: FloatArray, unit: str, cloud: CloudPlan, compared: Sequence[ComparedPlan]) -> Image:
     from radiant_viewer.charts.partition_chart import Partition, partitions_picture
     from radiant_viewer.layers.region_layer import duration_text
 

@@ -71,7 +71,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
 
     Raises BadInput for unusable input, StageFailed when a training fails; no file is written then.
     """
-    from radiant_core.render.contract import resolve_backend
+    from radiant_core.render.rasterize import resolve_backend
 
     backend = resolve_backend("auto")
     train = planned_training(request.preset, request.overrides)

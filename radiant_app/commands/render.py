@@ -26,7 +26,7 @@ from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import Border, shared_borders
-from radiant_core.render.trajectories import Lens, along_border, looking_at, middle_box, orbit, through_keyframes
+from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
 from radiant_viewer.runs.run_view import RunView, load_run_view
@@ -227,5 +227,5 @@ def keyframe_cameras(path: Path, fps: float, size_wh: tuple[int, int]) -> Camera
     rows = record.keyframes
     positions, targets = np.array([row.position for row in rows]).reshape(-1, 3), np.array([row.target for row in rows]).reshape(-1, 3)
     if len(rows) == 1:
-        return looking_at(positions, targets, lens)
+        return cameras_looking_at(positions, targets, lens)
     return through_keyframes([row.time_s for row in rows], positions, targets, fps, lens)

@@ -38,9 +38,9 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.revision.captured import nearest_planned, require_same_system
-from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
+from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, extend_system, replan
 from radiant_core.plan.system import System
-from radiant_core.plan.timeline.prediction import corrected_system, planned_stages
+from radiant_core.plan.timeline.prediction import correct_system, planned_stages
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.needs import Overrides
@@ -143,7 +143,7 @@ def _grown(before: _Before, joining: System | None) -> System:
     sites = before.cloud.sites.tolist()
     edges = tuple(replace(edge, position=(x, y), lat_lon_deg=None) for edge, (x, y) in zip(before.system.edges, sites, strict=True))
     system = replace(before.system, edges=edges)
-    return system if joining is None else joined_system(system, joining)
+    return system if joining is None else extend_system(system, joining)
 
 
 def _parted(grown: System, known: System) -> tuple[System, System | None]:
@@ -194,7 +194,7 @@ def _of_run(request: ReplanRequest) -> _Before:
     require_plan_of(len(scene.cameras), cloud, edges)
     system = load_system(run / SYSTEM_NAME)
     measured = measured_seconds(run, manifest)
-    system = corrected_system(system, planned_stages(system, dealt), measured)
+    system = correct_system(system, planned_stages(system, dealt), measured)
     situation = _progress_of(run, manifest, system, edges, request.situation)
     keeps = situation.done | situation.closed
     captured = np.full(len(scene.cameras), in_the_field)

@@ -18,6 +18,7 @@ from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import reconstruct_source, sfm_record, sfm_task
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.io.messages import message_record
 from radiant_core.io.records import save_scene
 from radiant_core.io.run_store import write_json
 from radiant_core.scene import SfmScene
@@ -40,7 +41,7 @@ def sfm(  # noqa: PLR0913
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`.
     """
     task = sfm_task(source, SfmConfig(matching=matching), masks, Placement(**(placement or {})))
-    with sfm_folder(out, task, resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
+    with sfm_folder(out, message_record(task), resume=resume), libraries_log_to(out / "log.txt"), stage_bar(display, "sfm"):
         result = reconstruct_source(task, out, EventReporter(stage="sfm", emit=display).sfm_progress)
     save_scene(out / "scene.safetensors", result.scene)
     write_json(out / "result.json", sfm_record(result, out))

@@ -40,7 +40,7 @@ from radiant_core.hierarchy.reporter import Machine
 from radiant_core.io.photos.listing import DECODED_BYTES_PER_PX, load_photograph
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
-from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rasterize import resolve_backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.placement import AUTO, Placement

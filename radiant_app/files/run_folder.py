@@ -167,19 +167,16 @@ def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[Non
 
     Raises BadInput as `new_folder`, and with `resume` where the folder is of something else, of another task, or finished.
     """
-    asked = {
-        name: str(Path(value).resolve()) if name in ("source", "masks") and value is not None else value for name, value in task.items()
-    }
     if resume and out.is_dir() and _is_begun(out):
         with RunLock(out):
-            _require_unfinished(out, asked)
+            _require_unfinished(out, task)
             yield
         return
     made = _made_folders(out)
     with RunLock(out):
         require_empty(out)
         with _undone_after_bad_input(out, made):
-            write_json(out / SFM_TASK, asked)
+            write_json(out / SFM_TASK, task)
             yield
 
 

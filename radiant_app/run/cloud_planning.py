@@ -15,7 +15,7 @@ from radiant_core.io.messages import save_task, task_key
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import content_key
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.counts.count_raster import count_raster, followed_by_edges
+from radiant_core.plan.counts.count_raster import assign_to_regions, count_raster
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.system import System
@@ -40,7 +40,7 @@ def plan_at_cloud(
     save_task(folder, task)
     run_task(NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task_key(task))), listen, clock)
     regions, _ = load_plan(folder / "regions.json")
-    plan = followed_by_edges(regions, positions, system)
+    plan = assign_to_regions(regions, positions, system)
     listen(Decided(decision=raster_decision(cell_m, plan)))
     return plan
 

@@ -35,9 +35,9 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.count_raster import middles_of_cells
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.revision.assigned import assigned_plan, device_indices
-from radiant_core.plan.revision.captured import plan_of_owners, taken_for_others
+from radiant_core.plan.revision.captured import captured_for_other_edges, plan_of_owners
 from radiant_core.plan.system import System
-from radiant_core.sfm.given_poses import GivenPoses, given_poses
+from radiant_core.sfm.given_poses import GivenPoses, read_given_poses
 from radiant_core.train.config import TrainConfig
 
 
@@ -70,7 +70,7 @@ class DevicePhotographs:
         # The plan is made anew by a resumed run, from what lies there by then.
         progress.manifest.forget("plan")
         folders = device_folders(config.source, system)
-        poses = given_poses(config.source, config.sfm.poses) if config.frames == "known" else None
+        poses = read_given_poses(config.source, config.sfm.poses) if config.frames == "known" else None
         return cls(config=config, captured=captured_photographs(config, poses, folders, progress), folders=folders, poses=poses)
 
     @property
@@ -110,7 +110,7 @@ class DevicePhotographs:
         regions, strips, planned = plan_around(self.config.plan.file, self.captured.origin)
         devices = device_indices(owners, system)
         plan = plan_of_owners(regions, strips, devices, positions, system=system)
-        strange = np.array(taken_for_others(strips, planned, devices, positions), bool)
+        strange = np.array(captured_for_other_edges(strips, planned, devices, positions), bool)
         for device in sorted({owner for owner, is_strange in zip(owners, strange, strict=True) if is_strange}):
             own = strange[[owner == device for owner in owners]]
             message = f"{own.sum()} of {len(own)} photographs of device {device} lie where the plan has devices of another edge"

@@ -23,7 +23,7 @@ from radiant_core.plan.system import Device, System
 from radiant_core.plan.timeline.prediction import (
     PlannedStage,
     StageError,
-    corrected_system,
+    correct_system,
     curve_shape,
     makespan_error,
     planned_stages,
@@ -163,7 +163,7 @@ def _online(
     rows: list[dict[str, Any]] = []
     for position, node in enumerate(order[:-1]):
         so_far = {key: seconds for key, seconds in measured.items() if key[0] in order[: position + 1]}
-        corrected = planned_stages(corrected_system(system, planned, so_far), edge_plans)
+        corrected = planned_stages(correct_system(system, planned, so_far), edge_plans)
         rest = set(order[position + 1 :])
         before, after = (_node_errors(stages, measured, rest) for stages in (planned, corrected))
         rows.append({"after": node, "remaining": len(rest), "planned_percent": before, "corrected_percent": after})

@@ -22,7 +22,7 @@ from radiant_core.train.needs import Overrides, fit_to_backend
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
     """How devices will train on a machine like this one; without the decisions, which the training itself tells."""
-    from radiant_core.render.contract import resolve_backend
+    from radiant_core.render.rasterize import resolve_backend
 
     return fit_to_backend(train_preset(preset), resolve_backend("auto"), overrides)[0]
 

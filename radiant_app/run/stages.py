@@ -31,10 +31,10 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
-from radiant_core.plan.revision.captured import plan_of_captured, require_same_system
+from radiant_core.plan.revision.captured import plan_captured, require_same_system
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
-from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rasterize import resolve_backend
 from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import fit_to_backend
 
@@ -79,7 +79,7 @@ def plan_stage(
     system = placed_by_raster(system, positions, origin, config.cell_m, config.seed)
     if config.plan.file is not None:
         # What is captured stays where it is, however little memory there is.
-        cloud_plan, edge_plans = plan_of_captured(*plan_around(config.plan.file, origin), positions, system=system)
+        cloud_plan, edge_plans = plan_captured(*plan_around(config.plan.file, origin), positions, system=system)
         warnings = ()
     else:
         train = planned_training(config.train.preset, config.train.overrides)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from radiant_app.events import UPLINK, Event, Listener, StageDone, StageSkipped, StageStarted, TimeLeft
 from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import System
-from radiant_core.plan.timeline.prediction import PlannedStage, corrected_system, left_s, planned_stages
+from radiant_core.plan.timeline.prediction import PlannedStage, correct_system, planned_stages, time_left_s
 
 LATE_FACTOR = 4.0
 """A node that takes so many times its time is late: times of equal photographs differ by less than 2 (docs/experiments/emulation.md)."""
@@ -87,7 +87,7 @@ class TimeLeftListener:
 
     def _end(self, node: str) -> None:
         self._done.add(node)
-        mended = planned_stages(corrected_system(self.system, self._planned, self._measured), self.edge_plans)
+        mended = planned_stages(correct_system(self.system, self._planned, self._measured), self.edge_plans)
         self._expected_s = expected_s = _node_seconds(mended, with_sending=self.emulated)
         now_s = self.clock()
         running_s = {name: now_s - started_s for name, started_s in self._started_s.items() if name not in self._done}
@@ -96,7 +96,7 @@ class TimeLeftListener:
             return
         before_s, after_s = (sum(seconds[name] for name in rest) for seconds in (self._seconds_of, expected_s))
         workers = len(expected_s) if self.emulated else self.num_workers
-        seconds = left_s(expected_s, self._parents, running_s, self._done, workers)
+        seconds = time_left_s(expected_s, self._parents, running_s, self._done, workers)
         self.listen(TimeLeft(seconds=seconds, correction=after_s / before_s if before_s > 0 else 1.0, after=node))
 
 

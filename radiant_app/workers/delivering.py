@@ -34,10 +34,10 @@ from radiant_core.io.transport.delivery import (
     Delivery,
     Kind,
     check_files,
+    describe_files,
     load_delivery,
     require_nothing_else,
     save_delivery,
-    sent_files,
 )
 from radiant_core.io.transport.signing import PUBLIC_NAME, load_public_key, make_signing_key
 
@@ -107,7 +107,7 @@ def _register(key: Path, place: Path) -> None:
 def give_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, names: Iterable[str]) -> None:
     """Sign, by the key of the node `sender`, the files `names` in the folder `place` as a task for `receiver`; other files than before
     make a new attempt. Record and signature are laid beside them, in given/."""
-    files = sent_files({name: place / name for name in names})
+    files = describe_files({name: place / name for name in names})
     delivery = Delivery(run=run_number(run), sender=sender, receiver=receiver, kind=kind, attempt=1, files=files)
     counted = run / sender / IDENTITY / GIVEN / receiver / f"{kind}.json"
     if counted.is_file():
@@ -157,7 +157,7 @@ def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
         receiver=post["receiver"],
         kind=_KINDS[post["node"].split("/")[0]],
         attempt=_last_attempt(folder) + 1,
-        files=sent_files(paths),
+        files=describe_files(paths),
     )
     return save_delivery(folder, delivery, folder / IDENTITY)
 
@@ -177,10 +177,8 @@ def refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -
     they signed, of another run, addressed to another node, or a second one. `places`: sender → folder with its files."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node"), MAX_RECORD_BYTES)
     tier = "edges" if post["node"] == "cloud" else "devices"
-    acceptance = Acceptance(run=post["run"], receiver=post["node"])
-    for sender in senders:
-        # Which cameras a sender was to deliver is the plan's to know: here each is one region.
-        acceptance = acceptance.planned(sender, f"{tier}/{sender}", [sender])
+    expected = {sender: f"{tier}/{sender}" for sender in senders}
+    acceptance = Acceptance(run=post["run"], receiver=post["node"], senders=expected)
     found = {}
     for sender in senders:
         try:

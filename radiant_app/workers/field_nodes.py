@@ -240,7 +240,7 @@ def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[flo
 def _placed_by_poses(folder: Path, photos: Path, task: PlacingTask, reporter: EventReporter) -> _Placed:
     from radiant_core.sfm.copies import without_repeats
     from radiant_core.sfm.known_poses import pinhole_photographs, scene_from_poses, without_copies
-    from radiant_core.sfm.memory import within_memory
+    from radiant_core.sfm.memory import limit_to_memory
 
     config = SfmConfig(**asdict(task.sfm))
     if task.poses == "poses.safetensors":
@@ -249,7 +249,7 @@ def _placed_by_poses(folder: Path, photos: Path, task: PlacingTask, reporter: Ev
         cameras, photos = pinhole_photographs(folder / "poses", photos, folder / "pinhole", config.threads, reporter.sfm_progress)
     given = len(cameras)
     cameras, _ = without_copies(cameras, photos)
-    config, decisions = within_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])
+    config, decisions = limit_to_memory(config, [(int(width), int(height)) for width, height in cameras.sizes_wh])
     for decision in decisions:
         reporter.decide(decision)
     scene, _ = without_repeats(scene_from_poses(cameras, photos, folder / "sfm", config, reporter.sfm_progress), photos)

@@ -16,7 +16,7 @@ from radiant_app.workers.tasks import PlannedEdge, RegionsTask
 from radiant_core.errors import BadInput
 from radiant_core.io.records import save_plan
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.counts.count_raster import CountRaster, count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
+from radiant_core.plan.counts.count_raster import CountRaster, assign_to_regions, count_raster, regions_of_raster, system_without_devices
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.region_plan import PlanInfeasible, PlanMethod
@@ -25,7 +25,7 @@ from radiant_core.plan.system import Edge, System
 
 def regions_task(raster: CountRaster, system: System, method: PlanMethod) -> RegionsTask:
     """All that the cloud is given: the raster, and of each edge place, curve and how many cameras it holds."""
-    known = known_to_the_cloud(system, int(raster.counts.sum()))
+    known = system_without_devices(system, int(raster.counts.sum()))
     edges = [
         PlannedEdge(
             id=edge.id,
@@ -53,7 +53,7 @@ def planned_at_cloud(task: RegionsTask) -> CloudPlan:
 def planned_from_raster(system: System, positions: FloatArray, cell_m: float, method: PlanMethod) -> CloudPlan:
     """Both sides of it in this process, for placed edges and cameras (C,2) m; raises as `planned_at_cloud`."""
     regions = planned_at_cloud(regions_task(count_raster(positions, cell_m), system, method))
-    return followed_by_edges(regions, positions, system)
+    return assign_to_regions(regions, positions, system)
 
 
 def run_regions(folder: Path, task: RegionsTask, reporter: EventReporter) -> Sequence[str]:

@@ -49,7 +49,8 @@ def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placem
 
 def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
     """Structure from motion of the source that a task names, made in `folder`."""
-    from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap, scene_from_mill19
+    from radiant_core.sfm.known_poses import scene_from_mill19
+    from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
     kind, images, model = detect_source(Path(task.source))
     masks = None if task.masks is None else Path(task.masks)

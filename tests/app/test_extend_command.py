@@ -13,11 +13,11 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import write_json
-from radiant_core.render.trajectories import Lens, looking_at
+from radiant_core.render.trajectories import Lens, cameras_looking_at
 
 
 def test_cameras_move_with_the_models_that_the_cloud_moved_and_those_of_refused_edges_are_left_out(tmp_path: Path) -> None:
-    two = looking_at(np.array([[0.0, -8, 6], [0.0, 8, 6]]), np.zeros((2, 3)), Lens(size_wh=(32, 32)))
+    two = cameras_looking_at(np.array([[0.0, -8, 6], [0.0, 8, 6]]), np.zeros((2, 3)), Lens(size_wh=(32, 32)))
     for edge in ("north", "south"):
         (tmp_path / "cloud" / "inbox" / edge).mkdir(parents=True)
         save_cameras(tmp_path / "cloud" / "inbox" / edge / VIRTUAL_CAMERAS, two)

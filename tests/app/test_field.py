@@ -39,7 +39,7 @@ from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene
 from radiant_core.io.run_store import write_json
 from radiant_core.plan.revision.replan import Situation
-from radiant_core.sfm.given_poses import given_poses
+from radiant_core.sfm.given_poses import read_given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_viewer.runs.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
@@ -537,7 +537,7 @@ def test_copies_among_given_poses_are_told(hamlet: Path, tmp_path: Path) -> None
     shutil.copytree(hamlet / "images", tmp_path / "images")
     first, second = sorted(path.name for path in (tmp_path / "images").iterdir())[:2]
     shutil.copy(tmp_path / "images" / first, tmp_path / "images" / second)
-    poses = given_poses(tmp_path, hamlet / "known")
+    poses = read_given_poses(tmp_path, hamlet / "known")
     told: list[Event] = []
     captured = _by_poses(poses, None, tmp_path, cast(Progress, SimpleNamespace(listen=told.append)))
     assert second not in captured.names and len(captured.names) == 11

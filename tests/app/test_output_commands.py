@@ -22,7 +22,7 @@ from radiant_core.geometry.fusion import _save_view
 from radiant_core.geometry.open3d_ops import DepthView
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import save_cameras, save_scene
-from radiant_core.render.trajectories import Lens, looking_at
+from radiant_core.render.trajectories import Lens, cameras_looking_at
 from tests.viewer.made_up_run import made_up_town, save_run
 
 
@@ -149,7 +149,7 @@ def test_names_in_a_file_of_cameras_write_nothing_outside_of_the_folder(run: Pat
     evil = tmp_path / "a" / "b" / "cameras.safetensors"
     evil.parent.mkdir(parents=True)
     lens = Lens(size_wh=(32, 32))
-    two = looking_at(np.array([[0.0, -80, 60], [0.0, 80, 60]]), np.zeros((2, 3)), lens)
+    two = cameras_looking_at(np.array([[0.0, -80, 60], [0.0, 80, 60]]), np.zeros((2, 3)), lens)
     for name in ("../../out/relative", str(tmp_path / "out" / "absolute")):
         save_cameras(evil, replace(two, names=("good", name)))
         with pytest.raises(BadInput, match="expected relative paths inside a folder"):
@@ -165,7 +165,7 @@ def test_names_in_a_file_of_cameras_write_nothing_outside_of_the_folder(run: Pat
 
 def test_a_picture_that_does_not_fit_into_memory_is_one_sentence(run: Path, tmp_path: Path) -> None:
     large = tmp_path / "cameras.safetensors"
-    one = looking_at(np.array([[0.0, -80, 60]]), np.zeros((1, 3)), Lens(size_wh=(32, 32)))
+    one = cameras_looking_at(np.array([[0.0, -80, 60]]), np.zeros((1, 3)), Lens(size_wh=(32, 32)))
     save_cameras(large, replace(one, sizes_wh=np.array([[1 << 14, 1 << 14]])))
     # A process of its own, which may hold 4 GB: one picture of 268 million pixels takes 3.2 GB and more at once.
     arguments = ["-m", "radiant_app", "render", run / "scene.ply", "--cameras", large, "--out", tmp_path / "frames"]

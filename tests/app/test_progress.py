@@ -37,7 +37,7 @@ from radiant_app.report.tables import print_figures
 from radiant_app.workers.nodes import sfm_progress
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import write_json
-from radiant_core.sfm.config import SfmProgress, numbered_steps
+from radiant_core.sfm.config import SfmProgress, number_phases
 from radiant_core.sfm.reconstruct import PHASES
 
 NAMES = ("[/x].jpg", "[bold]y.jpg", "[link=file:///]z.jpg", "[red", "{task.nothing}.jpg", ":heart:.jpg")
@@ -74,7 +74,7 @@ class Told:
 def steps_of_sfm(clock: Clock, mapping_s: float) -> Iterator[StageProgress]:
     """Structure from motion of 60 photographs whose first steps are quick and whose mapping takes `mapping_s`, as it tells of itself."""
     heard: list[SfmProgress] = []
-    report = numbered_steps(heard.append, PHASES)
+    report = number_phases(heard.append, PHASES)
     for phase, total, step_s in (
         ("checking photographs", 60, 0.01),
         ("features", 60, 0.05),

@@ -14,6 +14,7 @@ from radiant_viewer.web import server as web
 from radiant_viewer.window import desktop
 
 ROOT = Path(__file__).parents[2]
+NATIVE_SOURCE = "core/radiant_core/native/room/one.cpp"
 EVERYDAY = "-m pip install --editable .[desktop,web]"
 
 
@@ -27,7 +28,7 @@ def program(path: Path, text: str) -> None:
 def checkout(tmp_path: Path) -> Path:
     """A copy of the script beside a made-up environment, on a machine that has all system packages."""
     shutil.copy(ROOT / "setup.sh", tmp_path)
-    for name in ("pyproject.toml", "CMakeLists.txt", "core/radiant_core/native/one.cpp"):
+    for name in ("pyproject.toml", "CMakeLists.txt", NATIVE_SOURCE):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(name)
     program(tmp_path / "bin/dpkg-query", "echo installed")
@@ -50,8 +51,9 @@ def test_the_demo_brings_what_inspect_needs_and_is_not_set_up_twice(checkout: Pa
     assert setup(checkout, "demo") == ["radiant demo"]
     assert setup(checkout) == []
     # Sources that changed are installed again, and an environment that is older than the extras gets them.
-    (checkout / "pyproject.toml").write_text("changed")
-    assert setup(checkout) == [f"python {EVERYDAY}"]
+    for source in ("pyproject.toml", NATIVE_SOURCE):
+        (checkout / source).write_text("changed")
+        assert setup(checkout) == [f"python {EVERYDAY}"]
     (checkout / ".venv/installed-desktop,web").rename(checkout / ".venv/installed-base")
     assert setup(checkout, "demo") == [f"python {EVERYDAY}", "radiant demo"]
 

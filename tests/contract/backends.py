@@ -4,19 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
 from radiant_core.cameras import Cameras
-from radiant_core.render.contract import Backend, RenderOutput, SplatTensors, ViewOptions, device_of, rasterize
+from radiant_core.render.contract import Backend, RenderOutput, SplatTensors, ViewOptions
 from radiant_core.render.gsplat_backend import missing_for_gsplat
 from radiant_core.render.native_backend import instruction_sets, rasterize_native
+from radiant_core.render.rasterize import device_of, rasterize
 from radiant_core.splats import SH_C0, Splats
 
 NATIVE = tuple(f"native-{name}" for name in instruction_sets())
 GSPLAT = () if missing_for_gsplat() else ("gsplat",)
 BACKENDS = (*GSPLAT, *NATIVE, "reference")
+
+Feature = Literal[
+    "colour, alpha, depth",
+    "radii",
+    "2D-mean gradients",
+    "absolute gradients",
+    "background",
+    "SH 0-3",
+    "antialiased",
+    "several cameras",
+    "float64",
+    "camera gradients",
+]
+FEATURES: dict[str, frozenset[Feature]] = {
+    "gsplat": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
+    "native": frozenset(get_args(Feature)) - {"float64", "camera gradients"},
+    "reference": frozenset(get_args(Feature)),
+}
+"""What each backend can do. Gradients of all six tensors and the background go without saying."""
+
 BACKGROUND = (0.1, 0.4, 0.7)
 
 

@@ -15,11 +15,12 @@ import torch
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.render.contract import FEATURES, Backend, Feature, SplatTensors, device_of, rasterize
+from radiant_core.render.contract import Backend, SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize
 from radiant_core.splats import TENSORS, Splats
 
 from . import gaussians
-from .backends import BACKENDS, NATIVE, opacity_rounding, random_loss, relative_errors, render, undecided_pixels
+from .backends import BACKENDS, FEATURES, NATIVE, Feature, opacity_rounding, random_loss, relative_errors, render, undecided_pixels
 
 MAX_ERROR, MAX_ERROR_UNDECIDED, MAX_RMS = 1e-4, 5e-3, 1e-5
 

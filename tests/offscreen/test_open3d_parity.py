@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.ply import save_ply
-from radiant_core.render.contract import SplatTensors, rasterize
+from radiant_core.render.contract import SplatTensors
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import SH_BASES, Splats
 from radiant_viewer.splats.open3d_splats import render_open3d_splats
 from tests.core.scenes import cameras_above, ground_splats

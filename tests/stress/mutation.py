@@ -38,10 +38,10 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 CORE, APP = ROOT / "core" / "radiant_core", ROOT / "radiant_app"
-PROTOCOL = [CORE / "io" / f"{name}.py" for name in ("acceptance", "delivery", "signing", "upload")]
+PROTOCOL = [CORE / "io/transport" / f"{name}.py" for name in ("acceptance", "delivery", "signing", "upload")]
 PARTS = {
-    "plan": sorted((CORE / "plan").glob("*.py")),
-    "io": sorted(path for path in (CORE / "io").glob("*.py") if path not in PROTOCOL),
+    "plan": sorted((CORE / "plan").rglob("*.py")),
+    "io": sorted(path for path in (CORE / "io").rglob("*.py") if path not in PROTOCOL),
     "upload": [*PROTOCOL, CORE / "aggregate" / "arrival.py", APP / "workers" / "delivering.py", APP / "workers" / "inbox.py"],
 }
 PACKAGE_TESTS = {

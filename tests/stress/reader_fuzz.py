@@ -31,7 +31,7 @@ from radiant_core.frames import Frame
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
 from radiant_core.io.photos.jpeg import read_jpeg_facts
-from radiant_core.io.photos.listing import decoded_image, list_photographs, load_photograph, photograph_positions, promised_size_wh
+from radiant_core.io.photos.listing import decode_image, list_photographs, load_photograph, photograph_positions, read_size_wh
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.transport.upload import load_upload, save_upload
@@ -269,8 +269,8 @@ def _exif(folder: Path) -> Target:
         return load_photograph(path, (32, 24))
 
     def pixel_bytes(data: bytes) -> int:
-        width, height = promised_size_wh(data) or (0, 0)
-        return 0 if decoded_image(data, cv2.IMREAD_COLOR) is None else 3 * width * height
+        width, height = read_size_wh(data) or (0, 0)
+        return 0 if decode_image(data, cv2.IMREAD_COLOR) is None else 3 * width * height
 
     return Target(seeds=[*marked, jpeg, png], place=lambda number: names[number], read=read, pixel_bytes=pixel_bytes)
 

@@ -8,7 +8,8 @@ import torch
 
 from radiant_app.bench.drone_scene import SIZES, drone_scene
 from radiant_app.bench.raster_accuracy import tile_errors
-from radiant_core.render.contract import SplatTensors, rasterize
+from radiant_core.render.contract import SplatTensors
+from radiant_core.render.rasterize import rasterize
 from radiant_core.train.native_loss import TargetStatistics, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
 from tests.contract import gaussians

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from radiant_core.io.colmap.model import read_model
-from radiant_core.sfm.reconstruct import SfmConfig, reconstruct
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.reconstruct import reconstruct
 from radiant_core.sfm.world_frame.align import compare_centers
 
 DATA = Path(os.environ.get("RADIANT_DATA", Path(__file__).parents[3] / "shared" / "data"))

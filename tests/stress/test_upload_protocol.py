@@ -12,7 +12,7 @@ from tests.memory_folder import memory_folder
 pytestmark = pytest.mark.stress
 
 
-def test_a_thousand_schedules_leave_every_camera_in_one_accepted_upload() -> None:
+def test_a_thousand_schedules_leave_one_accepted_upload_of_every_region() -> None:
     counts = played(range(1000))
     # The schedules do reach what they are made for.
     assert min(counts[status] for status in ("accepted", "duplicate", "rejected")) > 500

@@ -44,7 +44,7 @@ class Agreement:
     refused: dict[int, str]
 
 
-def contradicted(models: Sequence[Splats], cameras: Sequence[Cameras], backend: Backend = "auto") -> Agreement:
+def find_contradictions(models: Sequence[Splats], cameras: Sequence[Cameras], backend: Backend = "auto") -> Agreement:
     """Which of M models with their cameras are not to be joined, one sentence each; nobody where there are fewer than three."""
     if len(models) != len(cameras):
         raise BadInput(f"{len(cameras)} sets of cameras for {len(models)} models: give one each.")
@@ -77,7 +77,7 @@ def _agreement_db(home: Sequence, guest: Sequence) -> float:
     return float(-10 * np.log10(max(squares / (3 * num_shared), 1e-10)))
 
 
-def shown_alike_db(model: Splats, cameras: Cameras, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> float:
+def measure_agreement_db(model: Splats, cameras: Cameras, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> float:
     """PSNR of some of the views, image (H,W,3) and weight (H,W) at V cameras, against what the model shows there, where both are opaque;
     infinity where that is nowhere."""
     rows = np.unique(np.linspace(0, len(cameras) - 1, min(NUM_ASKED, len(cameras))).astype(np.int64))

@@ -11,7 +11,7 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.transport.upload import load_upload, num_uploaded
+from radiant_core.io.transport.upload import count_uploaded, load_upload
 from radiant_core.splats import Splats
 
 MAX_SPLATS = 5_000_000
@@ -29,7 +29,7 @@ NUM_TRIED = 20_000
 def load_arrived(path: Path, cameras: Cameras) -> Splats | str:
     """The model in a file of an upload, made by `cameras`, or why it is not to be joined, one sentence."""
     try:
-        count = num_uploaded(path)
+        count = count_uploaded(path)
         if not 0 < count <= MAX_SPLATS:
             return f"it has {count:,} Gaussians, expected 1 to {MAX_SPLATS:,}."
         splats = load_upload(path)

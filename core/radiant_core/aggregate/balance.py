@@ -81,7 +81,7 @@ def exposure_balance(teachers: Sequence[Teacher], backend: Backend = "auto") -> 
     return replace(balance, gains=solved[:, 0::2].T, offsets=solved[:, 1::2].T)
 
 
-def balanced(teachers: Sequence[Teacher], balance: Balance) -> list[Teacher]:
+def balance_teachers(teachers: Sequence[Teacher], balance: Balance) -> list[Teacher]:
     """The teachers as if all had been exposed alike: their models, and the pictures that are rendered."""
     if not balance.needed:
         return list(teachers)
@@ -94,10 +94,10 @@ def _exposed(teacher: Teacher, gains: FloatArray, offsets: FloatArray) -> Teache
         row: (np.clip(gains * image + offsets * weight[..., None], 0, 255).round().astype(np.uint8), weight)
         for row, (image, weight) in teacher.rendered.items()
     }
-    return replace(teacher, splats=exposed_splats(teacher.splats, gains, offsets), rendered=shown)
+    return replace(teacher, splats=expose_splats(teacher.splats, gains, offsets), rendered=shown)
 
 
-def exposed_splats(splats: Splats, gains: FloatArray, offsets: FloatArray) -> Splats:
+def expose_splats(splats: Splats, gains: FloatArray, offsets: FloatArray) -> Splats:
     """The model whose every colour c is g c + b, gains and offsets (3,)."""
     sh0 = (gains * (0.5 + SH_C0 * splats.sh0.astype(np.float64)) + offsets - 0.5) / SH_C0
     return replace(splats, sh0=sh0.astype(np.float32), shN=(splats.shN * gains).astype(np.float32))

@@ -25,8 +25,6 @@ class MergeResult:
     """The merged model and how many Gaussians each rule kept or dropped."""
 
     splats: Splats
-    num_own: int
-    """Kept inside their own region."""
     num_filled: int
     """Kept outside it, where the owner is blind."""
     num_dropped: int
@@ -53,7 +51,7 @@ def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray,
         kept.append(model.select(own | filled))
     total = sum(len(model) for model in models)
     merged = concatenate_splats(kept)
-    return MergeResult(splats=merged, num_own=len(merged) - num_filled, num_filled=num_filled, num_dropped=total - len(merged))
+    return MergeResult(splats=merged, num_filled=num_filled, num_dropped=total - len(merged))
 
 
 def _owners(model: Splats, sites: FloatArray, weights: FloatArray) -> NDArray[np.int64]:

@@ -21,7 +21,7 @@ from radiant_core.errors import BadInput
 from radiant_core.render.contract import Backend
 
 
-def pooled(teachers: Sequence[Teacher], aggregate: AggregateConfig, claims: Claims | None = None) -> Joined:
+def pool_teachers(teachers: Sequence[Teacher], aggregate: AggregateConfig, claims: Claims | None = None) -> Joined:
     """All teachers' models together, faded where another one owns the place and without what is too faint there; nothing is retrained."""
     if not teachers:
         raise BadInput("no models to pool: give at least one, with the cameras it is asked at.")
@@ -38,7 +38,7 @@ def pooled(teachers: Sequence[Teacher], aggregate: AggregateConfig, claims: Clai
     )
 
 
-def pictures_of(
+def render_pictures(
     teachers: Sequence[Teacher], virtual: Cameras, near: NDArray[np.int64], long_side_px: int, backend: Backend = "auto"
 ) -> dict[int, ViewBytes]:
     """Each virtual camera's picture and weight, reduced to `long_side_px`, of the teacher near whose camera it stands.

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.balance import Balance, balanced, exposure_balance
+from radiant_core.aggregate.balance import Balance, balance_teachers, exposure_balance
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.ownership import Claims, Ownership, ownership
 from radiant_core.aggregate.synthetic_views import Teacher, synthetic_views
@@ -118,7 +118,7 @@ def _join(
     teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None
 ) -> Joined:
     balance = exposure_balance(teachers, options.backend)
-    teachers = balanced(teachers, balance)
+    teachers = balance_teachers(teachers, balance)
     owned = _owned(teachers, claims)
     plainly_cut = _cut(teachers, owned)
     models, owned = without_faint([teacher.splats for teacher in teachers], owned, aggregate)

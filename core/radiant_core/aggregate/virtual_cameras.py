@@ -23,16 +23,12 @@ MAX_DISTANCES = 10_000
 """Gaussians that a median distance is taken over, evenly among all."""
 
 
-def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> Cameras:
-    """One virtual camera per camera (C) for a model with centres (N,3) m; `rng` must be seeded by what the cloud does not know.
+def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> tuple[Cameras, NDArray[np.int64]]:
+    """One virtual camera per camera (C) for a model with centres (N,3) m, and the camera (C,) that each stands near, for the edge alone.
 
-    Size and focal length are those of the camera with the median angle of view. Raises BadInput without cameras or Gaussians.
+    `rng` must be seeded by what the cloud does not know. Size and focal length are those of the camera with the median angle of view.
+    Raises BadInput without cameras or Gaussians.
     """
-    return drawn_cameras(cameras, means, rng)[0]
-
-
-def drawn_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> tuple[Cameras, NDArray[np.int64]]:
-    """The same, and which camera each virtual one stands near (C,), for the edge alone."""
     count = len(cameras)
     if not count or not len(means):
         raise BadInput(f"{count} cameras of a model of {len(means)} Gaussians: virtual cameras need at least one of either.")

@@ -12,17 +12,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from radiant_core.evaluate.image_pair import Used, checked_image_pair, checked_used
+from radiant_core.evaluate.image_pair import Used, check_image_pair, check_used
 from radiant_core.numerics import FloatArray
 
 MIN_SPREAD = 1e-4
 """√(λ per pixel): a render whose colours vary by less than this, a fortieth of an 8-bit step, says nothing about M."""
 
 
-def color_corrected(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> FloatArray:
+def correct_colors(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> FloatArray:
     """The render (H,W,3) corrected towards the photograph (H,W,3) by its `used` pixels, all in 0..1; BadInput on other shapes or values."""
-    render, photograph = checked_image_pair(render, photograph)
-    chosen = slice(None) if used is None else checked_used(used, render).ravel()
+    render, photograph = check_image_pair(render, photograph)
+    chosen = slice(None) if used is None else check_used(used, render).ravel()
     x, y = render.reshape(-1, 3)[chosen], photograph.reshape(-1, 3)[chosen]
     x_mean = x.mean(axis=0)
     centred = x - x_mean

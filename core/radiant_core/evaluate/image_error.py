@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.color_correction import color_corrected
-from radiant_core.evaluate.image_pair import Used, agreeing, checked_image_pair, checked_used
+from radiant_core.evaluate.color_correction import correct_colors
+from radiant_core.evaluate.image_pair import Used, check_image_pair, check_used, replace_unused
 from radiant_core.numerics import FloatArray
 
 SSIM_WINDOW_PX = 11
@@ -65,9 +65,9 @@ class ImageErrors:
 
 def psnr_db(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
     """PSNR in dB of two images (H,W,3) in 0..1, of the pixels that are `used`; BadInput on other shapes or values."""
-    render, photograph = checked_image_pair(render, photograph)
+    render, photograph = check_image_pair(render, photograph)
     squared = (render - photograph) ** 2
-    return psnr_db_of_mse(float(np.mean(squared if used is None else squared[checked_used(used, render)])))
+    return psnr_db_of_mse(float(np.mean(squared if used is None else squared[check_used(used, render)])))
 
 
 def psnr_db_of_mse(mean_squared_error: float) -> float:
@@ -80,8 +80,8 @@ def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
 
     BadInput on other shapes or values, a side under 11 px, or where no such window is left.
     """
-    render, photograph = checked_image_pair(render, photograph)
-    render = agreeing(render, photograph, used)
+    render, photograph = check_image_pair(render, photograph)
+    render = replace_unused(render, photograph, used)
     if min(render.shape[:2]) < SSIM_WINDOW_PX:
         raise BadInput(f"images of {render.shape[1]}×{render.shape[0]} px are too small for SSIM: give at least 11 px a side.")
     mean_a, mean_b = _window_mean(render), _window_mean(photograph)
@@ -90,7 +90,7 @@ def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
     covariance = _window_mean(render * photograph) - mean_a * mean_b
     likeness = (2 * mean_a * mean_b + SSIM_C1) * (2 * covariance + SSIM_C2)
     windows = likeness / ((mean_a**2 + mean_b**2 + SSIM_C1) * (variance_a + variance_b + SSIM_C2))
-    return float(np.mean(windows if used is None else windows[checked_used(inner_pixels(used), windows)]))
+    return float(np.mean(windows if used is None else windows[check_used(inner_pixels(used), windows)]))
 
 
 def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float | None:
@@ -98,14 +98,14 @@ def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float |
 
     BadInput on other shapes or values.
     """
-    render, photograph = checked_image_pair(render, photograph)
-    render = agreeing(render, photograph, used)
+    render, photograph = check_image_pair(render, photograph)
+    render = replace_unused(render, photograph, used)
     if importlib.util.find_spec("flip_evaluator") is None:
         return None
     import flip_evaluator
 
     errors, mean, _ = flip_evaluator.evaluate(photograph.astype(np.float32), render.astype(np.float32), "LDR", applyMagma=False)
-    return float(mean if used is None else np.asarray(errors)[checked_used(used, render)].mean())
+    return float(mean if used is None else np.asarray(errors)[check_used(used, render)].mean())
 
 
 def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Distance | None = None, used: Used = None) -> ImageErrors:
@@ -114,13 +114,13 @@ def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Dis
     `lpips` is a `radiant_core.evaluate.lpips.Lpips`, where weights are at hand. Where `used` (H,W) is False nothing is scored; LPIPS alone
     is a mean of the whole image, in which those pixels are equal.
     """
-    corrected = color_corrected(render, photograph, used)
+    corrected = correct_colors(render, photograph, used)
     return ImageErrors(
         name=name,
         psnr_db=psnr_db(render, photograph, used),
         ssim=ssim(render, photograph, used),
         flip=flip(render, photograph, used),
-        lpips=None if lpips is None else lpips(agreeing(render, photograph, used), photograph),
+        lpips=None if lpips is None else lpips(replace_unused(render, photograph, used), photograph),
         psnr_cc_db=psnr_db(corrected, photograph, used),
         ssim_cc=ssim(corrected, photograph, used),
     )

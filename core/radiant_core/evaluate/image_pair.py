@@ -12,7 +12,7 @@ Used = NDArray[np.bool_] | None
 """Which pixels (H,W) of a photograph are compared; None: all of them."""
 
 
-def checked_image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def check_image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Both images (H,W,3) as float64; BadInput when shapes differ, there are no pixels, or a value is not finite or outside 0..1."""
     pair = [checked_array(name, image, (None, None, 3)) for name, image in (("render", render), ("photograph", photograph))]
     if pair[0].shape != pair[1].shape:
@@ -25,7 +25,7 @@ def checked_image_pair(render: ArrayLike, photograph: ArrayLike) -> tuple[FloatA
     return pair[0], pair[1]
 
 
-def checked_used(used: NDArray[np.bool_], image: FloatArray) -> NDArray[np.bool_]:
+def check_used(used: NDArray[np.bool_], image: FloatArray) -> NDArray[np.bool_]:
     """`used` (H,W) for an image (H,W,3); BadInput where it is of another size or leaves nothing."""
     used = checked_array("used", used, image.shape[:2], np.bool_)
     if not used.any():
@@ -33,7 +33,7 @@ def checked_used(used: NDArray[np.bool_], image: FloatArray) -> NDArray[np.bool_
     return used
 
 
-def agreeing(render: ArrayLike, photograph: ArrayLike, used: Used) -> FloatArray:
+def replace_unused(render: ArrayLike, photograph: ArrayLike, used: Used) -> FloatArray:
     """The render (H,W,3), and the photograph where it is not `used`."""
     render = np.asarray(render)
-    return render if used is None else np.where(checked_used(used, render)[..., None], render, photograph)
+    return render if used is None else np.where(check_used(used, render)[..., None], render, photograph)

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.image_pair import checked_image_pair
+from radiant_core.evaluate.image_pair import check_image_pair
 from radiant_core.io.array_layout import require_layout
 from radiant_core.io.run_store import write_atomic
 
@@ -107,7 +107,7 @@ class Lpips:
 
     def __call__(self, render: ArrayLike, photograph: ArrayLike) -> float:
         """LPIPS of two images (H,W,3) in 0..1, 0 where they are equal; BadInput on other shapes or values, or a side that is too short."""
-        pair = checked_image_pair(render, photograph)
+        pair = check_image_pair(render, photograph)
         height, width = pair[0].shape[:2]
         if min(height, width) < self.min_side_px:
             raise BadInput(

@@ -15,11 +15,12 @@ import torch
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.render.contract import Backend, SplatTensors, device_of, rasterize, resolve_backend
+from radiant_core.render.contract import Backend, SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_C0, Splats
 
 
-def shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:
+def count_shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "auto") -> FloatArray:
     """Pixels (N,) that each of N Gaussians makes in the pictures of C cameras."""
     # Grey, so that no colour is clamped, and with it the derivative.
     grey = replace(splats, sh0=np.zeros_like(splats.sh0), shN=np.zeros((len(splats), 0, 3), np.float32))
@@ -33,10 +34,10 @@ def shown_pixels(splats: Splats, cameras: Cameras, backend: Backend = "auto") ->
     return shown / SH_C0
 
 
-def strongest(splats: Splats, cameras: Cameras, count: int, backend: Backend = "auto") -> Splats:
+def select_strongest(splats: Splats, cameras: Cameras, count: int, backend: Backend = "auto") -> Splats:
     """The `count` Gaussians that show most to the cameras, in their order; the model itself where it has no more."""
     if count < 1:
         raise BadInput(f"{count} Gaussians are to be left, expected at least 1.")
     if len(splats) <= count:
         return splats
-    return splats.select(np.sort(np.argsort(-shown_pixels(splats, cameras, backend), kind="stable")[:count]))
+    return splats.select(np.sort(np.argsort(-count_shown_pixels(splats, cameras, backend), kind="stable")[:count]))

@@ -30,11 +30,10 @@ class FrameEdge:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SolvedFrames:
-    """One correction per model, the covariance (7M,7M) of their ξ, and how many standard deviations each edge misses by (E,)."""
+    """One correction per model and the covariance (7M,7M) of their ξ."""
 
     corrections: tuple[Sim3, ...]
     covariance: FloatArray
-    edge_sigmas: FloatArray
 
     def uncertainty(self, model: int) -> FrameUncertainty:
         """What is left of one model's uncertainty, the gauge included."""
@@ -62,13 +61,12 @@ def solve_frames(centers: FloatArray, priors: Sequence[FrameUncertainty], edges:
         return np.concatenate([scaled, *errors])
 
     if not len(priors):
-        return SolvedFrames(corrections=(), covariance=np.zeros((0, 0)), edge_sigmas=np.zeros(0))
+        return SolvedFrames(corrections=(), covariance=np.zeros((0, 0)))
     # x in units of its own uncertainty: what GPS knows to 1 m and to 1 % differentiates equally well.
     solved = least_squares(residuals, np.zeros(7 * len(priors)), method="trf", x_scale=1.0, max_nfev=50)
     moves = tuple(similarity_about(center, xi) for center, xi in zip(centers, (solved.x * sigmas).reshape(-1, 7), strict=True))
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * np.outer(sigmas, sigmas)
-    misses = solved.fun[7 * len(priors) :].reshape(-1, 7)
-    return SolvedFrames(corrections=moves, covariance=covariance, edge_sigmas=np.sqrt(np.square(misses).mean(axis=1)))
+    return SolvedFrames(corrections=moves, covariance=covariance)
 
 
 def edge_xi(edge: FrameEdge, a_move: Sim3, b_move: Sim3) -> FloatArray:

@@ -80,12 +80,12 @@ def fuse_apart(
             raise BadInput(
                 f"cells of {settings.voxel:.3g} take {found['num_blocks']:,} blocks of 16³ voxels, "
                 f"{(BASE_BYTES + found['num_blocks'] * BYTES_PER_BLOCK) / 1e9:.1f} GB, and {settings.max_blocks:,} are possible here: "
-                f"choose --resolution {rounded_up(found['fitting_voxel']):g} or coarser, or free memory."
+                f"choose --resolution {round_up(found['fitting_voxel']):g} or coarser, or free memory."
             )
         return Fusion(mesh=_load_mesh(folder / _MESH), voxel=found["voxel"], num_blocks=found["num_blocks"])
 
 
-def rounded_up(value: float) -> float:
+def round_up(value: float) -> float:
     """A positive number with two digits, not below `value`: 0.2131 → 0.22."""
     step = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(f"{np.ceil(value / step - 1e-9) * step:.6g}")
@@ -118,7 +118,7 @@ def _answer(folder: Path, settings: FusionSettings, report: Callable[[int, int],
     reason = f"was ended by signal {-code}" if code < 0 else f"ended with code {code} ({words[-1] if words else 'it said nothing'})"
     raise BadInput(
         f"the surface in cells of {settings.voxel:.3g} was not made: the process that fuses it {reason}; "
-        f"choose a coarser one, --resolution {rounded_up(2 * settings.voxel):g}, or free memory."
+        f"choose a coarser one, --resolution {round_up(2 * settings.voxel):g}, or free memory."
     )
 
 

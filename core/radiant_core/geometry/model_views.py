@@ -53,7 +53,7 @@ class ModelViews:
 
     def lift(self, index: int, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """World points (N,3) at the rendered depths (N,) of pixels (N,2) of one view."""
-        depths = sampled(self.views[index].depth, pixels)
+        depths = sample_bilinear(self.views[index].depth, pixels)
         K, pose = self.cameras.Ks[index], self.cameras.cam_from_world[index]
         in_camera = np.column_stack([(pixels - K[:2, 2]) / K[[0, 1], [0, 1]], np.ones(len(pixels))]) * depths[:, None]
         return (in_camera - pose[:3, 3]) @ pose[:3, :3], depths
@@ -74,7 +74,7 @@ def level_contrast(view: RenderedView) -> NDArray[np.uint8]:
     return np.clip(128 + 40 * detail / np.maximum(deviation, 2.0), 0, 255).astype(np.uint8)
 
 
-def sampled(image: NDArray[Any], pixels: FloatArray) -> FloatArray:
+def sample_bilinear(image: NDArray[Any], pixels: FloatArray) -> FloatArray:
     """Bilinear values (N,) at pixels (N,2), 0 outside."""
     if not len(pixels):
         return np.zeros(0)
@@ -147,7 +147,7 @@ def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_de
     good = (found[:, 0] > 0) & (found_back[:, 0] > 0) & (np.linalg.norm((back - start)[:, 0], axis=1) < MAX_RETURN_PX)
     good &= np.linalg.norm(landed - hub.pixels, axis=1) < MAX_FLOW_PX
     good &= _at(visible, hub.pixels) & _at(visible, landed)
-    return np.column_stack([sampled(maps[0], landed), sampled(maps[1], landed)]) + 0.5, good
+    return np.column_stack([sample_bilinear(maps[0], landed), sample_bilinear(maps[1], landed)]) + 0.5, good
 
 
 def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -81,14 +81,14 @@ def extract_surface(  # noqa: PLR0913
     if not len(cameras):
         raise BadInput("there is no camera to look at the model from: give those of its scene.")
     small = cameras.scaled(long_side_px)
-    reach = _reach(sharpened(splats), cameras)
+    reach = _reach(sharpen_opacities(splats), cameras)
     voxel = PIXELS_PER_CELL * reach / float(np.median(small.Ks[:, 0, 0])) if resolution is None else resolution
     if not (np.isfinite(voxel) and voxel > reach / 2000):
         raise BadInput(f"a resolution of {voxel} was asked for, expected a number above {reach / 2000:.3g}: choose a coarser one.")
     centers = cameras.centers
     # Open3D and the rasterizer keep float32: near the middle of the cameras steps are below a micrometre.
     middle = np.round(centers.mean(axis=0))
-    local, moved = _moved(sharpened(splats), small, middle)
+    local, moved = _moved(sharpen_opacities(splats), small, middle)
     low, high = (centers.min(axis=0) - middle - reach)[:2], (centers.max(axis=0) - middle + reach)[:2]
     seen = 0
 
@@ -130,7 +130,7 @@ def depth_in_box(depth: NDArray[np.float32], camera: Cameras, low: FloatArray, h
     return np.where(inside, depth, 0).astype(np.float32)
 
 
-def sharpened(splats: Splats) -> Splats:
+def sharpen_opacities(splats: Splats) -> Splats:
     """The model with opacities that are nearly 0 or 1, for depth."""
     middle = np.log(MIDDLE_OPACITY / (1 - MIDDLE_OPACITY))
     logits = np.clip(SHARPENING * (splats.logit_opacities.astype(np.float64) - middle), -20, 20)

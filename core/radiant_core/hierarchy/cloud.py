@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, shown_alike_db
+from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, measure_agreement_db
 from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs, kept_statistics_bytes
 from radiant_core.aggregate.crop_merge import crop_merge
 from radiant_core.aggregate.ownership import Claims, claims_of_cells
@@ -145,6 +145,6 @@ def _checked_pictures(model: Splats, cameras: Cameras, views: tuple[Any, ...] | 
     """An edge's pictures by index of the camera; none, and why, where they are broken or show something else than the model does."""
     if isinstance(views, str):
         return {}, views
-    if views and (agreement_db := shown_alike_db(model, cameras, views)) < MIN_AGREEMENT_DB:
+    if views and (agreement_db := measure_agreement_db(model, cameras, views)) < MIN_AGREEMENT_DB:
         return {}, f"they differ from what its model shows ({agreement_db:.1f} dB, expected {MIN_AGREEMENT_DB:g} or more)."
     return dict(enumerate(views)), None

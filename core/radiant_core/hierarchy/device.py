@@ -15,8 +15,8 @@ from radiant_core.decisions import Decision
 from radiant_core.hierarchy.decisions import density_decision, fill_decision, shapes_decision, sky_decision
 from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Reporter, fit_options
-from radiant_core.render.contract import resolve_backend
 from radiant_core.render.gsplat_backend import free_vram_bytes
+from radiant_core.render.rasterize import resolve_backend
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key

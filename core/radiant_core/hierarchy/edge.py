@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_core.aggregate.balance import balanced, exposure_balance
+from radiant_core.aggregate.balance import balance_teachers, exposure_balance
 from radiant_core.aggregate.cloud_choice import choose_at_cloud, cloud_needs, kept_statistics_bytes, pooled_needs
 from radiant_core.aggregate.ownership import claims_of_polygons
-from radiant_core.aggregate.pooling import pictures_of, pooled
+from radiant_core.aggregate.pooling import pool_teachers, render_pictures
 from radiant_core.aggregate.retrain import Joined, cut_at_borders, retrain_on_synthetic_views
 from radiant_core.aggregate.synthetic_views import Teacher
-from radiant_core.aggregate.virtual_cameras import drawn_cameras
+from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.decisions import Decision
 from radiant_core.hierarchy.decisions import exposures_decision, faint_decision, join_decisions, join_memory_decision, teachers_decision
@@ -68,7 +68,7 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     cameras, views = NO_CAMERAS, ()
     if task.aggregate.cloud == "retrain" or arrivals.uncertainty is not None:
         cameras, near = virtual_cameras_of(models, arrivals.cameras, splats)
-        shown = {} if left is None else pictures_of(teachers, cameras, near, task.train.long_side_px, task.backend)
+        shown = {} if left is None else render_pictures(teachers, cameras, near, task.train.long_side_px, task.backend)
         views = tuple(shown[index] for index in sorted(shown))
     return EdgeModel(
         splats=splats,
@@ -105,8 +105,8 @@ def _left_to_cloud(task: EdgeTask, arrivals: Arrivals, stage: str) -> Decision |
 def _pool(task: EdgeTask, teachers: list[Teacher], strips: Sequence[Any], reporter: Reporter) -> tuple[list[Teacher], Joined]:
     """The teachers in one exposure, and their models as one."""
     balance = exposure_balance(teachers, task.backend)
-    teachers = balanced(teachers, balance)
-    joined = pooled(teachers, task.aggregate, claims_of_polygons(strips))
+    teachers = balance_teachers(teachers, balance)
+    joined = pool_teachers(teachers, task.aggregate, claims_of_polygons(strips))
     reporter.decide(exposures_decision(reporter.stage, balance))
     reporter.decide(faint_decision(reporter.stage, task.aggregate, joined))
     return teachers, joined
@@ -149,4 +149,4 @@ def virtual_cameras_of(
     the draw.
     """
     rng = np.random.default_rng(int(key_of_files(received_files(models))[:32], 16))
-    return drawn_cameras(concatenate_cameras(cameras), splats.means, rng)
+    return virtual_cameras(concatenate_cameras(cameras), splats.means, rng)

@@ -58,5 +58,5 @@ def run_in_process(
         if edge.splats is not None:
             sent[plan.edge_id] = passed_on(edge, recipe.upload, recipe.train.long_side_px)
             num_dealt[plan.edge_id], joined[plan.edge_id] = sum(dealt.values()), edge.summary
-    scene = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
-    return InProcessRun(scene=scene, edges=edges)
+    joined_scene = join_cloud(recipe.cloud_task(num_dealt, joined), sent, reporter_of("cloud"), machine)
+    return InProcessRun(scene=joined_scene, edges=edges)

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from radiant_core import __version__
-from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, contradicted
+from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, find_contradictions
 from radiant_core.aggregate.arrival import check_splats
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -159,7 +159,7 @@ def _moved(
 
 def _without_contradicted(arrivals: Arrivals, reporter: Reporter) -> Arrivals:
     """The arrivals without models that most of their neighbours contradict."""
-    found = contradicted(arrivals.models, arrivals.cameras)
+    found = find_contradictions(arrivals.models, arrivals.cameras)
     if not np.isfinite(found.agreement_db).any():
         return arrivals
     refused = {arrivals.senders[index]: reason for index, reason in found.refused.items()}

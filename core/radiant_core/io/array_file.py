@@ -55,7 +55,7 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
 
     Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
     """
-    with _opened(path) as file, naming(path):
+    with _opened(path) as file, name_file_in_errors(path):
         record = _record(file)
         require_schema(record, schema)
         found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118 (not a mapping)
@@ -66,14 +66,14 @@ def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tu
 
 def schema_of(path: Path) -> str:
     """The schema that a file of `save_arrays` says it has; "" where it says none. Raises StoreDamaged when it is missing or broken."""
-    with _opened(path) as file, naming(path):
+    with _opened(path) as file, name_file_in_errors(path):
         record = _record(file)
         return str(record.get("schema", "")) if isinstance(record, dict) else ""
 
 
 def header_of(path: Path) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]]:
     """What a file of `save_arrays` says it is, and the shapes of its arrays, without reading them; raises as `schema_of`."""
-    with _opened(path) as file, naming(path):
+    with _opened(path) as file, name_file_in_errors(path):
         record = _record(file)
         shapes = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118 (not a mapping)
         return (record if isinstance(record, dict) else {}), shapes
@@ -89,7 +89,7 @@ def require_schema(record: Any, schema: str) -> None:
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
+def name_file_in_errors(path: Path) -> Iterator[None]:
     """Turn whatever a wrong content raises into BadInput that names the file."""
     try:
         yield

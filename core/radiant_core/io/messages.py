@@ -29,7 +29,7 @@ from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import MAX_JSON_BYTES, file_sha256, parse_json, read_bounded, read_json, write_json
-from radiant_core.io.transport.upload import UploadFormat, load_upload, num_uploaded, save_upload, upload_problem
+from radiant_core.io.transport.upload import UploadFormat, count_uploaded, load_upload, save_upload, upload_problem
 from radiant_core.io.view_file import load_views, save_views
 from radiant_core.splats import Splats
 
@@ -224,7 +224,7 @@ def load_edge_model(place: Path, long_side_px: int) -> EdgeModel | str:
 
 def _load_model(place: Path) -> Splats:
     # Said by the file's head, before memory is taken for the rest.
-    count = num_uploaded(place / MODEL_NAME)
+    count = count_uploaded(place / MODEL_NAME)
     if not 0 < count <= MAX_SPLATS:
         raise BadInput(f"it has {count:,} Gaussians, expected 1 to {MAX_SPLATS:,}.")
     return load_upload(place / MODEL_NAME)

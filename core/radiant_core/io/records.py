@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.io.array_file import VERSION, load_arrays, naming, require_schema, save_arrays
+from radiant_core.io.array_file import VERSION, load_arrays, name_file_in_errors, require_schema, save_arrays
 from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.plan_content import GROUND_KEY
 from radiant_core.io.run_store import read_json, write_json
@@ -46,7 +46,7 @@ def save_splats(path: Path, splats: Splats) -> None:
 def load_splats(path: Path) -> Splats:
     """The model that `save_splats` wrote; StoreDamaged when the file is broken, BadInput when it holds something else."""
     arrays, about = load_arrays(path, "radiant.splats", SPLATS_DTYPES)
-    with naming(path):
+    with name_file_in_errors(path):
         return Splats(**arrays, antialiased=about.get("antialiased") is True)
 
 
@@ -59,7 +59,7 @@ def load_cameras(path: Path) -> Cameras:
     """The cameras that `save_cameras` wrote; StoreDamaged when the file is broken, BadInput when it holds something else, a name that
     would lead a reader or writer out of its folder, or a camera that is larger than any photograph."""
     arrays, about = load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
-    with naming(path):
+    with name_file_in_errors(path):
         return _cameras(about["names"], arrays)
 
 
@@ -81,7 +81,7 @@ def save_scene(path: Path, scene: SfmScene) -> None:
 def load_scene(path: Path) -> SfmScene:
     """The scene that `save_scene` wrote; raises as `load_cameras`."""
     arrays, about = load_arrays(path, "radiant.scene", SCENE_DTYPES)
-    with naming(path):
+    with name_file_in_errors(path):
         residual_m = about["frame_residual_m"]
         return SfmScene(
             cameras=_cameras(about["names"], arrays),
@@ -137,7 +137,7 @@ def plan_record(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> dict[str, Any]:
 
 
 def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """What `plan_record` was made of, bit for bit; BadInput, KeyError or TypeError for anything else, as `naming` takes them."""
+    """What `plan_record` was made of, bit for bit; BadInput, KeyError or TypeError for anything else (see `name_file_in_errors`)."""
     cloud = CloudPlan(**_plan_fields(CloudPlan, record["cloud"]))
     return cloud, tuple(EdgePlan(**_plan_fields(EdgePlan, edge)) for edge in record["edges"])
 
@@ -167,7 +167,7 @@ def load_plan_waypoints(path: Path) -> Waypoints | None:
 def load_plan_file(path: Path) -> PlanFile:
     """A plan with what it was made from; raises as `load_plan`."""
     record = read_json(path, max_bytes=MAX_PLAN_BYTES)
-    with naming(path):
+    with name_file_in_errors(path):
         if not isinstance(record, dict):
             raise BadInput("it holds no plan: pass the plan.json of a run.")
         require_schema(record, "radiant.plan")

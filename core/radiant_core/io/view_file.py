@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.array_file import load_arrays, naming, save_arrays
-from radiant_core.io.photos.listing import decoded_image, promised_size_wh
+from radiant_core.io.array_file import load_arrays, name_file_in_errors, save_arrays
+from radiant_core.io.photos.listing import decode_image, read_size_wh
 
 SCHEMA, VIEWS_SCHEMA = "radiant.view", "radiant.views"
 JPEG_QUALITY, WEIGHT_STEP = 90, 17
@@ -44,13 +44,13 @@ def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], N
     Raises StoreDamaged when the file is broken, BadInput when it holds something else or a view of another size.
     """
     arrays, about = load_arrays(path, SCHEMA, {"png": "U8"})
-    with naming(path):
+    with name_file_in_errors(path):
         # Before decoding, so that no more memory is taken than the view is expected to need.
         png = arrays["png"]
         size_wh = _png_size_wh(png)
         if not about["size_wh"] == size_wh == [width, height]:
             raise BadInput(f"it is a view of {size_wh[0]} × {size_wh[1]} px, expected {width} × {height}: render it anew.")
-        pixels = decoded_image(png.tobytes(), cv2.IMREAD_UNCHANGED)
+        pixels = decode_image(png.tobytes(), cv2.IMREAD_UNCHANGED)
         if pixels is None or pixels.shape != (height, width, 4) or pixels.dtype != np.uint8:
             raise StoreDamaged(f"{path} holds no whole picture: render it anew.")
     return np.array(pixels[..., 2::-1], np.uint8, order="C"), np.array(pixels[..., 3], np.uint8, order="C")
@@ -68,7 +68,7 @@ def save_views(path: Path, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.u
 def load_views(path: Path, sizes_wh: Sequence[tuple[int, int]]) -> list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
     """The V views that `save_views` wrote, of these sizes; none where it wrote none. Raises as `load_view`."""
     arrays, _ = load_arrays(path, VIEWS_SCHEMA, _VIEWS_DTYPES)
-    with naming(path):
+    with name_file_in_errors(path):
         if not arrays["image_ends"].size:
             return []
         images, weights = (_unchained(arrays[f"{name}s"], arrays[f"{name}_ends"], len(sizes_wh)) for name in ("image", "weight"))
@@ -76,10 +76,10 @@ def load_views(path: Path, sizes_wh: Sequence[tuple[int, int]]) -> list[tuple[ND
         for image, weight, (width, height) in zip(images, weights, sizes_wh, strict=True):
             for data in (image, weight):
                 # Before decoding, so that no more memory is taken than the view is expected to need.
-                if promised_size_wh(data) != (width, height):
-                    raise BadInput(f"it has a view of {promised_size_wh(data)} px, expected {width} × {height}: send it anew.")
-            pixels = decoded_image(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-            alphas = decoded_image(weight, cv2.IMREAD_UNCHANGED)
+                if read_size_wh(data) != (width, height):
+                    raise BadInput(f"it has a view of {read_size_wh(data)} px, expected {width} × {height}: send it anew.")
+            pixels = decode_image(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+            alphas = decode_image(weight, cv2.IMREAD_UNCHANGED)
             if pixels is None or alphas is None or pixels.shape != (height, width, 3) or alphas.shape != (height, width):
                 raise BadInput("it has a view that is no whole picture: send it anew.")
             views.append((np.array(pixels[..., ::-1], np.uint8, order="C"), np.asarray(alphas, np.uint8)))

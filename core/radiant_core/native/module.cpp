@@ -9,10 +9,10 @@
 #include <string>
 #include <vector>
 
-#include "bind_plan.h"
-#include "bind_training.h"
-#include "power_cells.h"
-#include "raster_module.h"
+#include "plan/bind.h"
+#include "plan/power_cells.h"
+#include "raster/bind.h"
+#include "training/bind.h"
 
 namespace nb = nanobind;
 using nb::literals::operator""_a;

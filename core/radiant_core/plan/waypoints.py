@@ -101,7 +101,7 @@ class Waypoints:
         return replace(self, names=names, lat_lon_alt=self.lat_lon_alt[picked], heading_pitch_deg=angles)
 
 
-def cleaned_waypoints(
+def clean_waypoints(
     names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None, heading_pitch_deg: FloatArray | None = None
 ) -> tuple[Waypoints, tuple[str, ...]]:
     """`Waypoints` as a surveyor would mend a list, with one warning per kind of repair; BadInput as `Waypoints`.

@@ -40,7 +40,7 @@ def free_vram_bytes(backend: str) -> int | None:
 
 
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
-    """`contract.rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient.
+    """`rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient.
 
     Raises BadInput where gsplat or CUDA is missing, for another type or device, and where the cameras ask for gradients.
     """

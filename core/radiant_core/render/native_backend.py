@@ -93,7 +93,7 @@ class _Call:
 def rasterize_native(
     splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions, *, instruction_set: str = "", threads: int | None = None
 ) -> RenderOutput:
-    """`contract.rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64 and get no gradient.
+    """`rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64 and get no gradient.
 
     `instruction_set` is one of `instruction_sets()`, the fastest by default; `threads` is torch.get_num_threads() by default.
     Raises BadInput for another type or device, and where the cameras ask for gradients.

@@ -10,7 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
-from radiant_core.render.contract import Backend, SplatTensors, device_of, rasterize, resolve_backend
+from radiant_core.render.contract import Backend, SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import Splats
 
 

@@ -14,15 +14,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from radiant_core.render.contract import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    DILATION_PX2,
-    TRANSMITTANCE_CUT,
-    RenderOutput,
-    SplatTensors,
-    ViewOptions,
-)
+from radiant_core.render.contract import ALPHA_MAX, ALPHA_MIN, DILATION_PX2, TRANSMITTANCE_CUT, RenderOutput, SplatTensors, ViewOptions
 from radiant_core.render.harmonics import colors_from_sh
 
 TILE_PX = 8
@@ -47,7 +39,7 @@ class _Projection:
 
 
 def rasterize_reference(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
-    """`contract.rasterize` in plain PyTorch, one camera after another."""
+    """`rasterize` in plain PyTorch, one camera after another."""
     projections = [_project(splats, viewmat, K, view) for viewmat, K in zip(viewmats, Ks, strict=True)]
     # Stacked before blending, so that the returned tensor lies on the way of the gradients.
     means2d = torch.stack([projection.means2d for projection in projections])

@@ -40,7 +40,7 @@ class Lens:
         return np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
 
 
-def looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> Cameras:
+def cameras_looking_at(positions: ArrayLike, targets: ArrayLike, lens: Lens) -> Cameras:
     """Cameras at positions (V,3) that look at targets (V,3), named frame_00000 and so on; BadInput where both coincide, or for no frame."""
     positions = checked_array("positions", positions, (None, 3))
     targets = checked_array("targets", targets, (len(positions), 3))
@@ -76,7 +76,7 @@ def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: in
     center = checked_array("center", center, (3,))
     turn, rise = np.linspace(0, 2 * np.pi, _checked_count(num_frames), endpoint=False), np.radians(elevation_deg)
     offsets = np.column_stack([np.cos(rise) * np.sin(turn), np.cos(rise) * np.cos(turn), np.full(len(turn), np.sin(rise))])
-    return looking_at(center + radius * offsets, np.tile(center, (len(turn), 1)), lens)
+    return cameras_looking_at(center + radius * offsets, np.tile(center, (len(turn), 1)), lens)
 
 
 def middle_box(points: ArrayLike) -> FloatArray:
@@ -107,7 +107,7 @@ def along_border(ends: ArrayLike, ground: float, height: float, num_frames: int,
     # The target moves from end to end; the camera follows as far behind as it is high.
     targets = ends[0] + np.linspace(0, length, _checked_count(num_frames))[:, None] * ahead
     positions = np.column_stack([targets - height * ahead, np.full(len(targets), ground + height)])
-    return looking_at(positions, np.column_stack([targets, np.full(len(targets), ground)]), lens)
+    return cameras_looking_at(positions, np.column_stack([targets, np.full(len(targets), ground)]), lens)
 
 
 def through_keyframes(times_s: ArrayLike, positions: ArrayLike, targets: ArrayLike, fps: float, lens: Lens) -> Cameras:
@@ -122,7 +122,7 @@ def through_keyframes(times_s: ArrayLike, positions: ArrayLike, targets: ArrayLi
     points = np.hstack([checked_array(name, value, (len(times), 3)) for name, value in (("positions", positions), ("targets", targets))])
     count = _checked_count(round((times[-1] - times[0]) * fps) + 1)
     path = np.asarray(Akima1DInterpolator(times, points, method="makima")(np.linspace(times[0], times[-1], count)))
-    return looking_at(path[:, :3], path[:, 3:], lens)
+    return cameras_looking_at(path[:, :3], path[:, 3:], lens)
 
 
 def _checked_count(num_frames: int) -> int:

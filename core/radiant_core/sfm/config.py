@@ -82,7 +82,7 @@ class SfmProgress:
 Report = Callable[[SfmProgress], None]
 
 
-def numbered_steps(report: Report, phases: Sequence[Phase]) -> Report:
+def number_phases(report: Report, phases: Sequence[Phase]) -> Report:
     """A report that says which of the job's `phases` each one is; a phase that comes twice has its number twice."""
     return lambda progress: report(replace(progress, step=phases.index(progress.phase) + 1, num_steps=len(phases)))
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
-from radiant_core.io.photos.copies import copies_warning, in_order_of_worth
+from radiant_core.io.photos.copies import copies_warning, sort_by_worth
 from radiant_core.io.photos.listing import load_thumbnail
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
@@ -33,7 +33,7 @@ THUMBNAIL_PX = 128
 Picture = NDArray[np.uint8]
 
 
-def repeated_cameras(cameras: Cameras, points: FloatArray, picture_of: Callable[[int], Picture]) -> dict[int, int]:
+def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int], Picture]) -> dict[int, int]:
     """Repeat → the camera whose picture it shows from its place, as indices of C cameras above points (P,3).
 
     `picture_of` gives the picture (H,W,3) of a camera, of any size; it is asked once for each camera that has another at its place.
@@ -41,7 +41,7 @@ def repeated_cameras(cameras: Cameras, points: FloatArray, picture_of: Callable[
     centers, axes = cameras.centers, cameras.cam_from_world[:, :3, :3]
     lenses = cameras.Ks[:, :2] / cameras.sizes_wh[:, :, None]
     distance = float(np.median(KDTree(centers).query(points)[0])) if len(points) else 0.0
-    rank = np.argsort(in_order_of_worth(cameras.names))
+    rank = np.argsort(sort_by_worth(cameras.names))
     pairs = [sorted(pair, key=lambda index: rank[index]) for pair in KDTree(centers).query_pairs(SAME_PLACE * distance)]
     thumbnails: dict[int, NDArray[np.float32]] = {}
     repeated: dict[int, int] = {}
@@ -69,7 +69,7 @@ def without_repeats(scene: SfmScene, images: Path) -> tuple[SfmScene, tuple[str,
 
 def cameras_without_repeats(cameras: Cameras, points: FloatArray, images: Path) -> tuple[Cameras, tuple[str, ...]]:
     """As `without_repeats`, of cameras and the points that they see."""
-    repeated = repeated_cameras(cameras, points, lambda index: load_thumbnail(images / cameras.names[index], THUMBNAIL_PX))
+    repeated = find_repeats(cameras, points, lambda index: load_thumbnail(images / cameras.names[index], THUMBNAIL_PX))
     kept = np.setdiff1d(np.arange(len(cameras)), list(repeated))
     named = {cameras.names[copy]: cameras.names[first] for copy, first in repeated.items()}
     return cameras.select(kept), copies_warning(named, len(cameras))

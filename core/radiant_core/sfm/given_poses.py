@@ -14,7 +14,9 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap.model import ColmapModel, checked_model, read_model, write_model
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.records import ColmapModel, check_model
+from radiant_core.io.colmap.text import write_model
 from radiant_core.io.mill19 import read_mill19
 from radiant_core.io.records import save_cameras
 from radiant_core.sfm.known_poses import NO_POINTS
@@ -44,11 +46,11 @@ class GivenPoses:
         wanted = set(names)
         images = [replace(image, points2d=NO_POINTS_2D, point3d_ids=NO_IDS) for image in self.model.images if image.name in wanted]
         cameras = [self.model.cameras[camera_id] for camera_id in sorted({image.camera_id for image in images})]
-        write_model(folder / "poses", checked_model(cameras, images, NO_POINTS, str(folder)))
+        write_model(folder / "poses", check_model(cameras, images, NO_POINTS, str(folder)))
         return True
 
 
-def given_poses(source: Path, model_folder: Path | None) -> GivenPoses:
+def read_given_poses(source: Path, model_folder: Path | None) -> GivenPoses:
     """The poses in `model_folder`, or else those that lie beside the photographs of `source`.
 
     Raises BadInput where there are none, or where z is not up in them.

@@ -16,7 +16,9 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.io.colmap.model import ColmapCamera, ColmapImage, ColmapPoints, checked_model, read_model, write_model
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapPoints, check_model
+from radiant_core.io.colmap.text import write_model
 from radiant_core.io.mill19 import read_mill19
 from radiant_core.io.photos.copies import copies_warning, file_copies
 from radiant_core.io.photos.listing import CameraKey, Photograph
@@ -24,14 +26,14 @@ from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
-from radiant_core.sfm.colmap.kept_database import database_key, kept_database
+from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
 from radiant_core.sfm.colmap.pairs import neighbor_pairs
 from radiant_core.sfm.colmap.undistort import undistort
-from radiant_core.sfm.colmap.workspace import listed
-from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
+from radiant_core.sfm.colmap.workspace import list_usable
+from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, number_phases
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
-from radiant_core.sfm.memory import within_memory
+from radiant_core.sfm.memory import limit_to_memory
 from radiant_core.sfm.world_frame.world import cameras_of
 
 DEFAULT_CONFIG = SfmConfig()
@@ -93,10 +95,10 @@ def scene_from_poses(
     `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are 0.
     Raises BadInput when a photograph is missing, has another size than its camera, or when no point can be triangulated.
     """
-    report = numbered_steps(report, ("checking photographs", "features", "matching", "triangulating"))
-    photographs = _photographs_of(cameras, listed(photo_folder, report, cameras.names).photographs)
-    config, _ = within_memory(config, [photo.size_wh for photo in photographs])
-    with kept_database(work_folder, database_key(photographs, config, masks)) as database:
+    report = number_phases(report, ("checking photographs", "features", "matching", "triangulating"))
+    photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
+    config, _ = limit_to_memory(config, [photo.size_wh for photo in photographs])
+    with prepare_database(work_folder, database_key(photographs, config, masks)) as database:
         given = take_masks(masks, photographs, work_folder)
         extract_features(database, photo_folder, photographs, config, report, given)
         keep_masks(given, work_folder)
@@ -183,7 +185,7 @@ def _posed_model(cameras: Cameras, database: Path, folder: Path) -> pycolmap.Rec
             camera.has_prior_focal_length = True
             store.update_camera(camera)
         names = {image.image_id: image.name for image in store.read_all_images()}
-    write_model(folder, checked_model([*intrinsics.values()], images, NO_POINTS, str(folder)))
+    write_model(folder, check_model([*intrinsics.values()], images, NO_POINTS, str(folder)))
     posed = pycolmap.Reconstruction(folder)
     for image_id, name in names.items():
         posed.image(image_id).name = name

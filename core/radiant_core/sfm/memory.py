@@ -66,7 +66,7 @@ def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "inc
     return PROCESS_BYTES + each * float(num_photographs) * num_features
 
 
-def within_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
+def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
     """The configuration within its `memory_bytes` for photographs of these sizes, and the decision where there is a limit.
 
     Raises BadInput where not even decoding one photograph fits, or one thread on photographs of 400 px, or mapping with 512 features each.

@@ -8,41 +8,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from radiant_core.choices import Matching
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap.model import ColmapModel, read_model
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.copies import copies_count
 from radiant_core.io.photos.listing import Photograph, PhotoListing
 from radiant_core.sfm.colmap.database import extract_features, match_pairs
-from radiant_core.sfm.colmap.kept_database import database_key, kept_database
+from radiant_core.sfm.colmap.kept_database import database_key, prepare_database
 from radiant_core.sfm.colmap.mapping import MappingJob, map_photographs
 from radiant_core.sfm.colmap.pairs import choose_pairs
 from radiant_core.sfm.colmap.refine import refine
 from radiant_core.sfm.colmap.spaced_names import write_for_colmap
 from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
-from radiant_core.sfm.colmap.workspace import listed, listing_warnings, start_clean
-from radiant_core.sfm.config import Mapper, Phase, Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
+from radiant_core.sfm.colmap.workspace import list_usable, start_clean, warn_of_unused
+from radiant_core.sfm.config import Phase, Report, SfmConfig, SfmResult, number_phases
 from radiant_core.sfm.copies import without_repeats
 from radiant_core.sfm.gps_outliers import gps_outliers
-from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
+from radiant_core.sfm.known_poses import triangulate
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
-from radiant_core.sfm.memory import undistorting_threads, within_memory
+from radiant_core.sfm.memory import limit_to_memory, undistorting_threads
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.world import UNPLACED, scene_in_world
-
-__all__ = [
-    "Mapper",
-    "Matching",
-    "Phase",
-    "Placement",
-    "Report",
-    "SfmConfig",
-    "SfmProgress",
-    "SfmResult",
-    "reconstruct",
-    "scene_from_colmap",
-    "scene_from_mill19",
-]
 
 PHASES: tuple[Phase, ...] = ("checking photographs", "features", "matching", "mapping", "refining", "undistorting")
 
@@ -57,13 +43,13 @@ def reconstruct(
     is removed first. Raises BadInput when fewer than two photographs can be used or they do not overlap, for masks that do not fit, or
     for a `placement` that names other photographs.
     """
-    report = numbered_steps(report, PHASES)
-    listing = listed(photo_folder, report)
+    report = number_phases(report, PHASES)
+    listing = list_usable(photo_folder, report)
     photographs = listing.photographs
     placement.check_copies(listing.copies)
     placement.check_names((photo.name for photo in photographs), of_model=False)
-    config, limited = within_memory(config, [photo.size_wh for photo in photographs])
-    with kept_database(work_folder, database_key(photographs, config, masks)) as database:
+    config, limited = limit_to_memory(config, [photo.size_wh for photo in photographs])
+    with prepare_database(work_folder, database_key(photographs, config, masks)) as database:
         given = take_masks(masks, photographs, work_folder)
         pairs, matching = choose_pairs(photographs, config)
         extract_features(database, photo_folder, photographs, config, report, given)
@@ -97,14 +83,14 @@ def reconstruct(
         unregistered=mapped.unregistered,
         decisions=(*limited, matching, *mapped.decisions, *placed.decisions, *masks_decision(scene, masks)),
         warnings=(
-            *listing_warnings(listing),
+            *warn_of_unused(listing),
             *repeats,
             *_unregistered_warnings(mapped.unregistered, photographs),
             *outliers.warning(),
             *placed.warnings,
         ),
         unnamed_warnings=(
-            *listing_warnings(listing, named=False),
+            *warn_of_unused(listing, named=False),
             *copies_count(len(placed.scene.cameras) - len(scene.cameras), len(placed.scene.cameras)),
             *_unregistered_counts(mapped.unregistered, photographs),
             *outliers.warning(named=False),
@@ -128,8 +114,8 @@ def scene_from_colmap(
     model = read_model(model_folder)
     placement.check_names((image.name for image in model.images), of_model=True)
     pinhole = all(model.cameras[image.camera_id].is_pinhole for image in model.images)
-    report = numbered_steps(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
-    listing = listed(image_folder, report, tuple(image.name for image in model.images))
+    report = number_phases(report, PHASES[:1] if pinhole else (PHASES[0], "undistorting"))
+    listing = list_usable(image_folder, report, tuple(image.name for image in model.images))
     placement.check_copies(listing.copies)
     listing = listing if pinhole else listing.without_odd_suffixes()
     model = model.without(listing.left_out)
@@ -160,7 +146,7 @@ def scene_from_colmap(
         undistorted_folder=images_to_use,
         unregistered=(),
         decisions=(*placed.decisions, *masks_decision(scene, masks)),
-        warnings=(*listing_warnings(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
+        warnings=(*warn_of_unused(listing), *repeats, *gps_outliers(scene, listing.photographs).warning(), *placed.warnings),
         masks_folder=masks,
     )
 

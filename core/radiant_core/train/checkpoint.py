@@ -16,9 +16,9 @@ from pathlib import Path
 
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
-from radiant_core.io.array_file import load_arrays, naming, stream_arrays
+from radiant_core.io.array_file import load_arrays, name_file_in_errors, stream_arrays
 from radiant_core.io.run_store import content_key, file_sha256, read_json, write_json
-from radiant_core.render.contract import resolve_backend
+from radiant_core.render.rasterize import resolve_backend
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.results import TrainState
@@ -57,7 +57,7 @@ class _Saved:
         if record["sha256"] != file_sha256(self.arrays):
             raise BadInput(f"{self.arrays} is not what was written: its hash differs.")
         arrays, about = load_arrays(self.arrays, SCHEMA, None)
-        with naming(self.arrays):
+        with name_file_in_errors(self.arrays):
             if (record["step"], record["key"]) != (about["step"], about["key"]) or record["step"] != self.step:
                 raise BadInput(f"{self.record} speaks of another run or step.")
             return about["key"], TrainState(arrays=arrays, numbers=about["numbers"])

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.render.contract import Backend, SplatTensors, device_of, rasterize, resolve_backend
+from radiant_core.render.contract import Backend, SplatTensors
+from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.densification import Mcmc, NoDensification

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from radiant_core.decisions import Decision
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.copies import repeated_cameras
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.views import TrainingViews
 
@@ -121,7 +120,7 @@ def _find_dispensable(scene: SfmScene, sharpness: FloatArray, kept: NDArray[np.b
 def find_repeats(scene: SfmScene, views: TrainingViews) -> NDArray[np.bool_]:
     """Which views (V,) show the picture of an earlier one from its place."""
     repeated = np.zeros(len(views), bool)
-    repeated[list(repeated_cameras(views.cameras, scene.points, lambda index: views.images[index]))] = True
+    repeated[list(find_repeated_pictures(views.cameras, scene.points, lambda index: views.images[index]))] = True
     return repeated
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, contradicted
+from radiant_core.aggregate.agreement import MIN_AGREEMENT_DB, find_contradictions
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.ownership import claims_of_cells
 from radiant_core.aggregate.retrain import retrain_on_synthetic_views
@@ -69,7 +69,7 @@ def attacked(attack: str) -> list[Splats]:
 
 
 def test_honest_models_agree_and_all_stay() -> None:
-    found = contradicted(HONEST, CAMERAS)
+    found = find_contradictions(HONEST, CAMERAS)
     assert found.refused == {}
     shared = found.agreement_db[~np.isnan(found.agreement_db)]
     assert len(shared) >= 12 and shared.min() > MIN_AGREEMENT_DB + 5
@@ -77,7 +77,7 @@ def test_honest_models_agree_and_all_stay() -> None:
 
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_who_poisons_is_left_out_and_nobody_else(attack: str) -> None:
-    found = contradicted(attacked(attack), CAMERAS)
+    found = find_contradictions(attacked(attack), CAMERAS)
     assert set(found.refused) == set(ATTACKS[attack]), found.agreement_db
     assert all("contradicts" in reason and reason.endswith(".") and "\n" not in reason for reason in found.refused.values())
 
@@ -108,7 +108,7 @@ def clean_db() -> dict[int, float]:
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_honest_regions_lose_less_than_a_tenth_of_a_decibel(attack: str, clean_db: dict[int, float]) -> None:
     models = attacked(attack)
-    refused = contradicted(models, CAMERAS).refused
+    refused = find_contradictions(models, CAMERAS).refused
     scene = joined({device: model for device, model in enumerate(models) if device not in refused})
     losses_db = {device: clean_db[device] - interior_db(scene, device) for device in range(6) if device not in ATTACKS[attack]}
     assert max(losses_db.values()) < 0.1, losses_db
@@ -121,11 +121,11 @@ def test_undefended_the_same_attack_costs_every_honest_region_decibels(clean_db:
 
 
 def test_two_that_contradict_each_other_both_stay() -> None:
-    assert contradicted([HONEST[0], another_scene(1)], CAMERAS[:2]).refused == {}
+    assert find_contradictions([HONEST[0], another_scene(1)], CAMERAS[:2]).refused == {}
     # A third that shares no place with them has no say.
     far = replace(HONEST[2], means=HONEST[2].means + np.float32([100, 0, 0]))
     away = replace(CAMERAS[2], cam_from_world=CAMERAS[2].cam_from_world @ _shift([-100, 0, 0]))
-    assert contradicted([HONEST[0], another_scene(1), far], [*CAMERAS[:2], away]).refused == {}
+    assert find_contradictions([HONEST[0], another_scene(1), far], [*CAMERAS[:2], away]).refused == {}
 
 
 def _shift(by: list[float]) -> np.ndarray:
@@ -136,7 +136,7 @@ def _shift(by: list[float]) -> np.ndarray:
 
 def test_models_without_cameras_are_not_asked_and_counts_must_agree() -> None:
     none = [own.select([]) for own in CAMERAS]
-    found = contradicted(attacked("blanket"), none)
+    found = find_contradictions(attacked("blanket"), none)
     assert found.refused == {} and np.isnan(found.agreement_db).all()
     with pytest.raises(BadInput, match="give one each"):
-        contradicted(HONEST, CAMERAS[:2])
+        find_contradictions(HONEST, CAMERAS[:2])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from radiant_core.aggregate.arrival import MAX_SPLATS, check_splats, load_arrived
 from radiant_core.io.array_file import save_arrays
 from radiant_core.io.records import save_cameras
-from radiant_core.io.transport.upload import num_uploaded, save_upload
+from radiant_core.io.transport.upload import count_uploaded, save_upload
 from radiant_core.splats import Splats
 from tests.core.scenes import cameras_above, ground_splats
 
@@ -32,7 +32,7 @@ def changed(**values: float) -> Splats:
 @pytest.mark.parametrize("upload", ["float32", "float16", "spz"])
 def test_an_honest_model_passes_in_every_format(upload, tmp_path: Path) -> None:
     save_upload(tmp_path / "model.safetensors", GROUND, upload)
-    assert num_uploaded(tmp_path / "model.safetensors") == len(GROUND)
+    assert count_uploaded(tmp_path / "model.safetensors") == len(GROUND)
     arrived = load_arrived(tmp_path / "model.safetensors", CAMERAS)
     assert isinstance(arrived, Splats) and len(arrived) == len(GROUND)
     assert check_splats(GROUND, CAMERAS.select([])) is None

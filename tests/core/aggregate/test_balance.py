@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from radiant_core.aggregate.balance import MIN_LEVELS, balanced, exposed_splats, exposure_balance
+from radiant_core.aggregate.balance import MIN_LEVELS, balance_teachers, expose_splats, exposure_balance
 from radiant_core.aggregate.synthetic_views import Teacher, views_in_bytes
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
@@ -23,12 +23,12 @@ def soft_ground() -> Splats:
 
 def exposed(gains: list[float], offsets: list[float]) -> list[Teacher]:
     pairs = zip(gains, offsets, NEAR, strict=False)
-    return [Teacher(splats=exposed_splats(soft_ground(), np.full(3, g), np.full(3, b)), cameras=own) for g, b, own in pairs]
+    return [Teacher(splats=expose_splats(soft_ground(), np.full(3, g), np.full(3, b)), cameras=own) for g, b, own in pairs]
 
 
 def test_exposing_a_model_exposes_its_pictures() -> None:
     gains, offsets = np.array([0.7, 0.9, 1.1]), np.array([0.05, 0.0, -0.02])
-    shown = zip(render_views(exposed_splats(soft_ground(), gains, offsets), NEAR[0]), render_views(soft_ground(), NEAR[0]), strict=True)
+    shown = zip(render_views(expose_splats(soft_ground(), gains, offsets), NEAR[0]), render_views(soft_ground(), NEAR[0]), strict=True)
     for after, before in shown:
         # Over black: what is transparent stays so; float32 sums.
         np.testing.assert_allclose(after.image, gains * before.image + offsets * before.alpha[..., None], atol=1e-5)
@@ -41,7 +41,7 @@ def test_exposures_that_were_planted_are_taken_back_up_to_the_mean_of_all() -> N
     assert balance.needed and balance.num_pairs > 2_000
     np.testing.assert_allclose(balance.gains.mean(axis=0), 1, atol=1e-9)
     np.testing.assert_allclose(balance.offsets.mean(axis=0), 0, atol=1e-9)
-    shown = [view.image for teacher in balanced(teachers, balance) for view in render_views(teacher.splats, NEAR[2])]
+    shown = [view.image for teacher in balance_teachers(teachers, balance) for view in render_views(teacher.splats, NEAR[2])]
     for first, second in ((0, 2), (1, 3), (0, 4)):
         # One ground for all: only float32 and the ridge are left.
         assert np.abs(shown[first] - shown[second]).max() < 0.5 / 255
@@ -51,7 +51,7 @@ def test_pictures_that_were_rendered_before_are_exposed_as_their_model() -> None
     teachers = exposed([0.8, 1.2], [0.0, 0.0])
     ready = [replace(t, rendered=dict(enumerate(views_in_bytes(t.splats, t.cameras)))) for t in teachers]
     balance = exposure_balance(ready)
-    for teacher in balanced(ready, balance):
+    for teacher in balance_teachers(ready, balance):
         for (image, _), view in zip(teacher.rendered.values(), render_views(teacher.splats, teacher.cameras), strict=True):
             # Rounded to 8 bits twice, the first error times the gain.
             assert np.abs(image / 255 - view.image).max() < 1.5 / 255
@@ -61,7 +61,7 @@ def test_models_of_one_exposure_keep_their_bits() -> None:
     teachers = exposed([1.0, 1.0], [0.0, 0.0])
     balance = exposure_balance(teachers)
     assert balance.levels < 0.1 < MIN_LEVELS and not balance.needed
-    assert all(after is before for after, before in zip(balanced(teachers, balance), teachers, strict=True))
+    assert all(after is before for after, before in zip(balance_teachers(teachers, balance), teachers, strict=True))
 
 
 def test_models_that_share_no_place_are_left_alone() -> None:

@@ -28,7 +28,7 @@ NEEDS = CloudNeeds(num_cameras=40, memory_bytes=2e9, time_s=100.0)
 
 
 def drawn(seed: int = 0, cameras: Cameras = CAMERAS) -> Cameras:
-    return virtual_cameras(cameras, MODEL.means, np.random.default_rng(seed))
+    return virtual_cameras(cameras, MODEL.means, np.random.default_rng(seed))[0]
 
 
 class TestVirtualCameras:

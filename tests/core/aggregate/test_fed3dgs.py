@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from radiant_core.aggregate.rivals import fed3dgs as module
-from radiant_core.aggregate.rivals.fed3dgs import Fed3dgsConfig, fed3dgs, fed3dgs_merge, overlaps
+from radiant_core.aggregate.baselines import fed3dgs as module
+from radiant_core.aggregate.baselines.fed3dgs import Fed3dgsConfig, fed3dgs, fed3dgs_merge, overlaps
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import shapely
 from scipy.spatial.transform import Rotation
 
-from radiant_core.aggregate.rivals.box_coverage import box_coverage
-from radiant_core.aggregate.rivals.vast_borders import cell_owners, nearest_cell_border
-from radiant_core.aggregate.rivals.vast_gaussian import VastGaussianConfig, crop_cells, scene_of_cell, vast_cells, vast_gaussian
+from radiant_core.aggregate.baselines.box_coverage import box_coverage
+from radiant_core.aggregate.baselines.vast_gaussian import VastGaussianConfig, crop_cells, scene_of_cell, vast_cells, vast_gaussian
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
@@ -219,30 +217,6 @@ class TestJoin:
             crop_cells([ground_splats(10)], cells)
         with pytest.raises(BadInput, match="cell 1, 0 has no Gaussians"):
             crop_cells([ground_splats(10), ground_splats(10).select(np.zeros(10, bool))], cells)
-
-
-class TestBorders:
-    def test_they_are_where_the_next_cells_polygon_begins(self) -> None:
-        cells = vast_cells(ground_scene(), 3, 2)
-        places = np.random.default_rng(3).uniform(-12, 12, (2000, 2))
-        corners = np.array([np.clip(cell.region, -100, 100).ravel() for cell in cells])
-        polygons, points = np.asarray(shapely.box(*corners.T)), np.asarray(shapely.points(places))
-        gaps = np.asarray(shapely.distance(points[:, None], polygons))
-        owners = cell_owners(places, cells)
-        np.testing.assert_array_equal(gaps[np.arange(2000), owners], 0)
-        gaps[np.arange(2000), owners] = np.inf
-        distances, pairs = nearest_cell_border(places, cells)
-        np.testing.assert_allclose(distances, gaps.min(axis=1), atol=1e-9)
-        np.testing.assert_array_equal(pairs, np.sort(np.stack([owners, gaps.argmin(axis=1)], axis=1), axis=1))
-
-    def test_one_cell_has_none_and_poison_is_refused(self) -> None:
-        cells = vast_cells(ground_scene(), 1, 1)
-        distances, pairs = nearest_cell_border(np.array([[0.0, 0], [50, 1e7]]), cells)
-        assert np.isinf(distances).all() and (pairs == -1).all()
-        with pytest.raises(BadInput, match="points_xy has 1 values that are not finite"):
-            nearest_cell_border(np.array([[0.0, np.nan]]), cells)
-        with pytest.raises(BadInput, match="no cells"):
-            cell_owners(np.zeros((1, 2)), [])
 
 
 class TestTrainingPixels:

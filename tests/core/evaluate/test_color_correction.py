@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.color_correction import color_corrected
+from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import image_errors, psnr_db
 
 RNG = np.random.default_rng(2)
@@ -32,19 +32,19 @@ def test_an_affine_change_of_colours_is_taken_away() -> None:
     render = PHOTO @ matrix.T + [0.02, -0.01, 0.03]
     assert render.min() >= 0 and render.max() <= 1 and psnr_db(render, PHOTO) < 25
     # λ bends the fit by about 1e-8 over the smallest colour variance here, 1e-3.
-    np.testing.assert_allclose(color_corrected(render, PHOTO), PHOTO, atol=1e-4)
+    np.testing.assert_allclose(correct_colors(render, PHOTO), PHOTO, atol=1e-4)
 
 
 def test_it_is_the_least_squares_fit_before_clipping() -> None:
     x = np.c_[NOISY.reshape(-1, 3), np.ones(NOISY[..., 0].size)]
     fitted = x @ np.linalg.lstsq(x, PHOTO.reshape(-1, 3))[0]
-    np.testing.assert_allclose(color_corrected(NOISY, PHOTO).reshape(-1, 3), np.clip(fitted, 0, 1), atol=1e-5)
+    np.testing.assert_allclose(correct_colors(NOISY, PHOTO).reshape(-1, 3), np.clip(fitted, 0, 1), atol=1e-5)
 
 
 @pytest.mark.parametrize("photo", EXTREMES)
 @pytest.mark.parametrize("render", EXTREMES)
 def test_it_never_makes_the_error_larger(render: str, photo: str) -> None:
-    corrected = color_corrected(EXTREMES[render], EXTREMES[photo])
+    corrected = correct_colors(EXTREMES[render], EXTREMES[photo])
     assert corrected.min() >= 0 and corrected.max() <= 1
     errors = [np.mean((image - EXTREMES[photo]) ** 2) for image in (EXTREMES[render], corrected)]
     assert errors[1] <= errors[0] * (1 + 1e-9) + 1e-20  # rounding of float64
@@ -61,8 +61,8 @@ def test_the_corrected_figures_stand_beside_the_plain_ones() -> None:
 @pytest.mark.parametrize("poison", [PHOTO[:20], PHOTO * 255, PHOTO * np.nan, PHOTO[..., :1], np.zeros((0, 40, 3))])
 def test_poison_is_bad_input(poison: np.ndarray) -> None:
     with pytest.raises(BadInput):
-        color_corrected(poison, PHOTO)
+        correct_colors(poison, PHOTO)
 
 
 def test_one_pixel_is_corrected_to_its_photograph() -> None:
-    np.testing.assert_allclose(color_corrected(np.full((1, 1, 3), 0.2), np.full((1, 1, 3), 0.7)), 0.7, atol=1e-12)
+    np.testing.assert_allclose(correct_colors(np.full((1, 1, 3), 0.2), np.full((1, 1, 3), 0.7)), 0.7, atol=1e-12)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.color_correction import color_corrected
+from radiant_core.evaluate.color_correction import correct_colors
 from radiant_core.evaluate.image_error import FIGURES, ImageErrors, flip, image_errors, mean_errors, median_errors, psnr_db, ssim
 
 RNG = np.random.default_rng(11)
@@ -158,7 +158,7 @@ def test_the_windows_of_ssim_stand_about_used_pixels() -> None:
     assert ssim(RENDER, PHOTO, right) == pytest.approx(plain_ssim(agreeing[:, 17:], PHOTO[:, 17:]), abs=1e-11)
 
 
-@pytest.mark.parametrize("figure", [psnr_db, ssim, flip, color_corrected])
+@pytest.mark.parametrize("figure", [psnr_db, ssim, flip, correct_colors])
 @pytest.mark.parametrize("used", [np.zeros_like(USED), USED[1:], USED.T])
 def test_a_mask_that_leaves_nothing_or_has_another_size_is_refused(figure: Any, used: np.ndarray) -> None:
     with pytest.raises(BadInput):

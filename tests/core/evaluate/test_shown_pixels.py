@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.evaluate.shown_pixels import shown_pixels, strongest
+from radiant_core.evaluate.shown_pixels import count_shown_pixels, select_strongest
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 
@@ -34,7 +34,7 @@ def _cameras() -> Cameras:
 
 
 def test_all_gaussians_together_show_what_is_opaque() -> None:
-    shown = shown_pixels(_cloud(), _cameras())
+    shown = count_shown_pixels(_cloud(), _cameras())
     assert shown.min() >= 0
     # float32 sums of 3,000 pixels in another order
     assert shown.sum() == pytest.approx(sum(view.alpha.sum() for view in render_views(_cloud(), _cameras())), rel=1e-4)
@@ -50,8 +50,8 @@ def test_what_a_wall_hides_goes_first() -> None:
         logit_opacities=np.array([8], np.float32),
     )
     both = replace(cloud, **{name: np.concatenate([array, wall.arrays()[name]]) for name, array in cloud.arrays().items()})
-    left = strongest(both, _cameras(), 1)
+    left = select_strongest(both, _cameras(), 1)
     assert np.array_equal(left.means, wall.means)
-    assert strongest(both, _cameras(), 500) is both
+    assert select_strongest(both, _cameras(), 500) is both
     with pytest.raises(BadInput, match="expected at least 1"):
-        strongest(both, _cameras(), 0)
+        select_strongest(both, _cameras(), 0)

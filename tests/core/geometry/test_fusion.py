@@ -12,7 +12,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.geometry import fusion
-from radiant_core.geometry.fusion import FusionSettings, blocks_within, fuse_apart, rounded_up
+from radiant_core.geometry.fusion import FusionSettings, blocks_within, fuse_apart, round_up
 from radiant_core.geometry.open3d_ops import MAX_BLOCKS, DepthView, Mesh, count_blocks, fused_mesh
 
 MAX_DEPTH_M = 60.0
@@ -57,7 +57,7 @@ def test_what_does_not_fit_is_coarsened_or_refused_with_what_would() -> None:
     # What the sentence names is what it takes.
     assert 0.9 * advised < coarse.voxel <= advised
     assert blocks_within(0) < blocks_within(8 << 30) < blocks_within(1 << 40) == MAX_BLOCKS
-    assert [rounded_up(value) for value in (0.2131, 0.22, 3.01, 12.0)] == [0.22, 0.22, 3.1, 12.0]
+    assert [round_up(value) for value in (0.2131, 0.22, 3.01, 12.0)] == [0.22, 0.22, 3.1, 12.0]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, geodetic_from_enu
 from radiant_core.geometry.surface import Surface, extract_surface, surface_grid
 from radiant_core.map_projection import utm_from_geodetic
-from radiant_core.render.trajectories import Lens, looking_at
+from radiant_core.render.trajectories import Lens, cameras_looking_at
 from radiant_core.splats import SH_C0, Splats
 
 SHIFT = np.array([300.0, -200.0, 50.0])
@@ -46,7 +46,7 @@ def block() -> Splats:
 def flight() -> Cameras:
     xy = np.stack(np.meshgrid([-6, 0, 6], [-6, 0, 6]), axis=-1).reshape(-1, 2)
     stands = np.column_stack([xy, np.full(9, 20.0)]) + SHIFT
-    return looking_at(stands, stands * [1, 1, 0] + [0.0, 0.0, SHIFT[2]], Lens(size_wh=(192, 144), field_of_view_deg=60))
+    return cameras_looking_at(stands, stands * [1, 1, 0] + [0.0, 0.0, SHIFT[2]], Lens(size_wh=(192, 144), field_of_view_deg=60))
 
 
 @cache

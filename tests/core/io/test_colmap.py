@@ -16,8 +16,9 @@ from radiant_core.errors import BadInput
 from radiant_core.io.colmap import binary as colmap_binary
 from radiant_core.io.colmap import model as colmap
 from radiant_core.io.colmap import text as colmap_text
-from radiant_core.io.colmap.model import ColmapCamera, ColmapModel, ColmapPoints, checked_model, find_model, read_model, write_model
-from radiant_core.io.colmap.records import PARAM_COUNTS
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.records import PARAM_COUNTS, ColmapCamera, ColmapModel, ColmapPoints, check_model
+from radiant_core.io.colmap.text import write_model
 
 STEMS = ("cameras", "images", "points3D")
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "known"
@@ -97,22 +98,6 @@ def test_the_shipped_known_model_agrees_with_colmaps_own_reader() -> None:
     assert len(model.images) == theirs.num_reg_images()
     assert len(model.points.ids) == theirs.num_points3D()
     assert len(model.points.tracks) == theirs.compute_num_observations()
-
-
-def test_the_model_is_found_in_a_project(text_model: Path, tmp_path: Path) -> None:
-    model = read_model(text_model)
-    write_model(tmp_path / "sparse" / "0", model)
-    assert find_model(tmp_path) == tmp_path / "sparse" / "0"
-    with pytest.raises(BadInput, match="holds no COLMAP model"):
-        find_model(tmp_path / "sparse" / "0" / "nowhere")
-    # The nearest first: of the folder itself, its first reconstruction, and sparse.
-    write_model(tmp_path / "sparse", model)
-    assert find_model(tmp_path) == tmp_path / "sparse" / "0"
-    for path in (tmp_path / "sparse" / "0").iterdir():
-        path.unlink()
-    assert find_model(tmp_path) == tmp_path / "sparse"
-    write_model(tmp_path, model)
-    assert find_model(tmp_path) == tmp_path
 
 
 def copied(source: Path, target: Path) -> Path:
@@ -265,7 +250,7 @@ def test_sides_end_at_131072_px_and_two_models_have_no_distortion(text_model: Pa
 
 
 def with_one(model: ColmapCamera) -> ColmapModel:
-    return checked_model([model], [], ColmapPoints(**NO_POINTS), "here")
+    return check_model([model], [], ColmapPoints(**NO_POINTS), "here")
 
 
 NO_POINTS = {

@@ -23,10 +23,10 @@ from radiant_core.io.transport.delivery import (
     SIGNATURE_NAME,
     Delivery,
     check_files,
+    describe_files,
     load_delivery,
     save_delivery,
-    sent_files,
-    verified_delivery,
+    verify_delivery,
 )
 from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME, keeps_modes, load_public_key, load_signing_key, make_signing_key
 from tests.app.no_modes import without_modes
@@ -49,7 +49,7 @@ def sent(folder: Path, name: str = "north-1", run: str = RUN, attempt: int = 1, 
         receiver="edges/north",
         kind="device_model",
         attempt=attempt,
-        files=sent_files({file: place / file for file in FILES}),
+        files=describe_files({file: place / file for file in FILES}),
     )
     assert save_delivery(place, delivery, folder / f"{name}-identity") == [RECORD_NAME, SIGNATURE_NAME]
     return place
@@ -75,7 +75,7 @@ def taken(folder: Path, public: Path, state: Acceptance) -> tuple[Acceptance, st
 
 
 def waiting() -> Acceptance:
-    return Acceptance(run=RUN, receiver="edges/north").planned("devices/north-1", "devices/north-1", ["c"])
+    return Acceptance(run=RUN, receiver="edges/north", senders={"devices/north-1": "devices/north-1"})
 
 
 def test_what_was_sent_arrives_once(tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_a_signed_record_that_is_none_is_refused_by_the_first_thing_wrong(tmp_pa
     fields = {**json.loads((place / RECORD_NAME).read_bytes()), **changed}
     record = json.dumps({name: value for name, value in fields.items() if value is not ...}).encode()
     with pytest.raises(BadInput, match=told):
-        verified_delivery(record, key.sign(b"radiant.delivery 1\0" + record), key.public_key())
+        verify_delivery(record, key.sign(b"radiant.delivery 1\0" + record), key.public_key())
 
 
 @pytest.mark.parametrize("record", [b"[]", b"null", b"7", b"{}", b"{", b""])
@@ -199,7 +199,7 @@ def test_signed_bytes_that_are_no_record_are_refused(tmp_path: Path, record: byt
     make_signing_key(tmp_path)
     key = load_signing_key(tmp_path)
     with pytest.raises(BadInput):
-        verified_delivery(record, key.sign(b"radiant.delivery 1\0" + record), key.public_key())
+        verify_delivery(record, key.sign(b"radiant.delivery 1\0" + record), key.public_key())
 
 
 def test_limits_of_a_delivery_are_where_they_are_said_to_be(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from radiant_core.errors import BadInput
-from radiant_core.io.export.geotiff import NO_DATA, HeightGrid, hillshade, save_geotiff
+from radiant_core.io.export.geotiff import NO_DATA, HeightGrid, save_geotiff
 from radiant_core.io.export.mesh_ply import save_mesh
 
 
@@ -48,8 +48,6 @@ def test_a_place_finds_its_cell_and_none_outside() -> None:
     np.testing.assert_array_equal(grid().at(places), grid().heights[rows, columns])
     assert np.isnan(grid().at(places + 1000)).all()
     assert np.isnan(grid().at(grid().north_west[None] + np.array([6 * 0.25, -4 * 0.25]))).all()
-    assert (hillshade(grid())[:3, 30:] < 255).all()
-    assert hillshade(grid())[5, 10] == 255
 
 
 @pytest.mark.parametrize(
@@ -70,17 +68,6 @@ def test_open3d_reads_the_mesh_as_it_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.rint(255 * np.asarray(mesh.vertex_colors)), colors)
     with pytest.raises(BadInput, match="vertex 3 of 3"):
         save_mesh(tmp_path / "b.ply", vertices, [[0, 1, 3]], colors)
-
-
-def test_light_falls_from_the_north_west_at_45_degrees() -> None:
-    """20 in the shadow, 240 face to face: slopes of 45° towards the light and away from it, level ground, one across, a steep one."""
-    rows, columns = np.mgrid[:5, :6] * 2.0
-    slope = np.sqrt(0.5)
-    for east, south, shade in ((slope, slope, 1.0), (0.0, 0.0, slope), (-slope, -slope, 0.0), (-slope, slope, 0.5), (3.0, 0.0, None)):
-        surface = HeightGrid(heights=7 + east * columns + south * rows, north_west=np.zeros(2), cell=2.0, epsg=None)
-        normal = np.array([-east, south, 1.0]) / np.sqrt(east**2 + south**2 + 1)
-        expected = normal @ [-0.5, 0.5, slope] if shade is None else shade
-        np.testing.assert_array_equal(hillshade(surface), np.rint(20 + 220 * np.clip(expected, 0, 1)))
 
 
 def test_a_place_on_the_rim_belongs_to_the_cell_east_and_south_of_it() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from radiant_core.numerics import FloatArray
+from radiant_core.plan.borders.footprints import RegionShares
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, Edge, System
 
@@ -102,3 +103,10 @@ def linear_system(positions: FloatArray, seconds_per_camera: FloatArray, max_cam
             for index, ((x, y), seconds) in enumerate(zip(positions, seconds_per_camera, strict=True))
         )
     )
+
+
+def dense(shares: RegionShares) -> np.ndarray:
+    """The whole matrix (P,E) of shares."""
+    matrix = np.zeros((shares.num_images, shares.num_regions))
+    matrix[shares.images, shares.regions] = shares.shares
+    return matrix

@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.plan.borders.buffers import BufferRule, plan_buffers
 from radiant_core.plan.borders.footprints import Footprints, RegionShares, Views, region_shares
 from radiant_core.plan.borders.forecast import forecast_borders
-from radiant_core.plan.counts.count_raster import CountRaster, count_raster, followed_by_edges, middles_of_cells
+from radiant_core.plan.counts.count_raster import CountRaster, assign_to_regions, count_raster, middles_of_cells
 from radiant_core.plan.counts.slack_curve import slack_curve
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
@@ -26,7 +26,7 @@ from radiant_core.plan.regions.power_diagram import cell_polygons
 from radiant_core.plan.regions.region_plan import plan_regions, regions_around, regions_with_counts
 from radiant_core.plan.regions.transport import deal_with_counts
 from radiant_core.plan.revision.assigned import assigned_plan
-from radiant_core.plan.revision.captured import plan_of_captured, plan_of_owners, taken_for_others
+from radiant_core.plan.revision.captured import captured_for_other_edges, plan_captured, plan_of_owners
 from radiant_core.plan.revision.replan import Situation, replan
 from radiant_core.plan.timeline.simulate import BandwidthTrace, fleet_of, simulate
 from radiant_core.plan.waypoints import Waypoints
@@ -56,14 +56,14 @@ CALLS: list[tuple[str, Callable[[], object]]] = [
     ("positions", lambda: slack_curve(WRONG, SYSTEM)),
     ("positions", lambda: count_raster(WRONG, 1.0)),
     ("positions", lambda: middles_of_cells(WRONG, 1.0)),
-    ("positions", lambda: followed_by_edges(CLOUD, WRONG, SYSTEM)),
+    ("positions", lambda: assign_to_regions(CLOUD, WRONG, SYSTEM)),
     ("positions", lambda: replan(CLOUD, EDGES, WRONG, SYSTEM, Situation())),
     ("captured", lambda: replan(CLOUD, EDGES, PLACES, SYSTEM, Situation(), captured=WRONG)),
-    ("planned_xy", lambda: plan_of_captured(CLOUD, EDGES, WRONG, PLACES, system=SYSTEM)),
-    ("captured_xy", lambda: plan_of_captured(CLOUD, EDGES, PLACES, WRONG, system=SYSTEM)),
+    ("planned_xy", lambda: plan_captured(CLOUD, EDGES, WRONG, PLACES, system=SYSTEM)),
+    ("captured_xy", lambda: plan_captured(CLOUD, EDGES, PLACES, WRONG, system=SYSTEM)),
     ("captured_xy", lambda: plan_of_owners(CLOUD, EDGES, np.zeros(4, np.int64), WRONG, system=SYSTEM)),
-    ("planned_xy", lambda: taken_for_others(EDGES, WRONG, np.zeros(4, np.int64), PLACES)),
-    ("captured_xy", lambda: taken_for_others(EDGES, PLACES, np.zeros(4, np.int64), WRONG)),
+    ("planned_xy", lambda: captured_for_other_edges(EDGES, WRONG, np.zeros(4, np.int64), PLACES)),
+    ("captured_xy", lambda: captured_for_other_edges(EDGES, PLACES, np.zeros(4, np.int64), WRONG)),
     ("counts", lambda: deal_with_counts(PLACES, PLACES[:2], WRONG)),  # type: ignore[arg-type]
     ("multiplicities", lambda: deal_with_counts(PLACES, PLACES[:2], np.array([2, 2]), multiplicities=WRONG)),
     ("capacities", lambda: deal_within(PLACES, PLACES[:2], WRONG)),  # type: ignore[arg-type]

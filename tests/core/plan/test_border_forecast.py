@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.borders.borders import Border, neighbours_across, outside_by_m, shared_borders
+from radiant_core.plan.borders.borders import Border, distance_outside_m, neighbours_across, shared_borders
 from radiant_core.plan.borders.buffers import BufferRule, plan_buffers
 from radiant_core.plan.borders.footprints import Optics, ground_footprints, region_shares, views_before_capture
 from radiant_core.plan.borders.forecast import BorderForecast, RiskModel, _band_spots, _evenly, _Seen, band_of, forecast_borders
@@ -18,6 +18,8 @@ from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
+
+from .instances import dense
 
 OPTICS = Optics(field_of_view_deg=90, aspect=1.0)
 
@@ -102,12 +104,12 @@ def test_buffers_by_share_and_by_distance_are_those_counted_by_hand() -> None:
     plan, positions = planned(), grid()
     edges = split_edges(positions, plan, system())
     shares = region_shares(ground_footprints(views_before_capture(positions, np.full(100, 10.0), OPTICS)), plan.borders)
-    matrix = shares.dense()
+    matrix = dense(shares)
     for rule in (BufferRule(min_share=0.2), BufferRule(within_m=6.0)):
         made = plan_buffers(positions, shares, plan, edges, system(), rule)
         for index, buffer in enumerate(made):
             others = plan.edge_of_camera != index
-            seeing = matrix[:, index] >= 0.2 if rule.min_share else outside_by_m(positions, plan.borders[index]) <= 6.0
+            seeing = matrix[:, index] >= 0.2 if rule.min_share else distance_outside_m(positions, plan.borders[index]) <= 6.0
             assert sorted(buffer.camera_indices) == np.flatnonzero(others & seeing).tolist()
             assert buffer.edge_time_s == pytest.approx(plan.edge_time_s[index] + len(buffer.camera_indices))
             assert len(buffer.camera_indices) == 10 and buffer.num_refused == 0
@@ -146,7 +148,7 @@ def test_distances_from_a_polygon_equal_shapelys() -> None:
     polygon = np.array([[0.0, 0], [4, 0], [5, 3], [1, 4]])
     points = rng.uniform(-5, 9, (500, 2))
     expected = shapely.distance(shapely.points(points), shapely.Polygon(polygon))
-    np.testing.assert_allclose(outside_by_m(points, polygon), expected, atol=1e-12)
+    np.testing.assert_allclose(distance_outside_m(points, polygon), expected, atol=1e-12)
 
 
 def test_a_band_is_a_twentieth_of_the_way_between_two_edges() -> None:

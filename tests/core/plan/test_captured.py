@@ -13,7 +13,7 @@ from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.region_plan import plan_regions
-from radiant_core.plan.revision.captured import nearest_planned, plan_of_captured, taken_for_others
+from radiant_core.plan.revision.captured import captured_for_other_edges, nearest_planned, plan_captured
 from radiant_core.plan.system import System
 from tests.core.plan.instances import linear_system, random_system
 
@@ -36,7 +36,7 @@ def test_when_every_waypoint_was_captured_the_plan_is_the_same(count: int) -> No
     positions, system = site(count)
     cloud, edges = planned(positions, system)
     shuffle = np.random.default_rng(1).permutation(count)
-    new_cloud, new_edges = plan_of_captured(cloud, edges, positions, positions[shuffle], system=system)
+    new_cloud, new_edges = plan_captured(cloud, edges, positions, positions[shuffle], system=system)
     np.testing.assert_array_equal(new_cloud.edge_of_camera, cloud.edge_of_camera[shuffle])
     # The planner sums a curve's increments, this adds its value once: last digits differ.
     np.testing.assert_allclose(new_cloud.edge_time_s, cloud.edge_time_s, rtol=1e-9)
@@ -53,7 +53,7 @@ def test_every_photograph_is_with_the_device_of_the_nearest_waypoint(seed: int) 
     positions, system = site(300, seed)
     cloud, edges = planned(positions, system)
     captured = positions[np.random.default_rng(seed).integers(0, 300, 411)] + np.random.default_rng(seed).normal(size=(411, 2)) * 5
-    new_cloud, new_edges = plan_of_captured(cloud, edges, positions, captured, system=system)
+    new_cloud, new_edges = plan_captured(cloud, edges, positions, captured, system=system)
     owner = {int(camera): device for plan in edges for device in plan.device_ids for camera in plan.cameras_of(device)}
     nearest = np.sum((captured[:, None] - positions) ** 2, axis=-1).argmin(axis=1)
     for plan in new_edges:
@@ -69,7 +69,7 @@ def test_every_photograph_is_with_the_device_of_the_nearest_waypoint(seed: int) 
 def test_times_are_those_of_the_captured_counts_by_the_papers_formula() -> None:
     positions, system = site(200, 3)
     captured = positions[positions[:, 0] < 260]
-    _, new_edges = result = plan_of_captured(*planned(positions, system), positions, captured, system=system)
+    _, new_edges = result = plan_captured(*planned(positions, system), positions, captured, system=system)
     for index, (edge, plan) in enumerate(zip(system.edges, new_edges, strict=True)):
         counts = [len(plan.cameras_of(device.id)) for device in edge.devices]
         slowest_s = max(float(device_time_s(device, count)) for device, count in zip(edge.devices, counts, strict=True))
@@ -84,7 +84,7 @@ def test_a_device_that_captured_nothing_stays_with_none() -> None:
     lost = edges[0].device_ids[0]
     keep = np.setdiff1d(np.arange(120), edges[0].cameras_of(lost))
     assert len(keep) < 120
-    _, new_edges = plan_of_captured(cloud, edges, positions, positions[keep], system=system)
+    _, new_edges = plan_captured(cloud, edges, positions, positions[keep], system=system)
     assert len(new_edges[0].cameras_of(lost)) == 0
     assert new_edges[0].device_time_s[0] == 0
     np.testing.assert_array_equal(new_edges[0].strips[0], edges[0].strips[0])
@@ -93,7 +93,7 @@ def test_a_device_that_captured_nothing_stays_with_none() -> None:
 
 def test_one_photograph_of_a_whole_site_is_a_plan_too() -> None:
     positions, system = site(50, 5)
-    cloud, edges = plan_of_captured(*planned(positions, system), positions, positions[:1], system=system)
+    cloud, edges = plan_captured(*planned(positions, system), positions, positions[:1], system=system)
     assert cloud.counts.sum() == 1
     assert np.count_nonzero(cloud.edge_time_s) <= 1
     assert sum(len(plan.camera_indices) for plan in edges) == 1
@@ -114,9 +114,9 @@ def test_what_does_not_belong_together_is_refused() -> None:
     ]
     for planned_xy, captured_xy, used, told in cases:
         with pytest.raises(BadInput, match=told):
-            plan_of_captured(cloud, edges, planned_xy, captured_xy, system=used)
+            plan_captured(cloud, edges, planned_xy, captured_xy, system=used)
     with pytest.raises(BadInput, match="disagree"):
-        plan_of_captured(replace(cloud, edge_of_camera=1 - np.minimum(cloud.edge_of_camera, 1)), edges, positions, positions, system=system)
+        plan_captured(replace(cloud, edge_of_camera=1 - np.minimum(cloud.edge_of_camera, 1)), edges, positions, positions, system=system)
 
 
 def test_photographs_in_the_folder_of_another_edge_are_told() -> None:
@@ -124,12 +124,12 @@ def test_photographs_in_the_folder_of_another_edge_are_told() -> None:
     cloud, edges = planned(positions, system)
     first = np.cumsum([0, *(len(plan.device_ids) for plan in edges)])
     own = first[cloud.edge_of_camera]  # the first device of each edge took all of its edge
-    assert not taken_for_others(edges, positions, own, positions).any()
+    assert not captured_for_other_edges(edges, positions, own, positions).any()
     exchanged = own.copy()
     exchanged[cloud.edge_of_camera == 0] = first[1]
-    np.testing.assert_array_equal(taken_for_others(edges, positions, exchanged, positions), cloud.edge_of_camera == 0)
+    np.testing.assert_array_equal(captured_for_other_edges(edges, positions, exchanged, positions), cloud.edge_of_camera == 0)
     with pytest.raises(BadInput, match="use the plan of this site"):
-        taken_for_others(edges, positions, own, positions + 5000.0)
+        captured_for_other_edges(edges, positions, own, positions + 5000.0)
 
 
 def test_where_one_device_captured_all_of_an_edge_nothing_is_joined() -> None:
@@ -140,7 +140,7 @@ def test_where_one_device_captured_all_of_an_edge_nothing_is_joined() -> None:
     edge = next(index for index, plan in enumerate(plans) if len(plan.device_ids) > 1 and len(plan.camera_indices))
     plan = plans[edge]
     first = plan.camera_indices[plan.device_of_camera == plan.device_of_camera[0]]
-    alone, _ = plan_of_captured(cloud, plans, positions, positions[first], system=system)
+    alone, _ = plan_captured(cloud, plans, positions, positions[first], system=system)
     device = system.edges[edge].devices[int(plan.device_of_camera[0])]
     sent_s = float(device.model_bytes(len(first))) / system.edges[edge].uplink_bytes_per_s
     assert alone.edge_time_s[edge] == pytest.approx(float(device_time_s(device, len(first))) + 1.0 + sent_s)
@@ -171,13 +171,13 @@ def test_the_status_says_how_near_the_captured_counts_are_to_the_best() -> None:
     cloud, edges = planned(positions, system)
     for west, east, status in ((50, 50, "optimal"), (52, 48, "converged"), (53, 47, "stopped")):
         rows = np.concatenate([np.arange(50 - min(west, 50), 50), np.full(max(0, west - 50), 3), np.arange(100 - east, 100)])
-        new, _ = plan_of_captured(cloud, edges, positions, positions[rows], system=system)
+        new, _ = plan_captured(cloud, edges, positions, positions[rows], system=system)
         assert (new.counts.tolist(), new.status, new.lower_bound_s) == ([west, east], status, 50.0)
 
 
 def test_a_device_may_capture_exactly_what_its_memory_holds() -> None:
     positions, system = np.stack([np.arange(6.0), np.zeros(6)], axis=1), linear_system(np.array([[1.0, 0.0], [4.0, 0.0]]), np.ones(2), 3)
     cloud, edges = planned(positions, system)
-    assert plan_of_captured(cloud, edges, positions, positions, system=system)[0].counts.tolist() == [3, 3]
+    assert plan_captured(cloud, edges, positions, positions, system=system)[0].counts.tolist() == [3, 3]
     with pytest.raises(BadInput, match="device 'd0' captured 4 photographs, its memory holds 3: raise max_cameras or leave some out"):
-        plan_of_captured(cloud, edges, positions, positions[[0, 0, 1, 2]], system=system)
+        plan_captured(cloud, edges, positions, positions[[0, 0, 1, 2]], system=system)

@@ -12,11 +12,11 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.count_raster import (
     CountRaster,
     _hand_over,
+    assign_to_regions,
     count_raster,
-    followed_by_edges,
-    known_to_the_cloud,
     middles_of_cells,
     regions_of_raster,
+    system_without_devices,
 )
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.power_diagram import assign
@@ -32,9 +32,9 @@ def four_edges(max_cameras: int | None = None) -> System:
 
 
 def planned(positions: FloatArray, system: System, cell_m: float) -> tuple[CloudPlan, CloudPlan]:
-    regions = regions_of_raster(count_raster(positions, cell_m), known_to_the_cloud(system, len(positions)))
+    regions = regions_of_raster(count_raster(positions, cell_m), system_without_devices(system, len(positions)))
     assert isinstance(regions, CloudPlan)
-    return regions, followed_by_edges(regions, positions, system)
+    return regions, assign_to_regions(regions, positions, system)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -87,8 +87,8 @@ def test_what_devices_cannot_hold_goes_to_a_neighbour_by_the_shortest_way() -> N
     np.testing.assert_array_equal(plan.counts, [50, 50, 50, 50])
     assert plan.num_outside > 0 and not plan.certified and plan.status != "optimal"
     with pytest.raises(BadInput, match="can hold 196 of 200"):
-        followed_by_edges(plan, positions, four_edges(max_cameras=49))
-    infeasible = regions_of_raster(count_raster(positions, 90.0), known_to_the_cloud(four_edges(max_cameras=49), 200))
+        assign_to_regions(plan, positions, four_edges(max_cameras=49))
+    infeasible = regions_of_raster(count_raster(positions, 90.0), system_without_devices(four_edges(max_cameras=49), 200))
     assert isinstance(infeasible, PlanInfeasible) and infeasible.capacity == 196
 
 
@@ -99,22 +99,22 @@ def test_one_that_must_move_is_the_one_nearest_to_the_border() -> None:
     regions = replace(regions, weights=np.zeros(2))
     first, second = system.edges
     small = replace(system, edges=(replace(first, devices=(replace(first.devices[0], max_cameras=2),)), second))
-    plan = followed_by_edges(regions, positions, small)
+    plan = assign_to_regions(regions, positions, small)
     np.testing.assert_array_equal(plan.edge_of_camera, [0, 0, 1, 1])
     assert plan.num_outside == 1
 
 
 def test_the_cloud_is_told_curves_alone_and_refuses_devices() -> None:
     system = four_edges()
-    told = known_to_the_cloud(system, 100)
+    told = system_without_devices(system, 100)
     assert not told.devices and all(edge.time_s is not None for edge in told.edges)
-    assert known_to_the_cloud(told, 100) == told, "an edge that is known by its curve already stays as it is"
+    assert system_without_devices(told, 100) == told, "an edge that is known by its curve already stays as it is"
     positions = LAYOUTS["uniform"](np.random.default_rng(4), 30)
     with pytest.raises(BadInput, match="was given devices"):
         regions_of_raster(count_raster(positions, 5.0), system)
     with pytest.raises(BadInput, match="the system has others"):
-        followed_by_edges(planned(positions, system, 5.0)[0], positions, replace(system, edges=system.edges[:2]))
-    full = known_to_the_cloud(four_edges(max_cameras=0), 10)
+        assign_to_regions(planned(positions, system, 5.0)[0], positions, replace(system, edges=system.edges[:2]))
+    full = system_without_devices(four_edges(max_cameras=0), 10)
     assert [edge.max_cameras for edge in full.edges] == [0] * 4
 
 
@@ -138,7 +138,7 @@ def test_poisoned_positions_are_refused() -> None:
 def test_the_land_of_a_raster_ends_a_tenth_of_its_longer_side_beyond_its_cells() -> None:
     positions = np.array([[11.0, 21.0], [58.0, 21.0], [35.0, 39.0]])
     regions = regions_of_raster(
-        count_raster(positions, 10.0), known_to_the_cloud(linear_system(np.array([[20.0, 30.0], [50.0, 30.0]]), np.ones(2)), 3)
+        count_raster(positions, 10.0), system_without_devices(linear_system(np.array([[20.0, 30.0], [50.0, 30.0]]), np.ones(2)), 3)
     )
     assert isinstance(regions, CloudPlan)
     corners = np.concatenate(regions.borders)
@@ -169,11 +169,11 @@ def test_the_status_of_what_edges_make_of_it_is_by_the_bound_and_by_who_was_hand
     positions = np.stack([np.arange(100.0), np.zeros(100)], axis=1)
     regions, _ = planned(positions, system, 1.0)
     for border, status in ((49.5, "optimal"), (51.5, "converged"), (52.5, "stopped")):
-        plan = followed_by_edges(replace(regions, weights=np.array([100 * (border - 50.0), 0.0])), positions, system)
+        plan = assign_to_regions(replace(regions, weights=np.array([100 * (border - 50.0), 0.0])), positions, system)
         assert (plan.counts[0], plan.status, plan.certified, plan.history) == (border + 0.5, status, True, (border + 0.5,))
     first, second = system.edges
     full = replace(system, edges=(replace(first, devices=(replace(first.devices[0], max_cameras=50),)), second))
-    plan = followed_by_edges(replace(regions, weights=np.array([150.0, 0.0])), positions, full)
+    plan = assign_to_regions(replace(regions, weights=np.array([150.0, 0.0])), positions, full)
     assert plan.counts.tolist() == [50, 50] and (plan.num_outside, plan.certified, plan.status) == (2, False, "converged")
 
 
@@ -196,5 +196,5 @@ def test_cameras_handed_over_are_the_cheapest_against_every_choice() -> None:
 
 
 def test_an_edge_of_which_no_device_has_room_is_told_with_its_place() -> None:
-    edge = known_to_the_cloud(four_edges(max_cameras=0), 10).edges[1]
+    edge = system_without_devices(four_edges(max_cameras=0), 10).edges[1]
     assert (edge.id, edge.position, edge.lat_lon_deg, edge.max_cameras, edge.uplink_bytes_per_s) == ("e1", (400.0, 60.0), None, 0, 1.0)

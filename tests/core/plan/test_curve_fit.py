@@ -8,7 +8,7 @@ from scipy.optimize import nnls
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.profiles.curve_fit import FittedCurve, corrected, falls, fit_curve
+from radiant_core.plan.profiles.curve_fit import FittedCurve, falls, fit_curve
 
 COUNTS = np.array([10, 20, 50, 100, 200, 400])
 
@@ -43,18 +43,6 @@ def test_one_sample_is_taken_in_proportion() -> None:
     assert float(fit_curve([50], [100.0]).curve(25)) == pytest.approx(50.0)
 
 
-def test_beyond_twice_the_range_it_extrapolates() -> None:
-    fitted = fit_curve(COUNTS, COUNTS + 1.0)
-    assert not fitted.extrapolates(800)
-    assert fitted.extrapolates(801)
-
-
-def test_the_first_sample_of_a_run_scales_the_curve() -> None:
-    curve = corrected(CostCurve(constant=10, linear=1), 90, 200.0)
-    assert float(curve(90)) == pytest.approx(200.0)
-    assert float(curve(40)) == pytest.approx(100.0)
-
-
 @pytest.mark.parametrize(
     ("counts", "values", "message"),
     [
@@ -68,11 +56,6 @@ def test_the_first_sample_of_a_run_scales_the_curve() -> None:
 def test_what_is_no_cost_is_refused(counts: list, values: list, message: str) -> None:
     with pytest.raises(BadInput, match=message):
         fit_curve(counts, values)
-
-
-def test_a_correction_needs_a_measurement() -> None:
-    with pytest.raises(BadInput, match="positive"):
-        corrected(CostCurve(linear=1), 10, float("nan"))
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1e12])
@@ -139,14 +122,6 @@ def test_a_power_term_is_taken_only_where_it_is_worth_it() -> None:
     assert with_power > 0
 
 
-def test_a_first_sample_scales_a_curve_however_small() -> None:
-    for scale in (1e-6, 0.5, 1e6):
-        curve = corrected(CostCurve(constant=scale, linear=scale), 4, 20.0)
-        assert float(curve(4)) == pytest.approx(20.0) and float(curve(9)) == pytest.approx(40.0)
-    nothing = CostCurve()
-    assert corrected(nothing, 4, 20.0) == nothing
-
-
 @pytest.mark.parametrize(("last", "is_falling"), [(9.0, False), (7.37, False), (7.36, True)])
 def test_values_fall_where_they_lose_more_than_a_fifth_over_their_range(last: float, is_falling: bool) -> None:
     """Two values have their line through both: from 9 to 8.1 / 1.1 it falls by a fifth of their mean."""
@@ -176,13 +151,9 @@ def test_exponents_from_a_quarter_to_three_are_found(exponent: float) -> None:
     assert fitted.curve.exponent == exponent and fitted.curve.power_coefficient == pytest.approx(0.5, rel=1e-6)
 
 
-def test_errors_may_be_off_by_a_millionth_and_a_correction_needs_cameras() -> None:
+def test_errors_may_be_off_by_a_millionth() -> None:
     right = {"curve": CostCurve(linear=1), "smallest_count": 10, "largest_count": 40, "samples": ((10, 10.0), (40, 40.0))}
     FittedCurve(**right, rmse=1e-6, worst_error=0.0)
     with pytest.raises(BadInput, match=r"a curve states rmse 0\.0 and worst_error 2e-06, its samples give 0 and 0: profile again"):
         FittedCurve(**right, rmse=0.0, worst_error=2e-6)
     FittedCurve(curve=CostCurve(), smallest_count=1, largest_count=1, rmse=0.0, worst_error=0.0)
-    for count, value in ((0, 1.0), (1, 0.0), (1, np.inf)):
-        with pytest.raises(BadInput, match=f"{value} was measured for {count} cameras: give a positive value and at least one camera"):
-            corrected(CostCurve(linear=1), count, value)
-    assert float(corrected(CostCurve(linear=1), 1, 5e-324)(1)) >= 0

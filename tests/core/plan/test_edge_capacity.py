@@ -13,7 +13,7 @@ from radiant_core.io.records import load_plan, save_plan
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.profiles.edge_capacity import capacity_curve, without_devices
+from radiant_core.plan.profiles.edge_capacity import capacity_curve, edge_without_devices
 from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 
@@ -24,7 +24,7 @@ def test_an_edge_whose_curve_is_exact_is_planned_as_with_its_devices(tmp_path: P
     rng = np.random.default_rng(0)
     positions = LAYOUTS["uniform"](rng, 90)
     whole = linear_system(rng.random((3, 2)) * 300, np.array([1.0, 2.0, 4.0]), max_cameras=50)
-    bare = System(edges=(*(without_devices(edge, 90) for edge in whole.edges[:2]), whole.edges[2]))
+    bare = System(edges=(*(edge_without_devices(edge, 90) for edge in whole.edges[:2]), whole.edges[2]))
     assert not any(edge.devices for edge in bare.edges[:2]) and bare.edges[0].max_cameras == 50
     plan, other = plan_regions(positions, whole), plan_regions(positions, bare)
     assert isinstance(plan, CloudPlan) and isinstance(other, CloudPlan)
@@ -49,7 +49,7 @@ def test_what_one_curve_smooths_is_said() -> None:
 
 
 def test_curves_count_towards_the_capacity() -> None:
-    bare = without_devices(linear_system(np.zeros((1, 2)), np.ones(1), max_cameras=4).edges[0], 9)
+    bare = edge_without_devices(linear_system(np.zeros((1, 2)), np.ones(1), max_cameras=4).edges[0], 9)
     plan = plan_regions(np.random.default_rng(0).random((9, 2)), System(edges=(bare,)))
     assert isinstance(plan, PlanInfeasible) and plan.capacity == 4
 

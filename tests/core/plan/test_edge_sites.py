@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.regions.edge_sites import place_edges, separated_sites
+from radiant_core.plan.regions.edge_sites import place_edges, separate_sites
 from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system
@@ -88,7 +88,7 @@ def test_poisoned_cameras_are_refused(positions: FloatArray) -> None:
 def test_separated_sites_differ_and_those_apart_do_not_move(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sites = rng.choice([0.0, 50.0, 100.0, 150.0], (30, 2))
-    apart = separated_sites(sites, 200.0)
+    apart = separate_sites(sites, 200.0)
     distances_m = np.hypot(*np.moveaxis(apart[:, None] - apart, -1, 0)) + np.diag(np.full(30, np.inf))
     assert distances_m.min() > 1e-6 * 200.0
     _, first = np.unique(sites, axis=0, return_index=True)

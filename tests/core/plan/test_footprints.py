@@ -9,26 +9,21 @@ import pytest
 import shapely
 
 from radiant_core.errors import BadInput
-from radiant_core.frames import Frame
 from radiant_core.plan.borders.footprints import (
     Optics,
     RegionShares,
     Views,
     common_areas_m2,
     ground_footprints,
-    observed_shares,
     region_shares,
     signed_areas_m2,
     views_before_capture,
     views_of_cameras,
 )
-from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.power_diagram import cell_polygons, rectangle
-from radiant_core.plan.regions.region_plan import plan_regions
-from radiant_core.scene import SfmScene
 from tests.core.scenes import cameras_above
 
-from .instances import linear_system
+from .instances import dense
 
 
 def test_a_camera_straight_down_sees_a_rectangle() -> None:
@@ -70,7 +65,7 @@ def test_shares_equal_shapelys_areas_far_from_the_origin() -> None:
     made = ground_footprints(views_before_capture(positions, rng.uniform(20, 120, 300), Optics(), angles))
     outline = rectangle(offset, offset + np.array([500.0, 300.0]))
     cells = (*cell_polygons(rng.random((9, 2)) * [500, 300] + offset, rng.normal(scale=500, size=9), outline), np.zeros((0, 2)))
-    shares = region_shares(made, cells).dense()
+    shares = dense(region_shares(made, cells))
     polygons = [shapely.Polygon(polygon - offset) for polygon in made.polygons]
     for column, cell in enumerate(cells):
         region = shapely.Polygon(cell - offset) if len(cell) else shapely.Polygon()
@@ -118,7 +113,7 @@ def test_poison_is_refused() -> None:
 def test_huge_and_empty_inputs() -> None:
     none = ground_footprints(views_before_capture(np.zeros((0, 2)), [], Optics()))
     square = rectangle(np.zeros(2), np.ones(2))
-    assert region_shares(none, [square]).dense().shape == (0, 1)
+    assert dense(region_shares(none, [square])).shape == (0, 1)
     far = ground_footprints(views_before_capture([[1e8, -1e8]], [1e5], Optics()))
     inside = region_shares(far, [rectangle(np.array([0.0, -2e8]), np.array([2e8, 0.0]))])
     np.testing.assert_allclose(inside.shares, 1.0)
@@ -155,21 +150,6 @@ def moved(step: np.ndarray) -> np.ndarray:
     pose = np.eye(4)
     pose[:3, 3] = step
     return pose
-
-
-def test_shares_of_what_cameras_observe_are_those_counted_by_hand() -> None:
-    plan = plan_regions(np.array([[0.0, 0.0], [10.0, 0.0]]), linear_system(np.array([[0.0, 0.0], [10.0, 0.0]]), np.ones(2)))
-    assert isinstance(plan, CloudPlan)
-    points = np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 1, 5], [9.0, 0, 0]])
-    observations = np.array([[0, 0], [1, 0], [3, 0], [2, 1], [3, 2]])
-    scene = SfmScene(
-        cameras=cameras_above([(0.0, 0.0), (1.0, 0.0), (9.0, 0.0), (5.0, 0.0)]),
-        points=points,
-        colors=np.zeros((4, 3), np.uint8),
-        observations=observations,
-        frame=Frame(kind="metric", origin_lat_lon_alt=np.zeros(3)),
-    )
-    np.testing.assert_allclose(observed_shares(scene, plan).dense(), [[2 / 3, 1 / 3], [1, 0], [0, 1], [0, 0]])
 
 
 SQUARE = np.array([[0.0, 0.0], [1, 0], [1, 1], [0, 1]])
@@ -267,7 +247,7 @@ def test_limits_of_shares(change: dict, told: str | None) -> None:
 
 def test_a_sparse_matrix_of_shares_is_the_dense_one() -> None:
     shares = RegionShares(images=[1, 0, 1], regions=[0, 2, 2], shares=[0.5, 0.25, 1.0], num_images=2, num_regions=3)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(shares.dense(), [[0, 0, 0.25], [0.5, 0, 1]])
+    np.testing.assert_array_equal(dense(shares), [[0, 0, 0.25], [0.5, 0, 1]])
     for region, (images, values) in enumerate((([1], [0.5]), ([], []), ([0, 1], [0.25, 1.0]))):
         found = shares.of_region(region)
         assert (found[0].tolist(), found[1].tolist()) == (images, values)

@@ -1,4 +1,4 @@
-"""Alg. 1 as a comparator: it ends, keeps the best partition it saw, and moves borders by its step."""
+"""Alg. 1 as a baseline: it ends, keeps the best partition it saw, and moves borders by its step."""
 
 from __future__ import annotations
 

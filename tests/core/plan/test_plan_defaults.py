@@ -14,7 +14,7 @@ from radiant_core.plan.counts.slack_curve import SLACKS
 from radiant_core.plan.counts.wide_deadline import FastestCounts
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.profile import ProfileKey
-from radiant_core.plan.regions.edge_sites import separated_sites
+from radiant_core.plan.regions.edge_sites import separate_sites
 from radiant_core.plan.regions.paper_arp import PaperConfig, estimated_times_s
 from radiant_core.plan.system import Cloud, Device, Edge, System
 
@@ -61,7 +61,7 @@ def test_angles_and_sides_that_a_flat_picture_can_have(angle: float, aspect: flo
 
 
 def test_sites_at_one_spot_step_aside_by_the_golden_angle() -> None:
-    sites = separated_sites(np.full((5, 2), 3.0), 1000.0)
+    sites = separate_sites(np.full((5, 2), 3.0), 1000.0)
     steps = sites[1:] - sites[0]
     np.testing.assert_array_equal(sites[0], [3, 3])
     np.testing.assert_allclose(np.hypot(*steps.T), np.sqrt([1, 2, 3, 4]), rtol=1e-12)
@@ -69,7 +69,7 @@ def test_sites_at_one_spot_step_aside_by_the_golden_angle() -> None:
     np.testing.assert_allclose(turns, 137.50776405, atol=1e-6)
     for gap_m, moves in ((1e-3, True), (1.001e-3, False)):
         near = np.array([[0.0, 0.0], [gap_m, 0.0]])
-        assert (separated_sites(near, 1000.0) != near).any() == moves
+        assert (separate_sites(near, 1000.0) != near).any() == moves
 
 
 def test_beyond_an_edges_capacity_times_grow_in_proportion() -> None:

@@ -15,12 +15,12 @@ from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
 from radiant_core.plan.timeline.prediction import (
     PlannedStage,
-    corrected_system,
+    correct_system,
     curve_shape,
-    left_s,
     makespan_error,
     planned_stages,
     stage_errors,
+    time_left_s,
 )
 
 
@@ -89,19 +89,19 @@ def test_errors_compare_what_was_measured_and_the_makespan_of_equal_stages() -> 
             stage_errors(stages, {("devices/a1", "train"): poison})
     zero = stage_errors(stages, {("devices/a1", "train"): 0.0})
     assert zero[0].error_percent is None
-    assert corrected_system(SYSTEM, stages, {("devices/a1", "train"): 0.0}) == SYSTEM
+    assert correct_system(SYSTEM, stages, {("devices/a1", "train"): 0.0}) == SYSTEM
 
 
 def test_a_finished_device_corrects_its_class_then_its_profile_and_nothing_else() -> None:
     _, _, stages = planned()
     (a1,) = (row for row in stages if row.node == "devices/a1" and row.stage == "train")
-    mended = corrected_system(SYSTEM, stages, {("devices/a1", "train"): 1.5 * a1.seconds})
+    mended = correct_system(SYSTEM, stages, {("devices/a1", "train"): 1.5 * a1.seconds})
     scale = {d.id: m.train_s.linear / d.train_s.linear for d, m in zip(SYSTEM.devices, mended.devices, strict=True)}
     assert scale == pytest.approx({"a1": 1.5, "a2": 1.5, "b1": 1.5, "b2": 1.0}), "b2 has another curve"
     assert [e.aggregate_s for e in mended.edges] == [e.aggregate_s for e in SYSTEM.edges]
     (b2,) = (row for row in stages if row.node == "devices/b2" and row.stage == "train")
     (agg,) = (row for row in stages if row.node == "edges/a" and row.stage == "aggregate")
-    both = corrected_system(SYSTEM, stages, {("devices/b2", "train"): 3 * b2.seconds, ("edges/a", "aggregate"): 2 * agg.seconds})
+    both = correct_system(SYSTEM, stages, {("devices/b2", "train"): 3 * b2.seconds, ("edges/a", "aggregate"): 2 * agg.seconds})
     assert both.devices[3].train_s.constant == pytest.approx(270.0) and both.devices[0] == SYSTEM.devices[0]
     assert [e.aggregate_s.linear for e in both.edges] == pytest.approx([1.0, 1.0])
 
@@ -116,7 +116,7 @@ def test_with_simulated_noise_the_first_device_lowers_the_error_of_the_others() 
         factor = {row.node: 1.4 * max(0.5, rng.normal(1, 0.05)) for row in stages}
         real = {(row.node, row.stage): row.seconds * factor[row.node] for row in stages if row.stage == "train"}
         first = min((key for key in real if key[0] != "devices/b2"), key=lambda key: real[key])
-        mended = corrected_system(SYSTEM, stages, {first: real[first]})
+        mended = correct_system(SYSTEM, stages, {first: real[first]})
         new = {row.node: row.seconds for row in planned_stages(mended, planned()[1]) if row.stage == "train"} if seed < 20 else None
         scale = {d.id: m.train_s.linear / d.train_s.linear for d, m in zip(SYSTEM.devices, mended.devices, strict=True)}
         for row in stages:
@@ -131,23 +131,23 @@ def test_with_simulated_noise_the_first_device_lowers_the_error_of_the_others() 
 def test_time_left_is_that_of_a_schedule() -> None:
     expected = {"e": 10.0, "d1": 30.0, "d2": 20.0, "d3": 20.0}
     parents = {"d1": "e", "d2": "e", "d3": "e"}
-    assert left_s(expected, parents, {}, (), 1) == 80.0
-    assert left_s(expected, parents, {}, (), 2) == 50.0
-    assert left_s(expected, parents, {}, (), 9) == 40.0
-    assert left_s(expected, parents, {"d1": 25.0, "d2": 5.0}, (), 2) == 35.0
-    assert left_s(expected, parents, {"d1": 99.0}, ("d2", "d3"), 2) == 10.0
-    assert left_s(expected, parents, {}, expected, 2) == 0.0 and left_s({}, {}, {}, (), 1) == 0.0
+    assert time_left_s(expected, parents, {}, (), 1) == 80.0
+    assert time_left_s(expected, parents, {}, (), 2) == 50.0
+    assert time_left_s(expected, parents, {}, (), 9) == 40.0
+    assert time_left_s(expected, parents, {"d1": 25.0, "d2": 5.0}, (), 2) == 35.0
+    assert time_left_s(expected, parents, {"d1": 99.0}, ("d2", "d3"), 2) == 10.0
+    assert time_left_s(expected, parents, {}, expected, 2) == 0.0 and time_left_s({}, {}, {}, (), 1) == 0.0
     with pytest.raises(BadInput, match="0 workers"):
-        left_s(expected, parents, {}, (), 0)
+        time_left_s(expected, parents, {}, (), 0)
 
 
 def test_no_sample_changes_nothing() -> None:
     _, _, stages = planned()
-    assert corrected_system(SYSTEM, stages, {}) == SYSTEM
+    assert correct_system(SYSTEM, stages, {}) == SYSTEM
     free = replace(SYSTEM.edges[0].devices[0], init_s=CostCurve(), train_s=CostCurve())
     lonely = System(edges=(edge("a", 0, free),))
     nothing = planned_stages(lonely, planned(lonely, 3)[1])
-    assert corrected_system(lonely, nothing, {("devices/a1", "train"): 5.0}) == lonely
+    assert correct_system(lonely, nothing, {("devices/a1", "train"): 5.0}) == lonely
 
 
 def test_an_edge_known_by_its_curve_is_one_stage_and_a_lone_device_joins_alone() -> None:
@@ -179,7 +179,7 @@ def test_an_edge_known_by_its_curve_is_one_stage_and_a_lone_device_joins_alone()
     rows = {(row.node, row.stage): row.seconds for row in planned_stages(system, plans)}
     assert rows["edges/far", "whole"] == 17.0 and ("edges/far", "aggregate") not in rows
     assert rows["edges/near", "aggregate"] == 1.0
-    mended = corrected_system(system, planned_stages(system, plans), {("edges/near", "aggregate"): 2.0}).edges[1]
+    mended = correct_system(system, planned_stages(system, plans), {("edges/near", "aggregate"): 2.0}).edges[1]
     assert mended.aggregation_s(5, 1) == 2.0 and mended.aggregation_s(5, 2) == 18.0
 
 
@@ -241,7 +241,7 @@ def test_several_finished_machines_of_a_class_are_taken_at_their_median() -> Non
     _, _, stages = planned(lonely)
     train = {row.node: row.seconds for row in stages if row.stage == "train"}
     measured = {(f"devices/d{index}", "train"): factor * train[f"devices/d{index}"] for index, factor in enumerate((2.0, 3.0, 10.0))}
-    mended = corrected_system(lonely, stages, measured)
+    mended = correct_system(lonely, stages, measured)
     scales = [new.train_s.linear / old.train_s.linear for old, new in zip(same, mended.devices, strict=True)]
     assert scales == pytest.approx([2.0, 3.0, 10.0, 3.0, 3.0])
     assert [new.init_s.linear / old.init_s.linear for old, new in zip(same, mended.devices, strict=True)] == pytest.approx(scales)
@@ -252,8 +252,8 @@ def test_an_edge_waits_for_its_own_devices_alone(workers: int, left: float) -> N
     """One edge of 10 s waits for 20 s, the other for nothing that is left; a third stands alone with 15 s, and 15 more run beside."""
     expected = {"e": 10.0, "f": 5.0, "d": 20.0, "alone": 15.0, "beside": 10.0, "gone": 99.0}
     parents = {"d": "e", "gone": "f"}
-    assert left_s(expected, parents, {}, ("gone",), workers) == pytest.approx(left)
-    assert left_s(expected, parents, {"d": 20.0, "unknown": 3.0}, ("gone", "f", "alone", "beside"), workers) == 10.0
+    assert time_left_s(expected, parents, {}, ("gone",), workers) == pytest.approx(left)
+    assert time_left_s(expected, parents, {"d": 20.0, "unknown": 3.0}, ("gone", "f", "alone", "beside"), workers) == 10.0
 
 
 def test_an_edge_without_cameras_takes_no_part_in_the_makespan() -> None:

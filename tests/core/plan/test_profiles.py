@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.profiles.curve_fit import FittedCurve, fit_curve
+from radiant_core.plan.profiles.curve_fit import fit_curve
 from radiant_core.plan.profiles.profile import Profile, ProfileKey
 from radiant_core.plan.profiles.profile_warnings import profile_warnings
 from radiant_core.plan.system import Device, Edge, System
@@ -115,11 +115,6 @@ def test_what_is_no_training_is_refused() -> None:
     for fields in ({"num_steps": 0}, {"long_side_px": -1}, {"max_num_splats": 0}, {"preset": ""}):
         with pytest.raises(BadInput):
             replace(KEY, **fields)
-
-
-def test_a_curve_that_was_never_measured_knows_its_range() -> None:
-    curve = FittedCurve(curve=CostCurve(), smallest_count=109, largest_count=169)
-    assert not curve.extrapolates(338) and curve.extrapolates(339)
 
 
 @pytest.mark.parametrize("name", ["num_steps", "long_side_px", "max_num_splats"])

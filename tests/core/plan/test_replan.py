@@ -20,7 +20,7 @@ from radiant_core.plan.regions.power_diagram import assign
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.revision import replan as replan_module
 from radiant_core.plan.revision.assigned import hull_of
-from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
+from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, extend_system, replan
 from radiant_core.plan.system import Device, Edge, System
 
 
@@ -185,7 +185,7 @@ def test_what_does_not_belong_together_is_refused() -> None:
     with pytest.raises(BadInput, match="tolerance is nan"):
         plan.replanned(Situation(), tolerance=float("nan"))
     with pytest.raises(BadInput, match="device id 'w1' comes twice"):
-        joined_system(plan.system, System(edges=(edge("new", (0.0, 0.0), device("w1")),)))
+        extend_system(plan.system, System(edges=(edge("new", (0.0, 0.0), device("w1")),)))
     with pytest.raises(BadInput, match="'new' has no position"):
         plan.replanned(Situation(), joining=System(edges=(replace(edge("new", (0.0, 0.0), device("n1")), position=None),)))
     with pytest.raises(BadInput, match="shape"):
@@ -254,7 +254,7 @@ def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
         if isinstance(result, ReplanInfeasible):
             assert captured.all() or len(situation.dead) + len(situation.done) == len(names), seed
             continue
-        system = plan.system if joining is None else joined_system(plan.system, joining)
+        system = plan.system if joining is None else extend_system(plan.system, joining)
         least_s, fewest = best_by_search(plan, system, situation, captured, result.device_before)
         assert result.cloud.makespan_s == pytest.approx(least_s, rel=1e-9), seed
         assert result.moved.sum() == fewest, seed

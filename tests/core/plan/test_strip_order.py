@@ -11,10 +11,15 @@ import shapely
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.devices import strip_order
 from radiant_core.plan.devices.device_split import long_axis, split_edge
-from radiant_core.plan.devices.strip_order import MAX_EXCHANGED, chords_across, seams_m, shortest_order
+from radiant_core.plan.devices.strip_order import MAX_EXCHANGED, chords_across, shortest_order
 from radiant_core.plan.regions.power_diagram import polygon_area_m2
 
 from .instances import random_edge
+
+
+def seams_m(order: np.ndarray, quotas: np.ndarray, chords_m: FloatArray) -> float:
+    """Length of all seams between devices in this order."""
+    return float(chords_m[np.cumsum(quotas[order])[:-1]].sum())
 
 
 def names(count: int) -> list[str]:

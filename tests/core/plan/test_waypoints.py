@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
-from radiant_core.plan.waypoints import Waypoints, cleaned_waypoints
+from radiant_core.plan.waypoints import Waypoints, clean_waypoints
 
 HOME = (47.37, 8.54, 430.0)
 
@@ -119,13 +119,13 @@ def test_a_position_that_comes_twice_is_planned_once_and_said() -> None:
     positions = grid(6)
     positions[4] = positions[1] + [4e-9, 0, 4e-4]  # half a millimetre
     positions[5] = positions[1] + [0, 0, 0.002]
-    waypoints, warnings = cleaned_waypoints(names(6), positions)
+    waypoints, warnings = clean_waypoints(names(6), positions)
     assert waypoints.names == ("wp 0", "wp 1", "wp 2", "wp 3", "wp 5")
     assert warnings == ("1 of 6 waypoints at a position that came before, 'wp 4' (number 5) first: planned once.",)
 
 
 def test_missing_altitudes_become_zero_and_are_said() -> None:
-    waypoints, warnings = cleaned_waypoints(names(4), grid(4), [False, True, True, False])
+    waypoints, warnings = clean_waypoints(names(4), grid(4), [False, True, True, False])
     assert waypoints.lat_lon_alt[:, 2].tolist() == [430, 0, 0, 430]
     assert warnings == ("2 of 4 waypoints without altitude, 'wp 1' (number 2) first: taken as 0 m.",)
 
@@ -137,7 +137,7 @@ def test_altitude_hardly_moves_a_plan() -> None:
 
 
 def test_names_that_come_twice_or_are_missing_are_numbered() -> None:
-    waypoints, warnings = cleaned_waypoints(("a", "a", "", "a-2", "", "a"), grid(6))
+    waypoints, warnings = clean_waypoints(("a", "a", "", "a-2", "", "a"), grid(6))
     assert waypoints.names == ("a", "a-3", "wp-1", "a-2", "wp-2", "a-4")
     assert len(warnings) == 1
     assert "4 of 6" in warnings[0]
@@ -145,7 +145,7 @@ def test_names_that_come_twice_or_are_missing_are_numbered() -> None:
 
 @given(st.lists(st.sampled_from(["", "a", "a-2", "a-3", "wp-1", "b"]), min_size=1, max_size=30))
 def test_numbered_names_are_always_unique_and_first_ones_stay(given_names: list[str]) -> None:
-    waypoints, _ = cleaned_waypoints(given_names, grid(len(given_names)))
+    waypoints, _ = clean_waypoints(given_names, grid(len(given_names)))
     assert len(set(waypoints.names)) == len(given_names)
     for index, name in enumerate(given_names):
         if name and name not in given_names[:index]:
@@ -154,7 +154,7 @@ def test_numbered_names_are_always_unique_and_first_ones_stay(given_names: list[
 
 def test_a_hundred_thousand_equal_names_take_linear_time() -> None:
     start_s = time.process_time()
-    waypoints, _ = cleaned_waypoints(["x"] * 100_000, grid(100_000))
+    waypoints, _ = clean_waypoints(["x"] * 100_000, grid(100_000))
     assert len(set(waypoints.names)) == 100_000
     assert time.process_time() - start_s < 10  # 0.4 s where it was measured; quadratic would be hours
 
@@ -241,11 +241,11 @@ def test_a_waypoint_300_km_from_the_middle_of_all_is_of_another_site() -> None:
 def test_names_are_numbered_from_two_and_empty_ones_from_one() -> None:
     rows_named = ["a", "", "a", "a-2", "", "a", "wp-3", ""]
     spread = grid(8)
-    waypoints, warnings = cleaned_waypoints(rows_named, spread)
+    waypoints, warnings = clean_waypoints(rows_named, spread)
     assert waypoints.names == ("a", "wp-1", "a-3", "a-2", "wp-2", "a-4", "wp-3", "wp-4")
     assert warnings == ("5 of 8 names are empty or come twice, '' first: they were numbered.",)
-    assert cleaned_waypoints(["b", "b"], spread[:2])[1] == ("1 of 2 names are empty or come twice, 'b' first: they were numbered.",)
-    assert cleaned_waypoints(["b", "c"], spread[:2])[1] == ()
+    assert clean_waypoints(["b", "b"], spread[:2])[1] == ("1 of 2 names are empty or come twice, 'b' first: they were numbered.",)
+    assert clean_waypoints(["b", "c"], spread[:2])[1] == ()
 
 
 @pytest.mark.parametrize(
@@ -261,7 +261,7 @@ def test_names_are_numbered_from_two_and_empty_ones_from_one() -> None:
 )
 def test_two_positions_are_one_within_a_millimetre(step: tuple[float, float, float], same: bool) -> None:
     rows = np.array([[47.0, 8.0, 430.0], [47.0, 8.0, 430.0]]) + np.outer([0, 1], step)
-    waypoints, warnings = cleaned_waypoints(["a", "b"], rows)
+    waypoints, warnings = clean_waypoints(["a", "b"], rows)
     assert len(waypoints) == (1 if same else 2) and bool(warnings) is same
     if same:
         assert warnings == ("1 of 2 waypoints at a position that came before, 'b' (number 2) first: planned once.",)
@@ -269,7 +269,7 @@ def test_two_positions_are_one_within_a_millimetre(step: tuple[float, float, flo
 
 def test_no_altitude_is_0_and_said_and_the_first_of_each_spot_stays() -> None:
     rows = [[47.0, 8.0, 5.0], [47.001, 8.0, 7.0], [47.0, 8.0, 5.0], [47.001, 8.0, 7.0], [47.002, 8.0, 9.0]]
-    waypoints, warnings = cleaned_waypoints(list("abcde"), rows, [False, False, False, False, True], np.arange(10.0).reshape(5, 2))
+    waypoints, warnings = clean_waypoints(list("abcde"), rows, [False, False, False, False, True], np.arange(10.0).reshape(5, 2))
     assert waypoints.names == ("a", "b", "e") and waypoints.lat_lon_alt[2, 2] == 0
     np.testing.assert_array_equal(waypoints.heading_pitch_deg, [[0, 1], [2, 3], [8, 9]])
     assert warnings == (

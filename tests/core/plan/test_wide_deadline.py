@@ -15,8 +15,8 @@ from radiant_core.plan.counts.wide_deadline import (
     _Fleet,
     _interpolated,
     _num_alone,
+    cached_edge_counts,
     fastest_edge_counts,
-    remembered_edge_counts,
     system_capacity,
     times_of_counts,
 )
@@ -229,8 +229,8 @@ def test_a_device_without_room_gets_nothing() -> None:
 
 def test_counts_remembered_for_a_drag_cannot_be_changed() -> None:
     system = linear_system(np.eye(2), np.ones(2))
-    found = remembered_edge_counts(system, 10)
-    assert remembered_edge_counts(system, 10) is found and found.counts.tolist() == [5, 5]
+    found = cached_edge_counts(system, 10)
+    assert cached_edge_counts(system, 10) is found and found.counts.tolist() == [5, 5]
     for array in (found.counts, found.edge_time_s):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 3

@@ -12,8 +12,9 @@ import pytest
 import torch
 
 from radiant_core import _native
-from radiant_core.render.contract import SplatTensors, rasterize
+from radiant_core.render.contract import SplatTensors
 from radiant_core.render.native_backend import instruction_sets
+from radiant_core.render.rasterize import rasterize
 from tests.contract import gaussians
 
 HEIGHT, WIDTH, COUNT = 32, 48, 300

@@ -9,8 +9,9 @@ from scipy.special import sph_harm_y
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.render.contract import SplatTensors, rasterize
+from radiant_core.render.contract import SplatTensors
 from radiant_core.render.harmonics import basis_values, colors_from_sh
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats
 
 from .brute_force import brute_force_image

@@ -7,7 +7,7 @@ import pytest
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.render.trajectories import Lens, along_border, looking_at, orbit, through_keyframes
+from radiant_core.render.trajectories import Lens, along_border, cameras_looking_at, orbit, through_keyframes
 
 LENS = Lens(size_wh=(320, 180), field_of_view_deg=60)
 
@@ -29,7 +29,7 @@ def test_the_target_is_in_the_middle_up_is_up_and_the_lens_has_its_angle() -> No
     turns = np.degrees(np.arctan2(*(cameras.centers - center)[:, :2].T))
     assert np.diff(np.unwrap(turns, period=360)) == pytest.approx(np.full(23, 15.0), abs=1e-6)
     side = center + np.array([[np.tan(np.radians(30)) * 80, 0, 0]])
-    north = looking_at(center[None] - np.array([0, 80, 0]), center[None], LENS)
+    north = cameras_looking_at(center[None] - np.array([0, 80, 0]), center[None], LENS)
     assert pixels(north, side)[0] == pytest.approx([320, 90], abs=1e-3)
 
 
@@ -52,7 +52,7 @@ def test_a_flight_follows_its_border_and_keyframes_are_met() -> None:
 
 
 def test_straight_down_has_north_up() -> None:
-    (pixel,) = pixels(looking_at([[0, 0, 10.0]], [[0, 0, 0.0]], LENS), np.array([[0.0, 1, 0]]))
+    (pixel,) = pixels(cameras_looking_at([[0, 0, 10.0]], [[0, 0, 0.0]], LENS), np.array([[0.0, 1, 0]]))
     assert pixel[1] < 90
     assert pixel[0] == pytest.approx(160, abs=1e-6)
 
@@ -62,9 +62,9 @@ def test_straight_down_has_north_up() -> None:
     [
         lambda: Lens(size_wh=(0, 100)),
         lambda: Lens(field_of_view_deg=180),
-        lambda: looking_at([[1, 2, 3.0]], [[1, 2, 3.0]], LENS),
-        lambda: looking_at(np.zeros((0, 3)), np.zeros((0, 3)), LENS),
-        lambda: looking_at([[np.nan, 0, 0]], [[0, 0, 0]], LENS),
+        lambda: cameras_looking_at([[1, 2, 3.0]], [[1, 2, 3.0]], LENS),
+        lambda: cameras_looking_at(np.zeros((0, 3)), np.zeros((0, 3)), LENS),
+        lambda: cameras_looking_at([[np.nan, 0, 0]], [[0, 0, 0]], LENS),
         lambda: orbit([0, 0, 0], -1, 30, 5, LENS),
         lambda: along_border(np.zeros((2, 2)), 0, 5, 5, LENS),
         lambda: through_keyframes([0, 0], np.ones((2, 3)), np.zeros((2, 3)), 24, LENS),

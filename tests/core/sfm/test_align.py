@@ -109,7 +109,6 @@ def test_the_comparison_does_not_depend_on_the_frame_of_either_side() -> None:
     plain = compare_centers(scene, reference)
     moved = compare_centers(some_sim3(rng).apply(scene), some_sim3(rng).apply(reference))
     assert moved.max_percent == pytest.approx(plain.max_percent, rel=1e-6)
-    assert moved.median_percent == pytest.approx(plain.median_percent, rel=1e-6)
 
 
 def test_one_lost_camera_shows_in_the_maximum() -> None:

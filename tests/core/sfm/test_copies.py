@@ -13,9 +13,11 @@ import pytest
 from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
-from radiant_core.io.colmap.model import read_model, write_model
-from radiant_core.sfm.copies import repeated_cameras
-from radiant_core.sfm.reconstruct import SfmConfig, SfmProgress, reconstruct, scene_from_colmap
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.text import write_model
+from radiant_core.sfm.config import SfmConfig, SfmProgress
+from radiant_core.sfm.copies import find_repeats
+from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 from tests.core.scenes import cameras_above
 
 
@@ -93,8 +95,8 @@ def test_a_copy_of_half_the_size_is_one_and_another_picture_is_none() -> None:
     large = np.asarray(cv2.resize(coarse, (96, 72), interpolation=cv2.INTER_CUBIC))
     small = np.asarray(cv2.resize(large, (48, 36), interpolation=cv2.INTER_AREA))
     cameras, points = standing_together((48, 36)), np.random.default_rng(1).uniform(-2, 2, (50, 3))
-    assert repeated_cameras(cameras, points, [large, large, small].__getitem__) == {2: 0}
-    assert repeated_cameras(cameras, points, [large, large, 255 - small].__getitem__) == {}
+    assert find_repeats(cameras, points, [large, large, small].__getitem__) == {2: 0}
+    assert find_repeats(cameras, points, [large, large, 255 - small].__getitem__) == {}
 
 
 def test_pictures_are_read_only_where_cameras_stand_together() -> None:
@@ -104,5 +106,5 @@ def test_pictures_are_read_only_where_cameras_stand_together() -> None:
         asked.append(index)
         return np.zeros((72, 96, 3), np.uint8)
 
-    repeated_cameras(standing_together((96, 72)), np.zeros((10, 3)), picture_of)
+    find_repeats(standing_together((96, 72)), np.zeros((10, 3)), picture_of)
     assert sorted(asked) == [0, 2]

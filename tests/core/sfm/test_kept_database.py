@@ -18,8 +18,8 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.sfm.colmap import database as sfm_database
 from radiant_core.sfm.colmap import undistort as sfm_undistort
 from radiant_core.sfm.colmap.calls import pycolmap
-from radiant_core.sfm.colmap.kept_database import RECORD_NAME, database_key, kept_database
-from radiant_core.sfm.colmap.workspace import listed
+from radiant_core.sfm.colmap.kept_database import RECORD_NAME, database_key, prepare_database
+from radiant_core.sfm.colmap.workspace import list_usable
 from radiant_core.sfm.config import SfmConfig, SfmProgress
 from radiant_core.sfm.reconstruct import reconstruct
 
@@ -89,7 +89,7 @@ def test_a_killed_reconstruction_goes_on_with_its_features_and_matches(
 
 
 def test_what_is_of_other_photographs_settings_or_another_start_of_the_machine_is_not_kept(photos: Path, tmp_path: Path) -> None:
-    photographs = listed(photos, lambda progress: None).photographs
+    photographs = list_usable(photos, lambda progress: None).photographs
     key = database_key(photographs, SMALL, None)
     masks = tmp_path / "masks"
     masks.mkdir()
@@ -103,7 +103,7 @@ def test_what_is_of_other_photographs_settings_or_another_start_of_the_machine_i
     assert len({key, *others}) == 5 and key == database_key(photographs, replace(SMALL, num_threads=2), None)
 
     def is_kept(key: str) -> bool:
-        with kept_database(tmp_path / "work", key) as database:
+        with prepare_database(tmp_path / "work", key) as database:
             there = database.is_file()
             if not there:
                 pycolmap.Database.open(database).close()
@@ -120,7 +120,7 @@ def test_what_is_of_other_photographs_settings_or_another_start_of_the_machine_i
 
 
 def test_what_colmap_fails_on_is_not_kept_for_the_next_attempt(tmp_path: Path) -> None:
-    with pytest.raises(StageFailed), kept_database(tmp_path, "key"):
+    with pytest.raises(StageFailed), prepare_database(tmp_path, "key"):
         raise StageFailed("the database disk image is malformed")
     assert not (tmp_path / RECORD_NAME).exists()
 
@@ -128,7 +128,7 @@ def test_what_colmap_fails_on_is_not_kept_for_the_next_attempt(tmp_path: Path) -
 def test_what_colmap_fails_on_with_a_full_disk_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=4096))
-    with pytest.raises(CannotWrite, match="is full"), kept_database(tmp_path, "key"):
+    with pytest.raises(CannotWrite, match="is full"), prepare_database(tmp_path, "key"):
         raise StageFailed("database or disk is full")
     assert (tmp_path / RECORD_NAME).exists()
 

@@ -16,11 +16,12 @@ import pytest
 import tifffile
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap.model import read_model, write_model
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.text import write_model
 from radiant_core.io.photos.listing import list_photographs, load_photograph, photograph_positions
 from radiant_core.io.photos.masks import alpha_mask, pixel_weights
 from radiant_core.io.waypoints.reader import exif_waypoints
-from radiant_core.sfm.colmap.workspace import listing_warnings
+from radiant_core.sfm.colmap.workspace import warn_of_unused
 from radiant_core.sfm.reconstruct import scene_from_colmap
 
 
@@ -42,7 +43,7 @@ def test_files_that_cannot_be_read_are_counted_by_their_kind(hamlet: Path, tmp_p
         list_photographs(tmp_path)
     for path in sorted((hamlet / "images").iterdir())[:2]:
         shutil.copy(path, tmp_path)
-    (told,) = listing_warnings(list_photographs(tmp_path))
+    (told,) = warn_of_unused(list_photographs(tmp_path))
     assert told.startswith("1 .dng, 2 .heic, 1 .mp4 files are not read: save photographs as JPEG, PNG or TIFF")
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3, enu_from_geodetic
-from radiant_core.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from radiant_core.io.photos.listing import CameraKey, Photograph
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.orient import MEDIAN_DEPTH_UNITS, level_fit, level_rotation

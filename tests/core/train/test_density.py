@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.errors import BadInput
-from radiant_core.render.contract import SplatTensors, rasterize
+from radiant_core.render.contract import SplatTensors
+from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats, morton_order
 from radiant_core.train import density
 from radiant_core.train.config import TrainConfig, train_preset

@@ -12,7 +12,7 @@ from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.frames import Frame
-from radiant_core.render.contract import rasterize
+from radiant_core.render.rasterize import rasterize
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0, Splats

@@ -162,7 +162,7 @@ def test_settling_leaves_the_centres_their_own_schedule(monkeypatch: pytest.Monk
 
 
 def test_training_begins_with_small_images_and_ends_with_whole_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    from radiant_core.render.contract import rasterize
+    from radiant_core.render.rasterize import rasterize
 
     sizes = []
 

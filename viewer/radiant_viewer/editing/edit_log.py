@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.array_file import naming
+from radiant_core.io.array_file import name_file_in_errors
 from radiant_core.io.records import plan_of_record, plan_record
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan
@@ -51,7 +51,7 @@ def load_edits(path: Path, base: str) -> tuple[KeptEdits, str]:
     if not path.exists():
         return KeptEdits(), ""
     try:
-        with naming(path):
+        with name_file_in_errors(path):
             record = read_json(path, ("schema", "version", "base", "done", "undone"), MAX_LOG_BYTES)
             if (record["schema"], record["version"]) != (SCHEMA, VERSION):
                 raise BadInput(f"it is {record['schema']!r} {record['version']!r}, expected {SCHEMA!r} {VERSION}.")

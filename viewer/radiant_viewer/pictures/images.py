@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.io.photos.listing import MAX_FILE_BYTES, decoded_image
+from radiant_core.io.photos.listing import MAX_FILE_BYTES, decode_image
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
 
@@ -43,7 +43,7 @@ def save_png(path: Path, image: Image) -> None:
 
 def load_image(path: Path) -> Image:
     """An image file of the run as (H,W,3) uint8; BadInput when it is missing or no image."""
-    pixels = decoded_image(read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b"", cv2.IMREAD_COLOR)
+    pixels = decode_image(read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b"", cv2.IMREAD_COLOR)
     if pixels is None:
         raise BadInput(f"cannot read the picture {path}: it is missing or broken, run the evaluation again.")
     return np.ascontiguousarray(pixels[:, :, ::-1], dtype=np.uint8)

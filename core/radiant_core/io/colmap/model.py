@@ -11,34 +11,11 @@ from pathlib import Path
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap import binary as colmap_binary
 from radiant_core.io.colmap import text as colmap_text
-from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, checked_model
-from radiant_core.io.colmap.text import write_model
+from radiant_core.io.colmap.records import ColmapModel, check_model
 
-__all__ = [
-    "ColmapCamera",
-    "ColmapImage",
-    "ColmapModel",
-    "ColmapPoints",
-    "checked_model",
-    "find_model",
-    "image_names",
-    "model_files",
-    "read_model",
-    "write_model",
-]
 MAX_FILE_BYTES = 1 << 33
 STEMS = ("cameras", "images", "points3D")
 _PARSERS = {parser.SUFFIX: parser for parser in (colmap_binary, colmap_text)}
-
-
-def find_model(folder: Path) -> Path:
-    """`folder` itself, `folder/sparse/0` or `folder/sparse`, whichever holds a model first; BadInput where none does."""
-    for candidate in (folder, folder / "sparse" / "0", folder / "sparse"):
-        if _format_of(candidate) is not None:
-            return candidate
-    raise BadInput(
-        f"{folder} holds no COLMAP model: expected cameras, images and points3D as .bin or .txt there, in sparse/0 or in sparse."
-    )
 
 
 def model_files(folder: Path) -> list[Path]:
@@ -65,7 +42,7 @@ def read_model(folder: Path) -> ColmapModel:
     parser = _PARSERS[paths[0].suffix]
     parsers = (parser.parse_cameras, parser.parse_images, parser.parse_points)
     cameras, images, points = (parse(_bytes_of(path), str(path)) for parse, path in zip(parsers, paths, strict=True))
-    return checked_model(cameras, images, points, str(folder))
+    return check_model(cameras, images, points, str(folder))
 
 
 def _format_of(folder: Path) -> str | None:

@@ -114,7 +114,7 @@ class ColmapModel:
         return replace(self, images=images, points=replace(self.points, tracks=tracks))
 
 
-def checked_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: ColmapPoints, source: str) -> ColmapModel:
+def check_model(cameras: list[ColmapCamera], images: list[ColmapImage], points: ColmapPoints, source: str) -> ColmapModel:
     """The records as one model, after checking that they fit each other; BadInput names `source` and the first misfit."""
     by_id = {camera.camera_id: camera for camera in cameras}
     _require_unique("camera id", [camera.camera_id for camera in cameras], source)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from radiant_core import __version__
 from radiant_core.errors import BadInput
@@ -86,12 +85,3 @@ def _geo_tags(grid: HeightGrid) -> list[tuple[int, int, int, object, bool]]:
         (_GEO_KEYS, _SHORT, len(directory), tuple(directory), True),
         (_GDAL_NODATA, _ASCII, 0, f"{NO_DATA:.0f}", True),
     ]
-
-
-def hillshade(grid: HeightGrid) -> NDArray[np.uint8]:
-    """Grey levels (H,W) of the surface lit from the north-west at 45°, 255 where nothing is known: to see a grid at a glance."""
-    down, right = np.gradient(grid.heights, grid.cell)
-    normal = np.stack([-right, down, np.ones_like(right)])
-    light = np.array([-0.5, 0.5, np.sqrt(0.5)])
-    shade = np.einsum("chw,c->hw", normal, light) / np.linalg.norm(normal, axis=0)
-    return np.where(np.isfinite(shade), np.rint(20 + 220 * np.clip(shade, 0, 1)), 255).astype(np.uint8)

@@ -15,7 +15,8 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import geodetic_from_enu
-from radiant_core.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, checked_model, write_model
+from radiant_core.io.colmap.records import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, check_model
+from radiant_core.io.colmap.text import write_model
 from radiant_core.io.export.plan import land_features, point_feature, write_features
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, spz_bytes
 from radiant_core.io.run_store import write_atomic
@@ -98,7 +99,7 @@ def colmap_model(scene: SfmScene) -> ColmapModel:
         errors_px=np.zeros(count),
         tracks=joined[np.lexsort((joined[:, 1], joined[:, 0]))],
     )
-    return checked_model(colmap_cameras, images, points3d, "the exported model")
+    return check_model(colmap_cameras, images, points3d, "the exported model")
 
 
 def _intrinsics(scene: SfmScene) -> np.ndarray:

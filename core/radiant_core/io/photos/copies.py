@@ -14,7 +14,7 @@ from radiant_core.io.run_store import file_sha256
 MAX_NAMED = 3
 
 
-def in_order_of_worth(names: Sequence[str]) -> list[int]:
+def sort_by_worth(names: Sequence[str]) -> list[int]:
     """Indices of `names` in the order in which the first of several copies stays: as given, but first what a set holds out, in val/.
 
     A set that brings its own split is compared with others on its val/ photographs, so those stay and their copies in train/ go.
@@ -27,7 +27,7 @@ def file_copies(paths: Mapping[str, Path]) -> dict[str, str]:
     """Copy → the photograph that stays, of those at `paths` by name that hold the same bytes; what is no file is passed over."""
     names = list(paths)
     by_length: dict[int, list[str]] = defaultdict(list)
-    for name in (names[index] for index in in_order_of_worth(names)):
+    for name in (names[index] for index in sort_by_worth(names)):
         if paths[name].is_file():
             by_length[paths[name].stat().st_size].append(name)
     copies: dict[str, str] = {}

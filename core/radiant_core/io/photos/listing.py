@@ -202,7 +202,7 @@ def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | No
 def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]:
     """The photograph (H,W,3) float32 RGB in 0..1, area-averaged to `size_wh` px; BadInput when it is not whole or cannot be decoded."""
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
-    image = decoded_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise BadInput(f"the photograph {path} is not whole or cannot be decoded: remove it or fetch it again.")
     if (image.shape[1], image.shape[0]) != tuple(size_wh):
@@ -216,9 +216,9 @@ def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
     A JPEG is decoded at an eighth of its size where that is large enough: not what `load_photograph` gives, but near it.
     """
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
-    size_wh = promised_size_wh(data) or (1, 1)
+    size_wh = read_size_wh(data) or (1, 1)
     reduced = cv2.IMREAD_REDUCED_COLOR_8 if max(size_wh) >= 16 * long_side_px else cv2.IMREAD_COLOR
-    image = decoded_image(data, reduced | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = decode_image(data, reduced | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise BadInput(f"the photograph {path} is not whole or cannot be decoded: remove it or fetch it again.")
     scale = min(1.0, long_side_px / max(image.shape[:2]))
@@ -235,7 +235,7 @@ def has_alpha(path: Path) -> bool:
     return head.startswith(_PNG_SIGNATURE) and len(head) == 26 and head[25] in (4, 6)
 
 
-def decoded_image(data: bytes, flags: int) -> NDArray[Any] | None:
+def decode_image(data: bytes, flags: int) -> NDArray[Any] | None:
     """A JPEG, PNG or TIFF as `cv2.imdecode` gives it, or None; nothing is allocated for a file that cannot hold what it promises."""
     size_wh, whole, _ = _facts(data)
     if size_wh is None or not whole or _promises_too_much(size_wh, data):
@@ -246,7 +246,7 @@ def decoded_image(data: bytes, flags: int) -> NDArray[Any] | None:
         return None
 
 
-def promised_size_wh(data: bytes) -> tuple[int, int] | None:
+def read_size_wh(data: bytes) -> tuple[int, int] | None:
     """Size in px that the head of a JPEG, PNG or TIFF says; None for anything else."""
     return _facts(data)[0]
 
@@ -340,11 +340,11 @@ def _is_all_but_black(data: bytes) -> bool:
     bits = data[24] if data.startswith(_PNG_SIGNATURE) else read_tiff_bits(data)
     if bits != 16:
         return False
-    image = decoded_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = decode_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
     return image is not None and int(image.max()) <= (1 << 12 - 8)
 
 
 def _decodes(data: bytes, size_wh: tuple[int, int]) -> bool:
     """Whether the whole bit stream decodes to an image of the promised shape (within the rounding of the 1/8 size)."""
-    image = decoded_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = decode_image(data, cv2.IMREAD_REDUCED_GRAYSCALE_8 | cv2.IMREAD_IGNORE_ORIENTATION)
     return image is not None and all(abs(got * 8 - want) <= 8 for got, want in zip(image.shape[::-1], size_wh, strict=True))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.photos.listing import MAX_FILE_BYTES, decoded_image, has_alpha, promised_size_wh
+from radiant_core.io.photos.listing import MAX_FILE_BYTES, decode_image, has_alpha, read_size_wh
 from radiant_core.io.run_store import read_bounded, write_atomic
 
 USED = 255
@@ -44,10 +44,10 @@ def load_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
     Raises BadInput where the file cannot be decoded, is not 8-bit grey, has another size, or leaves nothing of the photograph.
     """
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
-    found_wh = promised_size_wh(data)
+    found_wh = read_size_wh(data)
     if found_wh is not None and found_wh != tuple(size_wh):
         raise BadInput(_other_size(path, found_wh, size_wh))
-    image = decoded_image(data, cv2.IMREAD_UNCHANGED)
+    image = decode_image(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise BadInput(f"the mask {path} cannot be decoded: write it again as 8-bit grey PNG.")
     # A grey picture that was saved as RGB; a colour photograph is no mask.
@@ -67,7 +67,7 @@ def alpha_mask(path: Path) -> NDArray[np.bool_] | None:
     """Which pixels (H,W) of a photograph its own alpha channel leaves: more than half opaque; None where that is all, none or unsaid."""
     if not has_alpha(path):
         return None
-    image = decoded_image(read_bounded(path, MAX_FILE_BYTES), cv2.IMREAD_UNCHANGED)
+    image = decode_image(read_bounded(path, MAX_FILE_BYTES), cv2.IMREAD_UNCHANGED)
     if image is None or image.ndim != 3 or image.shape[2] not in (2, 4):
         return None
     used = image[..., -1] > np.iinfo(image.dtype).max // 2
@@ -101,7 +101,7 @@ def pixel_weights(folder: Path | None, cameras: Cameras) -> tuple[NDArray[np.uin
 def _reduced(path: Path, size_wh: tuple[int, int]) -> NDArray[np.uint8]:
     if not path.is_file():
         return np.full(size_wh[::-1], USED, np.uint8)
-    image = decoded_image(read_bounded(path, MAX_FILE_BYTES), cv2.IMREAD_GRAYSCALE)
+    image = decode_image(read_bounded(path, MAX_FILE_BYTES), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise BadInput(f"the mask {path} cannot be decoded: remove the folder that it lies in and run again.")
     return np.asarray(cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA), np.uint8)

@@ -30,7 +30,7 @@ from typing import Any, Literal, get_args
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from radiant_core.errors import BadInput
-from radiant_core.io.array_file import naming
+from radiant_core.io.array_file import name_file_in_errors
 from radiant_core.io.run_store import content_key, file_sha256, parse_json, read_bounded, write_atomic, write_json
 from radiant_core.io.transport.signing import SIGNATURE_BYTES, is_signed_by, load_signing_key
 
@@ -106,7 +106,7 @@ class Delivery:
         return hashlib.sha256(f"{self.kind}\0{listed}".encode()).hexdigest()
 
 
-def sent_files(paths: Mapping[str, Path]) -> dict[str, SentFile]:
+def describe_files(paths: Mapping[str, Path]) -> dict[str, SentFile]:
     """Name under which each file or folder is sent → its length and hash; StoreDamaged where one cannot be read."""
     return {name: SentFile(bytes=_length(path), sha256=_hash(path)) for name, path in paths.items()}
 
@@ -126,14 +126,14 @@ def load_delivery(folder: Path, key: Ed25519PublicKey) -> Delivery:
     """
     record = read_bounded(folder / RECORD_NAME, MAX_RECORD_BYTES)
     signature = read_bounded(folder / SIGNATURE_NAME, SIGNATURE_BYTES)
-    return verified_delivery(record, signature, key, str(folder / RECORD_NAME))
+    return verify_delivery(record, signature, key, str(folder / RECORD_NAME))
 
 
-def verified_delivery(record: bytes, signature: bytes, key: Ed25519PublicKey, where: str = "a delivery") -> Delivery:
+def verify_delivery(record: bytes, signature: bytes, key: Ed25519PublicKey, where: str = "a delivery") -> Delivery:
     """The delivery in the bytes of a record; nothing of them is parsed before the signature is known to be right."""
     if not is_signed_by(key, signature, _DOMAIN + record):
         raise BadInput(f"{where} is not signed by the key that is registered for its sender: send it again, or register the new key.")
-    with naming(Path(where)):
+    with name_file_in_errors(Path(where)):
         return _parsed(parse_json(record))
 
 

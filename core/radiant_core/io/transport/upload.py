@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from radiant_core.choices import UploadFormat
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.array_file import header_of, load_arrays, naming, save_arrays, schema_of
+from radiant_core.io.array_file import header_of, load_arrays, name_file_in_errors, save_arrays, schema_of
 from radiant_core.io.open3d_formats import SPZ_MAX_LOG_SCALE, SPZ_MAX_MEAN, SPZ_MEAN_STEP, splats_from_spz, spz_bytes
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.numerics import FloatArray, checked_array, unit_quats
@@ -66,10 +66,10 @@ def load_upload(path: Path) -> Splats:
     return load_splats(path)
 
 
-def num_uploaded(path: Path) -> int:
+def count_uploaded(path: Path) -> int:
     """How many Gaussians an upload says it holds, without reading them; raises as `load_upload`."""
     record, shapes = header_of(path)
-    with naming(path):
+    with name_file_in_errors(path):
         if record.get("schema") == SPZ_SCHEMA:
             return int(record["about"]["num_splats"])
         return int(shapes["logit_opacities"][0])
@@ -106,7 +106,7 @@ def _float16_arrays(splats: Splats) -> dict[str, NDArray]:
 
 def _load_float16(path: Path) -> Splats:
     arrays, about = load_arrays(path, FLOAT16_SCHEMA, FLOAT16_DTYPES)
-    with naming(path):
+    with name_file_in_errors(path):
         packed, box = arrays.pop("means"), checked_array("box", arrays.pop("box"), (2, 3))
         if packed.ndim != 1 or (packed >> np.uint64(3 * _MEAN_BITS)).any() or (box[1] < box[0]).any():
             raise BadInput("its centres are not packed as they should be: write it anew with this version.")
@@ -131,7 +131,7 @@ def _save_spz(path: Path, splats: Splats) -> None:
 
 def _load_spz(path: Path) -> Splats:
     arrays, about = load_arrays(path, SPZ_SCHEMA, {"spz": "U8"})
-    with naming(path):
+    with name_file_in_errors(path):
         data, count, degree = arrays["spz"].tobytes(), int(about["num_splats"]), int(about["sh_degree"])
         middle, exponent = checked_array("middle", about["middle"], (3,)), int(about["exponent"])
         if not (0 <= degree < len(SH_BASES) and count >= 0 and abs(exponent) <= _MAX_EXPONENT):

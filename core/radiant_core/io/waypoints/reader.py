@@ -28,7 +28,7 @@ from radiant_core.io.waypoints.geojson_reader import geojson_rows
 from radiant_core.io.waypoints.kml_reader import kml_rows
 from radiant_core.io.waypoints.rows import WaypointRows
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints, cleaned_waypoints
+from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints, clean_waypoints
 
 MAX_FILE_BYTES = 256 * 2**20
 WAYPOINT_SUFFIXES = (".csv", ".geojson", ".json", ".kml")
@@ -64,7 +64,7 @@ def read_waypoints(path: Path) -> FoundWaypoints:
         if not rows.names:
             held = f" but {_listed_kinds(rows)}" if rows.ignored else ""
             raise BadInput(f"it holds no waypoint{held}: give at least one point.")
-        waypoints, warnings = cleaned_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude, rows.heading_pitch_deg)
+        waypoints, warnings = clean_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude, rows.heading_pitch_deg)
         waypoints = replace(waypoints, absolute=rows.absolute)
     except BadInput as error:
         raise BadInput(f"cannot use {path}: {error}") from error

@@ -10,7 +10,7 @@ from shapely import Polygon, unary_union
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
-from radiant_core.io.array_file import naming
+from radiant_core.io.array_file import name_file_in_errors
 from radiant_core.io.waypoints.geojson_reader import geojson_geometries
 from radiant_core.numerics import FloatArray, checked_array
 
@@ -24,7 +24,7 @@ def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
     """
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give a GeoJSON file with a polygon, as 'radiant plan' writes.")
-    with naming(path):
+    with name_file_in_errors(path):
         if path.stat().st_size > MAX_REGION_BYTES:
             raise BadInput(f"it has {path.stat().st_size:,} bytes, expected at most {MAX_REGION_BYTES:,}: give the region's outline only.")
         try:

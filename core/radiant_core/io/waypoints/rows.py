@@ -1,4 +1,4 @@
-"""`WaypointRows`: what a reader of a waypoint file gathers before `cleaned_waypoints` checks it. 24 bytes and a name a waypoint."""
+"""`WaypointRows`: what a reader of a waypoint file gathers before `clean_waypoints` checks it. 24 bytes and a name a waypoint."""
 
 from __future__ import annotations
 

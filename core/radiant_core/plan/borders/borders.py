@@ -66,7 +66,7 @@ def neighbours_across(plan: CloudPlan, edge: int, points: FloatArray) -> NDArray
     return np.where(shared, nearest, -1)
 
 
-def outside_by_m(points: FloatArray, polygon: FloatArray) -> FloatArray:
+def distance_outside_m(points: FloatArray, polygon: FloatArray) -> FloatArray:
     """Distances (K,) of points (K,2) from a convex counter-clockwise polygon (V,2), 0 inside."""
     sides = np.roll(polygon, -1, axis=0) - polygon
     inside = np.ones(len(points), bool)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.borders.borders import outside_by_m
+from radiant_core.plan.borders.borders import distance_outside_m
 from radiant_core.plan.borders.footprints import RegionShares
 from radiant_core.plan.counts.deadline import device_time_s
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
@@ -98,7 +98,7 @@ def _near(positions: FloatArray, border: FloatArray, others: NDArray[np.bool_], 
     """Cameras (K,) of other regions within that distance of a region, nearest first."""
     low, high = border.min(axis=0) - within_m, border.max(axis=0) + within_m
     rows = np.flatnonzero(others & (positions >= low).all(axis=1) & (positions <= high).all(axis=1))
-    away_m = outside_by_m(positions[rows], border)
+    away_m = distance_outside_m(positions[rows], border)
     kept = away_m <= within_m
     return rows[kept][np.lexsort((rows[kept], away_m[kept]))]
 
@@ -148,7 +148,7 @@ def _nearest_with_room(
     landed = [index for index, strip in enumerate(plan.strips) if len(strip) >= 3]
     if not landed or not len(places):
         return device_of, fits
-    away_m = np.stack([outside_by_m(places, plan.strips[index]) for index in landed])
+    away_m = np.stack([distance_outside_m(places, plan.strips[index]) for index in landed])
     device_of = np.array(landed, np.int64)[away_m.argmin(axis=0)]
     for index in landed:
         limit = edge.devices[index].max_cameras

@@ -18,9 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.regions.power_diagram import assign
-from radiant_core.scene import SfmScene
 
 HORIZON_HEIGHTS = 5.0
 """Ground farther away than this many heights covers few pixels: it is seen at less than 11° of depression."""
@@ -109,12 +106,6 @@ class RegionShares:
         part = slice(*np.searchsorted(self.regions, [region, region + 1]))
         return self.images[part], self.shares[part]
 
-    def dense(self) -> FloatArray:
-        """The whole matrix (P,E): 8 bytes an entry."""
-        matrix = np.zeros((self.num_images, self.num_regions))
-        matrix[self.images, self.regions] = self.shares
-        return matrix
-
 
 def views_before_capture(positions: ArrayLike, heights_m: ArrayLike, optics: Optics, heading_pitch_deg: ArrayLike | None = None) -> Views:
     """Views from positions (P,2) m at heights (P,) m above the ground.
@@ -174,7 +165,7 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
     if not len(polygons):
         raise BadInput("there is no region: give at least one polygon.")
     corners = [checked_array("a region", polygon, (None, 2)) for polygon in polygons]
-    order, lows, highs = by_west_end(footprints)
+    order, lows, highs = sort_from_west(footprints)
     widest_m = float((highs[:, 0] - lows[:, 0]).max(initial=0.0))
     found: list[tuple[FloatArray, NDArray[np.int64], int]] = []
     for region, polygon in enumerate(corners):
@@ -198,7 +189,7 @@ def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> Reg
     )
 
 
-def by_west_end(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+def sort_from_west(footprints: Footprints) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
     """Images (K,) that see ground, from west to east, and the corners (K,2) of their bounding boxes."""
     seen = np.flatnonzero(footprints.areas_m2 > 0)
     lows, highs = footprints.polygons[seen].min(axis=1), footprints.polygons[seen].max(axis=1)
@@ -232,17 +223,6 @@ def common_areas_m2(footprints: FloatArray, polygon: FloatArray) -> FloatArray:
         parts[cut] = clipped
     areas[rows] = np.where(counts >= 3, signed_areas_m2(parts[..., :2]), 0.0)
     return areas
-
-
-def observed_shares(scene: SfmScene, plan: CloudPlan) -> RegionShares:
-    """Share (C,E) of the sparse points each camera observes that lie in each region; 0 for a camera that observes none."""
-    num_images, num_regions = len(scene.cameras), len(plan.edge_ids)
-    point, camera = scene.observations.T
-    region_of_point = assign(scene.points[:, :2], plan.sites, plan.weights) if len(scene.points) else np.zeros(0, np.int64)
-    pairs, counts = np.unique(region_of_point[point] * num_images + camera, return_counts=True)
-    regions, images = np.divmod(pairs, num_images)
-    seen = np.bincount(camera, minlength=num_images)
-    return RegionShares(images=images, regions=regions, shares=counts / seen[images], num_images=num_images, num_regions=num_regions)
 
 
 def _flown_deg(positions: FloatArray) -> FloatArray:

@@ -24,7 +24,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.plan.borders.buffers import EdgeBuffer
-from radiant_core.plan.borders.footprints import MAX_CORNERS, Footprints, Views, by_west_end, common_areas_m2
+from radiant_core.plan.borders.footprints import MAX_CORNERS, Footprints, Views, common_areas_m2, sort_from_west
 from radiant_core.plan.plans import CloudPlan
 
 Risk = Literal["low", "medium", "high"]
@@ -141,7 +141,7 @@ class _Seen:
 
     def __init__(self, footprints: Footprints, edge_of_image: NDArray[np.int64], taken: Mapping[int, NDArray[np.int64]]) -> None:
         self.footprints, self.edge_of_image, self.taken = footprints, edge_of_image, taken
-        self.order, self.lows, self.highs = by_west_end(footprints)
+        self.order, self.lows, self.highs = sort_from_west(footprints)
         self.widest_m = float((self.highs[:, 0] - self.lows[:, 0]).max(initial=0.0))
 
     def __call__(self, spots: FloatArray) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

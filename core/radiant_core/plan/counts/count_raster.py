@@ -23,7 +23,7 @@ from radiant_core.plan.counts.wide_deadline import fastest_edge_counts, times_of
 from radiant_core.plan.devices.even_shares import even_times_s
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.profiles.cost_curves import CostCurve
-from radiant_core.plan.profiles.edge_capacity import without_devices
+from radiant_core.plan.profiles.edge_capacity import edge_without_devices
 from radiant_core.plan.regions.paper_arp import PaperConfig
 from radiant_core.plan.regions.power_diagram import cell_polygons, rectangle
 from radiant_core.plan.regions.region_plan import MARGIN, PlanInfeasible, plan_regions
@@ -79,7 +79,7 @@ def middles_of_cells(positions: ArrayLike, cell_m: float) -> FloatArray:
     return (np.floor(checked_array("positions", positions, (None, 2)) / count_raster(positions, cell_m).cell_m) + 0.5) * cell_m
 
 
-def known_to_the_cloud(system: System, num_cameras: int) -> System:
+def system_without_devices(system: System, num_cameras: int) -> System:
     """The system without its devices: every edge by its fitted curve and how many cameras it holds; raises as `capacity_curve`."""
     return replace(system, edges=tuple(_told(edge, num_cameras) for edge in system.edges))
 
@@ -102,7 +102,7 @@ def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = 
     return replace(plan, borders=borders)
 
 
-def followed_by_edges(regions: CloudPlan, positions: ArrayLike, system: System) -> CloudPlan:
+def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) -> CloudPlan:
     """What the edges make of the cloud's regions: cameras (C,2) m by the region they lie in, times and bound by the devices' own curves.
 
     Edges without a camera in the cloud's plan get none. Cameras that an edge's devices cannot hold go to an edge with room, those for which
@@ -158,7 +158,7 @@ def _told(edge: Edge, num_cameras: int) -> Edge:
     if not edge.devices:
         return edge
     if edge_table(edge, num_cameras).capacity:
-        return without_devices(edge, num_cameras)
+        return edge_without_devices(edge, num_cameras)
     return Edge(
         id=edge.id,
         position=edge.position,

@@ -71,7 +71,7 @@ def fastest_edge_counts(system: System, num_cameras: int) -> FastestCounts:
 
 
 @lru_cache(maxsize=8)
-def remembered_edge_counts(system: System, num_cameras: int) -> FastestCounts:
+def cached_edge_counts(system: System, num_cameras: int) -> FastestCounts:
     """`fastest_edge_counts`, once for all frames of a drag, in which neither the system nor the number of cameras changes."""
     return fastest_edge_counts(system, num_cameras)
 

@@ -44,11 +44,6 @@ def shortest_order(quotas: Indices, names: Sequence[str], chords_m: FloatArray) 
     return _improved(np.array(working, np.int64), quotas, chords)
 
 
-def seams_m(order: Indices, quotas: Indices, chords_m: FloatArray) -> float:
-    """Length of all seams between devices in this order."""
-    return float(chords_m[np.cumsum(quotas[order])[:-1]].sum())
-
-
 def chords_across(border: FloatArray, axis: FloatArray, at: FloatArray) -> FloatArray:
     """Lengths (T,) m of a convex polygon's (V,2) cuts across the unit vector `axis` (2,) at coordinates (T,) along it."""
     if len(border) < 3:

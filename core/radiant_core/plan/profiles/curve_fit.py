@@ -59,10 +59,6 @@ class FittedCurve:
             stated = f"rmse {self.rmse} and worst_error {self.worst_error}"
             raise BadInput(f"a curve states {stated}, its samples give {rmse:.6g} and {worst:.6g}: profile again.")
 
-    def extrapolates(self, num_cameras: int) -> bool:
-        """Whether so many cameras lie beyond twice the measured range."""
-        return num_cameras > EXTRAPOLATION * self.largest_count
-
 
 def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -> FittedCurve:
     """The curve nearest to values (S,) at camera counts (S,), in relative error.
@@ -98,14 +94,6 @@ def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -
         rmse=rmse,
         worst_error=worst,
     )
-
-
-def corrected(curve: CostCurve, num_cameras: int, measured: float) -> CostCurve:
-    """The curve scaled through the first measured sample of a run; the curve itself where it predicts nothing to scale."""
-    if not np.isfinite(measured) or measured <= 0 or num_cameras < 1:
-        raise BadInput(f"{measured} was measured for {num_cameras} cameras: give a positive value and at least one camera.")
-    predicted = float(curve(num_cameras))
-    return curve.scaled(measured / predicted) if predicted > 0 else curve
 
 
 def _require_costs(counts: FloatArray, values: FloatArray) -> None:

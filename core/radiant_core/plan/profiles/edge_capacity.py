@@ -31,7 +31,7 @@ def capacity_curve(edge: Edge, num_cameras: int) -> FittedCurve:
     return fit_curve(counts, times_s)
 
 
-def without_devices(edge: Edge, num_cameras: int) -> Edge:
+def edge_without_devices(edge: Edge, num_cameras: int) -> Edge:
     """The same edge as the cloud may know it: place, fitted curve and how many cameras it holds (None: at least `num_cameras`)."""
     held = edge_table(edge, num_cameras).capacity
     return Edge(

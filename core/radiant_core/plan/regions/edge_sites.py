@@ -49,7 +49,7 @@ def require_within_reach(*positions: FloatArray) -> None:
         raise BadInput(f"a camera or edge is {farthest_m:.3g} m from the origin, expected at most {MAX_COORDINATE_M:g} m.")
 
 
-def separated_sites(sites: FloatArray, extent_m: float) -> FloatArray:
+def separate_sites(sites: FloatArray, extent_m: float) -> FloatArray:
     """Sites (E,2) m of which no two share a spot: those within 1e-6 extents of an earlier one step aside by about 1e-3 extents.
 
     Two edges at one spot have no border between them; a step aside gives them one without changing who is near whom.

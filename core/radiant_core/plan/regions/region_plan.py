@@ -28,8 +28,8 @@ from radiant_core.plan.counts.deadline import edge_tables
 from radiant_core.plan.counts.slack import capacities_within
 from radiant_core.plan.counts.wide_deadline import (
     FastestCounts,
+    cached_edge_counts,
     fastest_edge_counts,
-    remembered_edge_counts,
     system_capacity,
     times_of_counts,
 )
@@ -37,7 +37,7 @@ from radiant_core.plan.devices.even_shares import even_edge_counts, even_times_s
 from radiant_core.plan.plans import CloudPlan, PlanStatus
 from radiant_core.plan.regions.capped_transport import deal_within
 from radiant_core.plan.regions.constraints import PlanConstraints, Reference, deal_around
-from radiant_core.plan.regions.edge_sites import require_within_reach, separated_sites
+from radiant_core.plan.regions.edge_sites import require_within_reach, separate_sites
 from radiant_core.plan.regions.paper_arp import PaperConfig, paper_regions
 from radiant_core.plan.regions.power_diagram import assign, bounds, cell_polygons, rectangle
 from radiant_core.plan.regions.transport import deal_with_counts, violations
@@ -120,7 +120,7 @@ def plan_regions(  # noqa: PLR0913
         reason = f"the devices can hold {capacity} of {num_cameras} cameras: raise max_cameras or add devices."
         return PlanInfeasible(method=method, num_cameras=num_cameras, capacity=capacity, reason=reason)
     paper = paper or PaperConfig()
-    fastest = (remembered_edge_counts if constraints else fastest_edge_counts)(system, num_cameras)
+    fastest = (cached_edge_counts if constraints else fastest_edge_counts)(system, num_cameras)
     nearest = _nearest_if_good(plane, system, fastest, tolerance) if method == "exact" and tolerance > 0 else None
     if constraints:
         dealt = _constrained_partition(plane, system, fastest, constraints, start)
@@ -207,7 +207,7 @@ def _plane(positions: ArrayLike, system: System) -> _Plane:
     margin_m = MARGIN * side_m
     return _Plane(
         cameras=positions - centre,
-        sites=separated_sites(sites - centre, side_m),
+        sites=separate_sites(sites - centre, side_m),
         outline=rectangle(low - centre - margin_m, high - centre + margin_m),
         box=rectangle(low - centre, high - centre),
         centre=centre,
@@ -350,10 +350,10 @@ def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: 
     it loses by a squared side length more, which no rounding undoes.
     """
     weights = weights.copy()
-    rival = int(counts.argmax())
+    other = int(counts.argmax())
     for edge in np.flatnonzero(counts == 0):
-        to_edge, to_rival = (np.sum((plane.outline - plane.sites[index]) ** 2, axis=1) for index in (edge, rival))
-        weights[edge] = min(weights[edge], weights[rival] + float((to_edge - to_rival).min()) - plane.side_m**2)
+        to_edge, to_other = (np.sum((plane.outline - plane.sites[index]) ** 2, axis=1) for index in (edge, other))
+        weights[edge] = min(weights[edge], weights[other] + float((to_edge - to_other).min()) - plane.side_m**2)
     return weights
 
 

@@ -28,7 +28,7 @@ MIN_SITE_M = 100.0
 """A plan of few or one waypoints still stands for a site of this size."""
 
 
-def plan_of_captured(
+def plan_captured(
     cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], planned_xy: ArrayLike, captured_xy: ArrayLike, *, system: System
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The plan of `planned_xy` (P,2) m for the photographs at `captured_xy` (C,2) m of the same frame; indices are rows of the latter.
@@ -84,7 +84,7 @@ def plan_of_owners(
     return _with_bound(cloud_plan, captured, edge_of_camera, edge_time_s, system), tuple(new_edge_plans)
 
 
-def taken_for_others(
+def captured_for_other_edges(
     edge_plans: Sequence[EdgePlan], planned_xy: ArrayLike, device_of_captured: NDArray[np.int64], captured_xy: ArrayLike
 ) -> NDArray[np.bool_]:
     """Which photographs (C,) of the devices (C,) lie nearest to a waypoint of another edge's devices, whose region is not theirs.

@@ -24,7 +24,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_core.plan.devices.device_split import long_axis
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
-from radiant_core.plan.regions.edge_sites import separated_sites
+from radiant_core.plan.regions.edge_sites import separate_sites
 from radiant_core.plan.regions.region_plan import is_certified, regions_with_counts
 from radiant_core.plan.regions.transport import deal_with_counts
 from radiant_core.plan.revision.assigned import hull_of
@@ -103,7 +103,7 @@ class Replan:
         return self.device_after != self.device_before
 
 
-def joined_system(system: System, joining: System) -> System:
+def extend_system(system: System, joining: System) -> System:
     """The system with further edges, or further devices at edges it has; BadInput where an id comes twice or nothing joins."""
     new = {edge.id: edge for edge in joining.edges}
     known = {edge.id for edge in system.edges}
@@ -134,7 +134,7 @@ def replan(  # noqa: PLR0913
     require_plan_of(len(positions), cloud_plan, edge_plans)
     require_same_system(edge_plans, system)
     before = _in_grown_system(device_of_planned(edge_plans, len(positions)), system, joining)
-    grown = system if joining is None else joined_system(system, joining)
+    grown = system if joining is None else extend_system(system, joining)
     if unplaced := [edge.id for edge in grown.edges if edge.position is None]:
         raise BadInput(f"edge {unplaced[0]!r} has no position in metres: call place_edges first.")
     situation = _of_devices(situation, grown)
@@ -190,7 +190,7 @@ def _in_grown_system(device_of_position: Indices, system: System, joining: Syste
     """Device (P,) counted in the system with what joins."""
     if joining is None:
         return device_of_position
-    index_of = {device.id: index for index, device in enumerate(joined_system(system, joining).devices)}
+    index_of = {device.id: index for index, device in enumerate(extend_system(system, joining).devices)}
     return np.array([index_of[device.id] for device in system.devices])[device_of_position]
 
 
@@ -301,7 +301,7 @@ def _share(gains: Indices, total: int) -> Indices:
 def _native(points: FloatArray, devices: Indices, centres: FloatArray, counts: Indices) -> Indices:
     middle = points.mean(axis=0)
     extent_m = float(np.ptp(points, axis=0).max()) or 1.0
-    sites = separated_sites(centres[devices] - middle, extent_m)
+    sites = separate_sites(centres[devices] - middle, extent_m)
     return devices[deal_with_counts(points - middle, sites, counts).edge_of_position]
 
 

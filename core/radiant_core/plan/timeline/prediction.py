@@ -136,7 +136,7 @@ def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan])
     return StageError(node="all", stage="makespan", num_cameras=num_cameras, predicted_s=predicted_s, measured_s=measured_s)
 
 
-def corrected_system(system: System, planned: Iterable[PlannedStage], measured: Seconds) -> System:
+def correct_system(system: System, planned: Iterable[PlannedStage], measured: Seconds) -> System:
     """The system with G, F_n and F_m scaled by what was measured so far; stages that were not measured teach nothing.
 
     BadInput as `stage_errors`. A machine predicted or measured at 0 s teaches nothing either.
@@ -170,7 +170,7 @@ def corrected_system(system: System, planned: Iterable[PlannedStage], measured: 
     )
 
 
-def left_s(
+def time_left_s(
     expected_s: Mapping[str, float], parents: Mapping[str, str], running_s: Mapping[str, float], done: Iterable[str], num_workers: int
 ) -> float:
     """Seconds until all nodes are done on `num_workers` processes of one machine, those that may start taken in order.

@@ -36,7 +36,7 @@ def database_key(photographs: Sequence[Photograph], config: SfmConfig, masks: Pa
 
 
 @contextmanager
-def kept_database(work_folder: Path, key: str) -> Iterator[Path]:
+def prepare_database(work_folder: Path, key: str) -> Iterator[Path]:
     """The path of the database in `work_folder`, which is made, or cleaned of all but a database that an attempt with the same key left."""
     database, record = work_folder / "database.db", work_folder / RECORD_NAME
     made_from = {"key": key, "boot": BOOT_ID.read_text().strip() if BOOT_ID.is_file() else None}

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from radiant_core.io.colmap.model import ColmapModel, write_model
+from radiant_core.io.colmap.records import ColmapModel
+from radiant_core.io.colmap.text import write_model
 from radiant_core.sfm.colmap.calls import pycolmap
 
 

@@ -16,13 +16,13 @@ WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", 
 """All that structure from motion puts into its work folder, and all that it removes there when it starts."""
 
 
-def listed(folder: Path, report: Report, names: tuple[str, ...] | None = None) -> PhotoListing:
+def list_usable(folder: Path, report: Report, names: tuple[str, ...] | None = None) -> PhotoListing:
     """`list_photographs` with its progress, of those `names` where given, without copies; BadInput as there."""
     listing = list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
     return listing.without_copies()
 
 
-def listing_warnings(listing: PhotoListing, *, named: bool = True) -> tuple[str, ...]:
+def warn_of_unused(listing: PhotoListing, *, named: bool = True) -> tuple[str, ...]:
     """What the user is told of the files that are not used; counted where their names are nobody else's."""
     num_usable = len(listing.photographs) + len(listing.copies)
     if named:

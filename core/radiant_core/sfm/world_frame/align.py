@@ -64,11 +64,6 @@ class CenterErrors:
         """Largest error in percent of the extent."""
         return 100 * float(self.errors.max()) / self.extent
 
-    @property
-    def median_percent(self) -> float:
-        """Median error in percent of the extent."""
-        return 100 * float(np.median(self.errors)) / self.extent
-
 
 def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> Sim3:
     """Least-squares similarity of the pairs source (N,3) → target (N,3), N ≥ 2, with weights (N,) of any positive sum.

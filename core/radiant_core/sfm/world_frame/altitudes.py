@@ -34,7 +34,7 @@ class Heights:
     """What the user is told."""
 
 
-def with_heights(centers: FloatArray, points: FloatArray, gps: tuple[FloatArray, FloatArray], up: Callable[[], FloatArray]) -> Heights:
+def fill_heights(centers: FloatArray, points: FloatArray, gps: tuple[FloatArray, FloatArray], up: Callable[[], FloatArray]) -> Heights:
     """Positions without a height that is NaN.
 
     `gps` are positions (C,3) of camera centres (C,3), all NaN without GPS, and their origin; `up` () → (3,) gives up in the frame of the

@@ -16,13 +16,13 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.frames import Frame, Sim3
-from radiant_core.io.colmap.model import ColmapModel
+from radiant_core.io.colmap.records import ColmapModel
 from radiant_core.io.photos.listing import Photograph
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.colmap.pairs import gps_positions
 from radiant_core.sfm.world_frame.align import Alignment, AlignStatus, robust_sim3
-from radiant_core.sfm.world_frame.altitudes import with_heights
+from radiant_core.sfm.world_frame.altitudes import fill_heights
 from radiant_core.sfm.world_frame.orient import level_fit, unscaled_from_world
 from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.sfm.world_frame.up import UpEstimate, estimate_up, roll_deg
@@ -65,14 +65,14 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
     given = placement.given_up(cameras, model.points.xyz, seed)
     forced = given is not None
     up = given or estimate_up(cameras, model.points.xyz, seed)
-    heights = with_heights(cameras.centers, model.points.xyz, (positions_m, origin), lambda: up.up)
+    heights = fill_heights(cameras.centers, model.points.xyz, (positions_m, origin), lambda: up.up)
     positions_m = heights.positions_m
     known = np.isfinite(positions_m[:, 0])
     fit = robust_sim3(cameras.centers[known], positions_m[known], seed)
     gps = _judged(fit, cameras, up, forced=forced)
     metric, warnings = _metric_from_model(cameras.centers[known], positions_m[known], gps, up, scaled=placement.gives_scale)
     world_from_model = metric or unscaled_from_world(cameras, model.points.xyz, model.observations(), up.up)
-    world_from_model, scaled = _scaled(world_from_model, moved_scene(model, cameras, world_from_model, UNSCALED), placement)
+    world_from_model, scaled = _scaled(world_from_model, move_scene(model, cameras, world_from_model, UNSCALED), placement)
     frame = Frame(kind="scaled", origin_lat_lon_alt=np.zeros(3)) if scaled else UNSCALED
     if metric is not None:
         residuals = np.linalg.norm(world_from_model.apply(cameras.centers[known]) - positions_m[known], axis=1)
@@ -84,7 +84,7 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
         )
     by_gps = metric is not None and gps.verdict == "ok"
     return PlacedScene(
-        scene=moved_scene(model, cameras, world_from_model, frame),
+        scene=move_scene(model, cameras, world_from_model, frame),
         world_from_model=world_from_model,
         decisions=(
             *(() if by_gps else (_up_decision(up, forced),)),
@@ -119,7 +119,7 @@ def _scaled(world_from_model: Sim3, scene: SfmScene, placement: Placement) -> tu
     return scaled, (decision,)
 
 
-def moved_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, frame: Frame) -> SfmScene:
+def move_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, frame: Frame) -> SfmScene:
     """Cameras and points of a model after a similarity."""
     moved = Cameras(
         names=cameras.names,

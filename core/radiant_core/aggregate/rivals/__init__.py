@@ -1,1 +1,0 @@
-"""Published ways of joining models that ours is compared with, written from their descriptions onto our rasterizer and trainer."""

@@ -1,0 +1,90 @@
+// One rendered view: what the forward pass leaves for the backward pass, and the order of the steps.
+//
+// Forward, O(N + instances + pixels · depth complexity): project (chunks of Gaussians) → count and fill tile lists (stable) → per tile:
+// sort by depth, list the blocks each Gaussian reaches, blend. Backward: per tile, then a sum per Gaussian, then the projection.
+// Every sum has a fixed order, so results have the same bits for any number of threads.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "raster/buffers.h"
+#include "raster/types.h"
+
+namespace radiant {
+
+struct ViewOutputs {
+  float *images, *alphas, *depths, *means2d, *radii_px;
+};
+
+class RenderedView {
+ public:
+  RenderedView() = default;
+  RenderedView(const RenderedView&) = delete;
+  RenderedView& operator=(const RenderedView&) = delete;
+
+  // Renders into `out`; keeps what `backward` needs if `differentiable`. Memory of which renderings in a row use less than a quarter goes
+  // back to the system. Throws std::length_error beyond 2³² instances.
+  void forward(const Kernels& kernels, const View& view, const SplatArrays& splats, const ViewOutputs& out, bool differentiable, int threads);
+
+  // ∂loss/∂means2d (N,2) and, for all else, the sums over each Gaussian's pixels (N); into `absgrad` (N,2), if it is not null, the sums of
+  // |∂loss/∂means2d| of each pixel. Passes of several threads may run at once.
+  void blend_backward(const ImageGradients& gradients, float* means2d, Moments* sums, float* absgrad, int threads) const;
+
+  // Gradients of the Gaussians, from what `blend_backward` gave.
+  void project_backward(const SplatArrays& splats, const float* means2d, const Moments* sums, const SplatGradients& gradients,
+                        int threads) const;
+
+  // Pairs of Gaussian and tile, and of Gaussian and block, of the last forward pass.
+  std::int64_t num_instances() const { return num_instances_; }
+  std::int64_t num_block_pairs() const;
+
+ private:
+  // A piece of the Gaussians: projected and counted as one, the same pieces for any number of threads.
+  struct Chunk {
+    Buffer<Span> storage;
+    SpanList spans{};
+    std::int64_t first_instance = 0;
+  };
+  // What one thread needs.
+  struct Worker {
+    Buffer<char> scratch;
+    Buffer<Entry> spare;
+  };
+
+  void release_unused();
+  template <class Visit>
+  void for_each_buffer(const Visit& visit);
+  void project(const SplatArrays& splats, const ViewOutputs& out, int threads);
+  void fill_tiles(int threads);
+  void blend_tile(std::int64_t tile, Worker& worker);
+  void order_equal_depths(Entry* entries, std::size_t count) const;
+  void sum_chunk(std::size_t chunk, const Moments* moments, float* means2d, Moments* sums) const;
+  void sum_absolute(std::size_t chunk, const AbsoluteMoments* moments, float* absgrad) const;
+  Projection projection(const ViewOutputs& out) const;
+  std::int64_t chunk_begin(std::size_t chunk) const { return static_cast<std::int64_t>(chunk) * chunk_size_; }
+  std::int64_t chunk_end(std::size_t chunk) const;
+
+  const Kernels* kernels_ = nullptr;
+  View view_{};
+  std::int64_t count_ = 0, chunk_size_ = 0, num_instances_ = 0;
+  std::size_t num_chunks_ = 0;
+  bool differentiable_ = false;
+  int num_small_ = 0;  // renderings in a row that used little of the memory
+  std::vector<Chunk> chunks_;
+  std::vector<Worker> workers_;
+  Buffer<Footprint> footprints_;
+  Buffer<std::uint32_t> depth_keys_, num_tiles_, owners_, cursors_;
+  Buffer<std::uint16_t> num_spans_, reached_;
+  Buffer<float> color_slopes_, transmittance_;
+  Buffer<std::int32_t> last_;
+  Buffer<Entry> entries_;
+  Buffer<std::int64_t> tile_starts_;
+  BlendState blend_{};
+};
+
+// The kernels of `name`, or the fastest this CPU runs for an empty one; null if this CPU or build has none of that name.
+const Kernels* find_kernels(const std::string& name);
+
+}  // namespace radiant

@@ -1,0 +1,140 @@
+"""`rasterize`: the one call that renders Gaussians, and the choice of its backend. Once per image and training step."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import torch
+from torch import Tensor
+
+from radiant_core.errors import BadInput
+from radiant_core.render.contract import Backend, Renderer, RenderOutput, SplatTensors, ViewOptions
+from radiant_core.render.finite import not_finite
+from radiant_core.render.gsplat_backend import missing_for_gsplat, rasterize_gsplat
+from radiant_core.render.native_backend import rasterize_native
+from radiant_core.render.torch_reference import rasterize_reference
+from radiant_core.splats import SH_BASES
+
+MAX_SIDE_PX = 1_000_000
+"""A longer side of a picture is refused: float32 has too few digits for its pixels."""
+MAX_FAR_M = 1e15
+"""What is farther is not drawn, whatever far_m says: squares of such depths would leave float32."""
+
+
+def rasterize(
+    splats: SplatTensors,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    *,
+    sh_degree: int,
+    background: Tensor | None = None,
+    near_m: float = 0.01,
+    far_m: float = 1e10,
+    antialiased: bool | None = None,
+    absgrad: bool = False,
+    backend: Backend = "auto",
+) -> RenderOutput:
+    """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background (3) or None for black.
+
+    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased, by default as the model
+    says, scales opacities by √(det Σ / det Σ'), Σ before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting,
+    Yu 2024). absgrad asks for `RenderOutput.absgrad`. Tensors and pictures are of one floating type, viewmats and Ks may be of a finer one;
+    cameras and background may lie on another device than the splats.
+
+    Raises BadInput that names the tensor, how many values and the first index where one is not finite, and for a wrong shape or type, for
+    no camera, for one that is not rigid or no pinhole, for pictures without pixels or wider or higher than 1,000,000 px, for a degree
+    without bases, for near_m and far_m out of order, and for what `backend` cannot do.
+    """
+    if backend not in get_args(Backend):
+        raise BadInput(f"backend {backend!r} is unknown: use {', '.join(map(repr, get_args(Backend)))}.")
+    view = ViewOptions(
+        width=width,
+        height=height,
+        sh_degree=sh_degree,
+        near_m=near_m,
+        far_m=min(far_m, MAX_FAR_M),
+        antialiased=splats.antialiased if antialiased is None else antialiased,
+        absgrad=absgrad,
+        background=(torch.zeros(3) if background is None else background).to(splats.means.device),
+    )
+    _check(splats, viewmats, Ks, view)
+    if backend == "auto":
+        backend = _backend_for(splats, viewmats, Ks)
+    if backend == "gsplat":
+        return rasterize_gsplat(splats, viewmats, Ks, view)
+    if backend == "native":
+        return rasterize_native(splats, viewmats, Ks, view)
+    return rasterize_reference(splats, viewmats.to(splats.means), Ks.to(splats.means), view)
+
+
+def resolve_backend(backend: Backend) -> Renderer:
+    """The backend that `auto` stands for with float32 models on this machine: gsplat where it can be used, else native."""
+    return ("native" if missing_for_gsplat() else "gsplat") if backend == "auto" else backend
+
+
+def device_of(backend: str) -> str:
+    """Where the tensors of a model lie that `backend` is to render: "cuda" for gsplat, else "cpu"."""
+    return "cuda" if backend == "gsplat" else "cpu"
+
+
+def _backend_for(splats: SplatTensors, viewmats: Tensor, Ks: Tensor) -> Backend:
+    if viewmats.requires_grad or Ks.requires_grad or any(tensor.dtype != torch.float32 for tensor in splats.tensors().values()):
+        return "reference"
+    devices = {tensor.device.type for tensor in splats.tensors().values()}
+    if devices == {"cpu"}:
+        return "native"
+    return "gsplat" if devices == {"cuda"} and missing_for_gsplat() is None else "reference"
+
+
+def _check(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> None:
+    count, cameras = (tensor.shape[0] if tensor.ndim else 0 for tensor in (splats.means, viewmats))
+    bases = splats.shN.shape[1] if splats.shN.ndim == 3 else 0
+    shapes = {
+        "means": (count, 3),
+        "quats": (count, 4),
+        "log_scales": (count, 3),
+        "logit_opacities": (count,),
+        "sh0": (count, 1, 3),
+        "shN": (count, bases, 3),
+        "viewmats": (cameras, 4, 4),
+        "Ks": (cameras, 3, 3),
+        "background": (3,),
+    }
+    for name, tensor in {**splats.tensors(), "viewmats": viewmats, "Ks": Ks, "background": view.background}.items():
+        _check_tensor(name, tensor, shapes[name])
+    if not 0 <= view.sh_degree <= 3 or SH_BASES[view.sh_degree] > bases + 1:
+        raise BadInput(f"sh_degree is {view.sh_degree} but shN has {bases} bases: use a degree these bases can hold.")
+    if not (1 <= view.width <= MAX_SIDE_PX and 1 <= view.height <= MAX_SIDE_PX):
+        raise BadInput(f"the image is {view.width} × {view.height} px, expected sides of 1 to {MAX_SIDE_PX:,} px.")
+    if cameras == 0:
+        raise BadInput("viewmats holds no camera: pass at least one.")
+    if not 0 <= view.near_m < view.far_m:
+        raise BadInput(f"near_m is {view.near_m} and far_m {view.far_m}, expected 0 ≤ near_m < far_m: only what is in front is drawn.")
+    # In Python, where a few numbers cost less than one operation of torch.
+    for index, pose in enumerate(viewmats.detach().flatten(1).tolist()):
+        if not _is_rigid(pose):
+            raise BadInput(f"viewmats[{index}] is not a rotation and a translation: pass cam_from_world, unscaled, last row 0 0 0 1.")
+    # Row by row [fx 0 cx 0 fy cy 0 0 1].
+    if any(K[0] <= 0 or K[4] <= 0 or K[8] != 1 or K[1] or K[3] or K[6] or K[7] for K in Ks.detach().flatten(1).tolist()):
+        raise BadInput("Ks has another form than [fx 0 cx; 0 fy cy; 0 0 1] with fx, fy > 0: undistort to pinhole cameras first.")
+
+
+def _check_tensor(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
+    if tuple(tensor.shape) != shape:
+        raise BadInput(f"{name} has shape {tuple(tensor.shape)}, expected {shape}: check which tensor was passed.")
+    if not tensor.is_floating_point():
+        raise BadInput(f"{name} is {tensor.dtype}, expected float32 or float64: convert it.")
+    count, first = not_finite(tensor)
+    if count:
+        raise BadInput(f"{name} has {count} values that are not finite, the first at index {first}: remove them first.")
+
+
+def _is_rigid(pose: list[float]) -> bool:
+    """Whether 16 numbers row by row are a rotation, to what float32 poses of files keep, and a translation."""
+    x, y, z = pose[0:3], pose[4:7], pose[8:11]
+    cross = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    products = [sum(a * b for a, b in zip(*rows, strict=True)) for rows in ((x, x), (y, y), (x, y))]
+    off = (products[0] - 1, products[1] - 1, products[2], *(a - b for a, b in zip(cross, z, strict=True)), *pose[12:15], pose[15] - 1)
+    return all(abs(value) <= 1e-4 for value in off)
