@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from radiant_core.decisions import Decision
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.copies import find_repeats as find_repeated_pictures
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.views import TrainingViews
 
