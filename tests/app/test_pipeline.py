@@ -45,6 +45,7 @@ from radiant_core.io.upload import load_upload, save_upload
 from radiant_core.sfm.world import cameras_of
 from radiant_core.train.needs import Overrides
 from tests.app.alex_weights import write_alex_weights
+from tests.forked import run_module
 
 TINY = Overrides(long_side_px=96, num_steps=100, max_num_splats=1500)
 TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats)
@@ -66,9 +67,8 @@ def finished(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Ru
     return config, run(config, events.append), events
 
 
-def radiant(*arguments: object, cwd: Path | None = None, **options) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "radiant_app", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300, check=False, **options)
+def radiant(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return run_module("radiant_app", *arguments)
 
 
 def test_every_output_is_there_and_reads(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
