@@ -7,10 +7,16 @@ away. Here jaxtyping proves each instance that any test brings about, with one m
 from __future__ import annotations
 
 import functools
+import os
 import subprocess
 from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
+
+# OpenMP reads both when torch is imported.
+os.environ.setdefault("GOMP_SPINCOUNT", "0")
+if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]))))
 
 import hypothesis
 import jaxtyping
