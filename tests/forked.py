@@ -26,8 +26,8 @@ from typing import IO, Any
 
 IMPORTED_BEFORE = ("zlib", "torch", "pycolmap", "cv2", "pydantic", "scipy.optimize", "scipy.spatial", "shapely", "typer", "rich.progress")
 """Libraries alone: what the project's modules import, and when, is as in a process that starts anew."""
-READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OMP_NUM_THREADS", "PYTHONPATH", "PYTHONUNBUFFERED")
-"""Variables that are read once, by a library or the interpreter: there is a server for each set of their values."""
+READ_WHEN_LOADED = ("GOMP_SPINCOUNT", "LD_PRELOAD", "OMP_NUM_THREADS", "PYTHONPATH")
+"""Variables that a library or the interpreter reads once: there is a server for each set of their values."""
 MAX_REQUEST_BYTES = 1 << 18
 
 
@@ -102,7 +102,8 @@ def run_module(*arguments: object, cwd: Path | None = None, timeout_s: float = 3
 @cache
 def _server(environment: tuple[tuple[str, str], ...]) -> socket.socket:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    variables = {name: value for name, value in os.environ.items() if name not in READ_WHEN_LOADED} | dict(environment)
+    others = {name: value for name, value in os.environ.items() if name not in READ_WHEN_LOADED}
+    variables = {**others, **dict(environment), "PYTHONUNBUFFERED": "1"}
     command = [sys.executable, __file__, str(theirs.fileno())]
     server = subprocess.Popen(command, pass_fds=[theirs.fileno()], env=variables, stdin=subprocess.DEVNULL, start_new_session=True)
     theirs.close()
