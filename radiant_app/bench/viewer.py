@@ -27,11 +27,11 @@ from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.layers.camera_layer import camera_layer
+from radiant_viewer.layers.camera_roles import camera_roles
 from radiant_viewer.layers.detail import MOVING_POINTS, even_subset, visible_subset
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.region_layer import border_layer, edge_site_layer, region_layer
 from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
-from radiant_viewer.runs.camera_roles import camera_roles
 from radiant_viewer.web.scene import WebScene, WebView
 
 SIDE_M = 1000.0

@@ -91,8 +91,8 @@ def save_picture(source: Path, view: str | None, path: Path, picture: Picture = 
     if view not in ("regions", "cameras"):
         raise BadInput(f"a plan has no {view} yet, nothing was trained: use --view regions or cameras.")
     from radiant_viewer.pictures.images import save_png
-    from radiant_viewer.pictures.views import cameras_picture, plan_picture
     from radiant_viewer.runs.plan_view import load_plan_view
+    from radiant_viewer.runs.run_pictures import cameras_picture, plan_picture
 
     shown = load_plan_view(plan, None if scene is None else _planned_scene(scene))
     if view == "regions":

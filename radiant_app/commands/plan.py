@@ -41,16 +41,16 @@ from radiant_app.run.predictions import depends_on_training, planned_training, p
 from radiant_app.run.sources import load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.plan_export import ABSOLUTE, save_device_waypoints, save_regions_geojson
+from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
-from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypoints
+from radiant_core.io.waypoints.reader import FoundWaypoints, exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.comparators import Compared, compare
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
-from radiant_core.plan.slack_curve import SlackPoint, slack_curve
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
@@ -141,7 +141,7 @@ def _is_scene(source: Path) -> bool:
 
 def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[str, Any]:
     """Plan the training cameras of a scene; the plan and its picture."""
-    from radiant_viewer.pictures.views import plan_picture
+    from radiant_viewer.runs.run_pictures import plan_picture
 
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
@@ -160,7 +160,7 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
 
 def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints, report: Report) -> dict[str, Any]:
     """Plan waypoints; the plan with them inside, its picture, lists per device and the regions."""
-    from radiant_viewer.pictures.views import waypoint_plan_picture
+    from radiant_viewer.runs.run_pictures import waypoint_plan_picture
 
     waypoints = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m

@@ -24,7 +24,7 @@ from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.borders import Border, shared_borders
+from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.render.trajectories import Lens, along_border, looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
@@ -140,7 +140,7 @@ def held_out_of_training(run: RunView) -> Cameras:
 
 
 def _flight(request: RenderRequest, lens: Lens) -> Cameras:
-    from radiant_viewer.pictures.views import ground_height
+    from radiant_viewer.runs.run_pictures import ground_height
 
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")
@@ -180,7 +180,7 @@ def _orbit_around(box: FloatArray, num_frames: int, lens: Lens) -> Cameras:
 
 def _border(run: Any, names: tuple[str, ...] | None) -> Border:
     """The border of two edges, or without names that with the largest colour step."""
-    from radiant_viewer.pictures.views import worst_border
+    from radiant_viewer.runs.run_pictures import worst_border
 
     edge_ids = run.cloud_plan.edge_ids
     if names is None:

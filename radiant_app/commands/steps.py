@@ -23,7 +23,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_cameras, load_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.io.upload import load_upload
+from radiant_core.io.transport.upload import load_upload
 from radiant_core.scene import SfmScene
 
 
@@ -39,7 +39,7 @@ def sfm(  # noqa: PLR0913
 ) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`, or with `resume` on with one that was interrupted there.
 
-    `placement` has fields of `radiant_core.sfm.placement.Placement`.
+    `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`.
     """
     from radiant_app.run.sources import reconstruct_source, sfm_task
 
@@ -117,7 +117,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
 def screenshot(run: Path, view: Any, path: Path, size_wh: tuple[int, int] = (1280, 900), camera: str | None = None) -> str:
     """Write one view of a run, a training or a scene as PNG."""
     from radiant_viewer.pictures.images import save_png
-    from radiant_viewer.pictures.views import screenshot as make_screenshot
+    from radiant_viewer.runs.run_pictures import screenshot as make_screenshot
 
     save_png(path, make_screenshot(run, view, size_wh, camera))
     return f"written: {path}"

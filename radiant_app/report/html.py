@@ -99,7 +99,7 @@ def _save_pictures(run: Path, manifest: Manifest, *, has_borders: bool) -> dict[
     from radiant_viewer.charts.charts import timeline_picture
     from radiant_viewer.charts.gantt_chart import gantt_picture
     from radiant_viewer.pictures.images import save_png
-    from radiant_viewer.pictures.views import screenshot
+    from radiant_viewer.runs.run_pictures import screenshot
 
     folder = run / "pictures"
     images: dict[str, Image] = {}

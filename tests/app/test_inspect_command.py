@@ -21,16 +21,16 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.stages import require_plan
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_plan_waypoints, load_scene, save_plan, save_scene
-from radiant_core.io.waypoints import read_waypoints
-from radiant_core.plan.constraints import PlanConstraints
-from radiant_core.plan.footprints import Optics
+from radiant_core.io.waypoints.reader import read_waypoints
+from radiant_core.plan.borders.footprints import Optics
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.waypoints import Waypoints
 from radiant_viewer.editing.edited_plan import dragged_weight_m2
 from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import FixWeight, LockRegion, PinCameras
 from radiant_viewer.editing.plan_files import load_other_plan, save_edited_plan, subject_of
 from radiant_viewer.runs.plan_view import likely_ground_m, load_plan_view
-from radiant_viewer.runs.subject import subject_of_run
+from radiant_viewer.window.subject import subject_of_run
 from tests.app.test_plan_command import grid_csv, make_plan
 from tests.viewer.made_up_run import made_up_town, save_run
 

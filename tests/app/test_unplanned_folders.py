@@ -18,7 +18,7 @@ from radiant_app.files.run_folder import Manifest
 from radiant_app.run.sources import scored_scene_of
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import read_model
+from radiant_core.io.colmap.model import read_model
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_scene
 from radiant_core.io.run_store import write_json
@@ -26,7 +26,7 @@ from radiant_core.render.trajectories import middle_box
 from radiant_core.splats import concatenate_splats
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_view import is_planned, load_run_view
-from radiant_viewer.runs.subject import load_subject
+from radiant_viewer.window.subject import load_subject
 from tests.app.test_output_commands import radiant
 from tests.viewer.made_up_run import Town, made_up_town
 

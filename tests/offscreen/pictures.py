@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from radiant_viewer.pictures.images import Image, load_image, save_png
-from radiant_viewer.pictures.views import View, screenshot
+from radiant_viewer.runs.run_pictures import View, screenshot
 from tests.viewer.made_up_run import made_up_town, save_run
 
 FOLDER = Path(__file__).parent / "baselines"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.pictures.views import seams_picture, splats_picture
+from radiant_viewer.runs.run_pictures import seams_picture, splats_picture
 from radiant_viewer.runs.seam_findings import seam_findings
 from tests.offscreen.pictures import SIZE_WH, VIEWS, baseline, picture
 from tests.viewer.made_up_run import Town, made_up_town, save_run

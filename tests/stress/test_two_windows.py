@@ -22,7 +22,7 @@ from radiant_app.commands.inspect_feeds import feeds_of
 from radiant_core.io.run_store import RunLock, write_json
 from radiant_viewer.window.inspector import open_window
 from radiant_viewer.editing.plan_edits import LockRegion, MoveEdge
-from radiant_viewer.runs.subject import load_subject
+from radiant_viewer.window.subject import load_subject
 from radiant_viewer.window.window import InspectorWindow
 
 run, out = Path(sys.argv[1]), Path(sys.argv[2])

@@ -15,11 +15,11 @@ from radiant_core.errors import BadInput
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_cameras, save_plan, save_scene
 from radiant_core.io.run_store import write_json
-from radiant_viewer.pictures.views import comparisons, screenshot
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_figures import image_figures
+from radiant_viewer.runs.run_pictures import comparisons, screenshot
 from radiant_viewer.runs.run_view import RunView, load_run_view
-from radiant_viewer.runs.subject import subject_of_run
+from radiant_viewer.window.subject import subject_of_run
 from tests.viewer.made_up_run import made_up_town
 from tests.viewer.test_window import run_python
 

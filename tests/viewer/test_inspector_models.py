@@ -20,7 +20,7 @@ from radiant_viewer.runs.run_feeds import StageState
 from radiant_viewer.runs.run_figures import image_figures
 from radiant_viewer.runs.run_view import load_run_view
 from radiant_viewer.runs.seam_tour import seam_stops
-from radiant_viewer.runs.subject import load_subject
+from radiant_viewer.window.subject import load_subject
 from tests.viewer.made_up_run import made_up_town, save_run
 
 SQUARE = np.array([[0.0, 0], [30, 0], [30, 40], [0, 40]])

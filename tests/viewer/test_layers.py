@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.camera_layer import camera_layer, pyramid_segments
+from radiant_viewer.layers.camera_roles import NOBODY, camera_roles
 from radiant_viewer.layers.layer import Layer, drawn_positions
 from radiant_viewer.layers.palette import BLUE, VERMILLION, category_colors, heat_colors
 from radiant_viewer.layers.region_layer import duration_text, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.layers.seam_layer import color_steps, seam_layer, seam_pieces
 from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
 from radiant_viewer.pictures.measure import nice_length
-from radiant_viewer.runs.camera_roles import NOBODY, camera_roles
 from tests.viewer.made_up_run import HALF_WH, made_up_town
 
 TOWN = made_up_town()

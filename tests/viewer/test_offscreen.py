@@ -11,13 +11,13 @@ from shapely.geometry import Polygon
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.camera_layer import camera_layer
+from radiant_viewer.layers.camera_roles import camera_roles
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.palette import WHITE, ColorArray, category_colors, tinted
 from radiant_viewer.layers.region_layer import FILL_TINT, region_layer
 from radiant_viewer.pictures.images import Drawing, Image, load_image, save_png
 from radiant_viewer.pictures.offscreen import draw_map, draw_view, render_map, render_view
-from radiant_viewer.pictures.views import plan_layers, plan_picture
-from radiant_viewer.runs.camera_roles import camera_roles
+from radiant_viewer.runs.run_pictures import plan_layers, plan_picture
 from tests.viewer.made_up_run import made_up_town
 
 SIZE_WH = (320, 220)

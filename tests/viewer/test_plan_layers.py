@@ -10,16 +10,16 @@ from shapely.geometry import Point, Polygon
 from shapely.geometry import box as shapely_box
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.constraints import PlanConstraints
-from radiant_core.plan.footprints import Footprints, ground_footprints, views_of_cameras
+from radiant_core.plan.borders.footprints import Footprints, ground_footprints, views_of_cameras
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_viewer.editing.plan_report import certificate_text, headline, load_rows
+from radiant_viewer.layers.camera_roles import camera_roles
 from radiant_viewer.layers.change_layer import changed_layer, constraint_layer, selection_layer
 from radiant_viewer.layers.footprint_layer import footprint_layer, overlap_counts, overlap_layer
 from radiant_viewer.layers.load_layer import load_layer
 from radiant_viewer.layers.region_layer import region_layer
 from radiant_viewer.pictures.offscreen import render_map
 from radiant_viewer.runs.camera_figures import camera_figures, figures_csv, filtered_rows, neighbours_of, sorted_rows
-from radiant_viewer.runs.camera_roles import camera_roles
 from tests.viewer.made_up_run import Town, made_up_town
 from tests.viewer.test_plan_editor import editor_of
 

@@ -10,8 +10,8 @@ import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_viewer.layers.seam_layer import color_steps, seam_pieces
-from radiant_viewer.pictures.views import View, screenshot
 from radiant_viewer.runs.border_figures import seam_band_width
+from radiant_viewer.runs.run_pictures import View, screenshot
 from radiant_viewer.runs.run_view import load_run_view, required_splats
 
 RUNS = sample_scenes_folder() / "runs"

@@ -21,7 +21,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMainWindow, QWidget
 from radiant_core.decisions import Decision
 from radiant_core.io.ply import load_ply
-from radiant_viewer.splats.splat_dock import SplatDock
+from radiant_viewer.docks.splat_dock import SplatDock
 from radiant_viewer.splats.splat_process import SplatProcess
 from radiant_viewer.layers.themes import LIGHT, style_sheet
 from radiant_viewer.pictures.view_pose import ViewPose
@@ -45,7 +45,7 @@ class Renderer(SplatProcess):
     def end(self):
         pass
 
-import radiant_viewer.splats.splat_dock as module
+import radiant_viewer.docks.splat_dock as module
 module.SplatProcess = Renderer
 
 class Window(QMainWindow):

@@ -10,7 +10,7 @@ import pytest
 from radiant_core.errors import BadInput, RadiantError, StoreDamaged
 from radiant_core.io.run_store import write_json
 from radiant_viewer.charts.charts import TimelineRow, TimelineSpan, comparison_picture, timeline_picture
-from radiant_viewer.pictures.views import screenshot
+from radiant_viewer.runs.run_pictures import screenshot
 from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run
 

@@ -17,9 +17,9 @@ from radiant_core.errors import BadInput
 from radiant_core.io.ply import save_ply
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
+from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.layers.layer import CLOUD_SIZE, drawn_positions
 from radiant_viewer.splats.splat_worker import inside_box
-from radiant_viewer.window.canvas import Canvas
 
 if TYPE_CHECKING:
     from radiant_viewer.window.window import InspectorWindow

@@ -10,10 +10,10 @@ from PySide6.QtWidgets import QDockWidget, QLabel, QScrollArea
 
 from radiant_core.errors import RadiantError
 from radiant_viewer.charts.gantt_chart import gantt_picture
+from radiant_viewer.host.picture_label import pixmap_of
 from radiant_viewer.layers.themes import ThemeName
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.runs.run_feeds import RunFeeds
-from radiant_viewer.window.picture_label import pixmap_of
 
 if TYPE_CHECKING:
     from radiant_viewer.window.window import InspectorWindow

@@ -14,12 +14,12 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSlider, QToolButton, QVBoxLayout, QWidget
 
 from radiant_core.errors import BadInput
+from radiant_viewer.host.picture_label import PictureLabel
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.photo_reasons import reason_text
 from radiant_viewer.runs.run_figures import FIGURES, ImageFigures
 from radiant_viewer.runs.run_view import RunView, comparison_paths
-from radiant_viewer.window.picture_label import PictureLabel
 
 if TYPE_CHECKING:
     from radiant_viewer.window.window import InspectorWindow

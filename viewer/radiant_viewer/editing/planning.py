@@ -35,14 +35,14 @@ from radiant_viewer.editing.plan_edits import (
     SetSlack,
 )
 from radiant_viewer.editing.plan_files import PlanSetting, load_other_plan, save_edited_plan, save_plan_geojson, subject_of
+from radiant_viewer.editing.plan_layers import edited_layers, roles_of, scene_footprints
 from radiant_viewer.editing.plan_report import compared_rows, load_rows
 from radiant_viewer.editing.plan_session import PlanSession
 from radiant_viewer.layers.change_layer import selection_layer
 from radiant_viewer.layers.layer import Layer, at_height, outline_segments
 from radiant_viewer.layers.palette import VERMILLION
-from radiant_viewer.layers.plan_layers import edited_layers, roles_of, scene_footprints
-from radiant_viewer.pictures.views import ground_height
 from radiant_viewer.runs.camera_figures import CameraFigures, camera_figures, filtered_rows
+from radiant_viewer.runs.run_pictures import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 if TYPE_CHECKING:

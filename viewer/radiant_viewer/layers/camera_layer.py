@@ -13,9 +13,9 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_viewer.layers.camera_roles import CameraRoles
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
 from radiant_viewer.layers.palette import BLUE, GREY, VERMILLION, WHITE, ColorArray, category_colors, heat_colors, shade_colors
-from radiant_viewer.runs.camera_roles import CameraRoles
 
 Coloring = Literal["region", "device", "split", "psnr"]
 """region: the edge's colour; device: a shade of it; split: trained or held out; psnr: the error of held-out photographs."""

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.footprints import Footprints
+from radiant_core.plan.borders.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
+from radiant_viewer.layers.camera_roles import CameraRoles
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry, at_height
 from radiant_viewer.layers.palette import BLUE, WHITE, category_colors, heat_colors
-from radiant_viewer.runs.camera_roles import CameraRoles
 
 MAX_OUTLINES = 2000
 CELLS_A_SIDE = 72

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.footprints import Footprints
+from radiant_core.plan.borders.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
-from radiant_viewer.runs.camera_roles import CameraRoles
+from radiant_viewer.layers.camera_roles import CameraRoles
 
 _CONDITION = re.compile(r"\s*([a-z_]+)\s*(<=|>=|!=|<|>|=|~)\s*(.+?)\s*")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from radiant_viewer.runs.camera_roles import NOBODY
+from radiant_viewer.layers.camera_roles import NOBODY
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.unplanned import unplanned_photographs
 

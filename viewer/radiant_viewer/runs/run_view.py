@@ -22,7 +22,7 @@ from radiant_core.io.run_store import read_json
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
-from radiant_viewer.runs.camera_roles import NOBODY, CameraRoles, camera_roles
+from radiant_viewer.layers.camera_roles import NOBODY, CameraRoles, camera_roles
 from radiant_viewer.runs.field_files import local_files
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, has_unplanned_scene, kind_of, plan_of_everything, unplanned_scene
 

@@ -17,9 +17,9 @@ from radiant_core.errors import BadInput
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.themes import DARK, LIGHT
 from radiant_viewer.pictures.view_pose import pose_of_camera
-from radiant_viewer.pictures.views import ground_height, seam_of
 from radiant_viewer.runs.camera_figures import sorted_rows
 from radiant_viewer.runs.run_figures import FIGURES
+from radiant_viewer.runs.run_pictures import ground_height, seam_of
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
 from radiant_viewer.web.layout import HEADERS, build_layout

@@ -21,10 +21,10 @@ from radiant_viewer.layers.palette import heat_table
 from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
 from radiant_viewer.layers.themes import LIGHT, Theme, hex_color, themed
 from radiant_viewer.pictures.images import Image, load_image
-from radiant_viewer.pictures.views import plan_layers
 from radiant_viewer.runs.camera_figures import CameraFigures, camera_figures
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_figures import FIGURES, image_figures
+from radiant_viewer.runs.run_pictures import plan_layers
 from radiant_viewer.runs.run_view import RunView, comparison_paths
 from radiant_viewer.runs.seam_findings import part_text
 from radiant_viewer.runs.seam_tour import SeamStop

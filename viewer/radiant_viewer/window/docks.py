@@ -16,10 +16,10 @@ from radiant_viewer.docks.gantt_dock import GanttDock
 from radiant_viewer.docks.photo_dock import PhotoDock
 from radiant_viewer.docks.progress_dock import ProgressDock
 from radiant_viewer.docks.seam_dock import SeamDock, seam_dock
+from radiant_viewer.docks.splat_dock import SplatDock
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_figures import image_figures
 from radiant_viewer.runs.run_view import RunView
-from radiant_viewer.splats.splat_dock import SplatDock
 
 if TYPE_CHECKING:
     from radiant_viewer.window.window import InspectorWindow

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 from radiant_core.errors import RadiantError
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_view import is_planned
-from radiant_viewer.runs.subject import Subject, load_subject
 from radiant_viewer.window.desktop import require_desktop
+from radiant_viewer.window.subject import Subject, load_subject
 
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication

@@ -8,10 +8,10 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
+from radiant_viewer.host.canvas import Canvas
 from radiant_viewer.layers.layer import Label, Layer
 from radiant_viewer.layers.palette import ORANGE
 from radiant_viewer.pictures.measure import area_text, length_text, path_length, polygon_area
-from radiant_viewer.window.canvas import Canvas
 
 if TYPE_CHECKING:
     from radiant_viewer.window.window import InspectorWindow

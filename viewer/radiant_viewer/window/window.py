@@ -20,6 +20,7 @@ from radiant_core.numerics import FloatArray
 from radiant_viewer.docks.layer_dock import LayerDock
 from radiant_viewer.editing.plan_files import PlanSetting
 from radiant_viewer.editing.planning import Planning, add_planning
+from radiant_viewer.host.canvas import TOP_SLOT, Canvas
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.layer import Layer, drawn_positions
 from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet, themed
@@ -27,11 +28,10 @@ from radiant_viewer.pictures.images import Image, save_png
 from radiant_viewer.pictures.view_pose import pose_of_camera
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_view import RunView, file_stamps
-from radiant_viewer.runs.subject import Subject
-from radiant_viewer.window.canvas import TOP_SLOT, Canvas
 from radiant_viewer.window.docks import Docks, add_docks, share_room
 from radiant_viewer.window.measure_tool import MeasureTool
 from radiant_viewer.window.panels import Panels
+from radiant_viewer.window.subject import Subject
 from radiant_viewer.window.window_state import WindowState, restore
 
 HIDDEN_AT_FIRST = frozenset(

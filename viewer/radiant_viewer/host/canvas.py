@@ -1,0 +1,266 @@
+"""`Canvas`: one of the window's two views, a map or 3D: its layers as actors, where things fall on it, and who hears its clicks.
+
+Coordinates of the world are float64; VTK sees them relative to `origin`. A click is a press and release within 4 px.
+Needs the `desktop` extra.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import cast
+
+import numpy as np
+import pyvista as pv
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer
+from PySide6.QtGui import QMouseEvent
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from pyvistaqt import QtInteractor
+from vtkmodules.vtkCommonCore import vtkCommand
+from vtkmodules.vtkRenderingCore import vtkProp
+
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_viewer.host.scale_bar import ScaleBar
+from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer, is_alike, update_layer
+from radiant_viewer.layers.layer import CLOUD_SIZE, Layer
+from radiant_viewer.layers.map_labels import add_map_labels
+from radiant_viewer.layers.point_detail import PointDetail
+from radiant_viewer.layers.themes import LIGHT, Theme, themed
+from radiant_viewer.pictures.images import Image
+from radiant_viewer.pictures.offscreen import aim_camera
+from radiant_viewer.pictures.view_pose import ViewPose
+
+CLICK_PX = 4
+LABEL_SIZE = 11
+CLOUD_POINT_PX, CLOUD_POINT_3D_PX = 2.6, 3.2
+TOP_SLOT = 400
+"""Slot of the map on which marks of selections and tools lie: above a hundred layers."""
+Clicked = Callable[["Canvas", tuple[int, int]], bool]
+"""Called with the canvas and the pixel (x, y from the lower left); returns whether the click was taken."""
+
+
+class Canvas:
+    """A plotter in a frame with a heading; `click_takers` are asked in order until one takes a click."""
+
+    def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray, unit: str = "m") -> None:
+        self.is_map, self.origin, self.theme = is_map, origin, LIGHT
+        self.actors: dict[str, list[vtkProp]] = {}
+        self._drawn: dict[str, tuple[Theme, int, Layer]] = {}
+        self.click_takers: list[Clicked] = []
+        self.frame = QWidget(parent)
+        layout = QVBoxLayout(self.frame)
+        layout.setContentsMargins(4, 2, 4, 4)
+        layout.setSpacing(2)
+        heading = QLabel(title)
+        heading.setStyleSheet("font-weight: 600")
+        top = QHBoxLayout()
+        top.addWidget(heading, stretch=1)
+        layout.addLayout(top)
+        self.plotter = _View(self.frame, auto_update=False, multi_samples=4)
+        # Else the first look at the camera, and the first layer, would each draw a frame.
+        self.plotter.camera_set = True
+        # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its own.
+        self.plotter.reset_key_events()
+        self.plotter.iren.interactor.RemoveObservers("CharEvent")
+        self.plotter.setToolTip("")
+        self.plotter.draw_once()
+        self.detail = PointDetail(
+            self.plotter,
+            later=lambda seconds, call: QTimer.singleShot(int(1000 * seconds), self.frame, call),
+            redraw=self.plotter.update,
+        )
+        layout.addWidget(self.plotter, stretch=1)
+        # By Qt: some of VTK's styles keep the release of a button to themselves.
+        self._clicks = _ClickFilter(self.plotter, self._on_click)
+        if is_map:
+            self.scale_bar = ScaleBar(self.frame, unit)
+            top.addWidget(self.scale_bar)
+            self.plotter.renderer.AddObserver(vtkCommand.StartEvent, self._show_scale)
+        self.set_theme(LIGHT)
+
+    def set_theme(self, theme: Theme) -> None:
+        """The background; layers are recoloured when they are drawn again."""
+        self.theme = theme
+        self.plotter.background_color = pv.Color(theme.view)
+
+    def draw(self, layer: Layer, slot: int, *, visible: bool = True) -> None:
+        """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
+        height = float(SLOTS_PER_LAYER * slot)
+        flat_height = height if self.is_map else None
+        shown, before = themed(layer, self.theme), self._drawn.get(layer.name)
+        if before is not None and before[:2] == (self.theme, slot) and is_alike(before[2], shown) and _same_labels(before[2], shown):
+            actors = self.actors[layer.name][: -1 if layer.labels and self.is_map else None]
+            update_layer(cast("list[pv.Actor]", actors), shown, self.origin, flat_height)
+            self._drawn[layer.name] = (self.theme, slot, shown)
+            self.show(layer.name, visible)
+            return
+        self.remove(layer.name)
+        actors = add_layer(self.plotter, shown, self.origin, flat_height=flat_height, detail=self.detail)
+        self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
+        if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
+            for actor in actors[-1:]:
+                # A view of the window is a quarter of a picture's size: points as large would bury what lies below.
+                actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
+        if layer.labels and self.is_map:
+            self.actors[layer.name].append(add_map_labels(self.plotter, layer.labels, self.origin, height, self.theme, LABEL_SIZE))
+        self.show(layer.name, visible)
+
+    def remove(self, name: str) -> None:
+        """Take a layer away, if it is drawn."""
+        self._drawn.pop(name, None)
+        for actor in self.actors.pop(name, []):
+            self.plotter.remove_actor(actor, render=False)
+
+    def show(self, name: str, visible: bool) -> None:
+        """Show or hide the actors of a layer."""
+        for actor in self.actors.get(name, []):
+            actor.SetVisibility(visible)
+
+    def render(self) -> None:
+        """Draw a frame, as soon as Qt paints; several calls before that give one."""
+        self.plotter.renderer.reset_camera_clipping_range()
+        self.plotter.update()
+
+    def screenshot(self) -> Image:
+        """What is seen (H,W,3), once it is at rest."""
+        self.detail.refine()
+        # Now, whatever frame waits for Qt.
+        self.plotter.renderer.reset_camera_clipping_range()
+        self.plotter.render()
+        pixels = self.plotter.screenshot(return_img=True)
+        assert pixels is not None
+        return np.asarray(pixels, np.uint8)
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Of the picture, px."""
+        width, height = self.plotter.window_size
+        return int(width), int(height)
+
+    @property
+    def pose(self) -> ViewPose:
+        """Where the view stands in the world."""
+        camera = self.plotter.camera
+        return ViewPose(
+            position=np.array(camera.position) + self.origin,
+            focal_point=np.array(camera.focal_point) + self.origin,
+            up=np.array(camera.up),
+            angle_deg=float(camera.view_angle),
+        )
+
+    def set_pose(self, pose: ViewPose) -> None:
+        """Move the view; a map keeps looking straight down and only takes the middle."""
+        camera = self.plotter.camera
+        if self.is_map:
+            self.center_on(pose.focal_point[:2])
+            return
+        camera.focal_point = tuple(pose.focal_point - self.origin)
+        camera.position = tuple(pose.position - self.origin)
+        camera.up, camera.view_angle = tuple(pose.up), pose.angle_deg
+        self.plotter.renderer.reset_camera_clipping_range()
+
+    def center_on(self, place: FloatArray, half_height: float | None = None) -> None:
+        """Move the map's middle to `place` (2,) and, where given, show so much of the world above and below it."""
+        camera = self.plotter.camera
+        x, y = (float(value) for value in np.asarray(place) - self.origin[:2])
+        top = camera.position[2]
+        camera.focal_point, camera.position = (x, y, 0.0), (x, y, top)
+        if half_height is not None:
+            camera.parallel_scale = half_height
+        self.plotter.renderer.reset_camera_clipping_range()
+
+    def fit(self, drawn: FloatArray) -> None:
+        """Fit positions (K,3) of the world into the view; a map looks straight down, north up."""
+        local = drawn - self.origin
+        if not self.is_map:
+            self.plotter.camera.view_angle = 30.0
+            aim_camera(self.plotter, local)
+            return
+        spans = local.max(axis=0) - local.min(axis=0)
+        self.plotter.enable_parallel_projection()
+        # A map is moved by dragging it.
+        self.plotter.enable_custom_trackball_style(left="pan", shift_left="pan", control_left="pan", middle="pan", right="dolly")
+        camera = self.plotter.camera
+        camera.focal_point, camera.position, camera.up = (0, 0, 0), (0, 0, float(SLOTS_PER_LAYER * (TOP_SLOT + 8))), (0, 1, 0)
+        width, height = self.size_wh
+        camera.parallel_scale = 0.55 * float(max(spans[1], spans[0] * height / max(width, 1), 1e-6))
+        self.plotter.renderer.reset_camera_clipping_range()
+
+    def pixels_of(self, positions: FloatArray) -> FloatArray:
+        """Where positions (K,3) of the world fall (K,2), px from the lower left; NaN behind the viewer."""
+        width, height = self.size_wh
+        matrix = self.plotter.camera.GetCompositeProjectionTransformMatrix(width / max(height, 1), -1, 1)
+        projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
+        local = checked_array("positions", positions, (None, 3)) - self.origin
+        if self.is_map:
+            local[:, 2] = 0
+        clip = np.column_stack([local, np.ones(len(local))]) @ projection.T
+        depth = np.where(clip[:, 3] > 0, clip[:, 3], np.nan)[:, None]
+        return (clip[:, :2] / depth + 1) / 2 * (width, height)
+
+    def ground_place(self, pixel: tuple[int, int]) -> FloatArray:
+        """The place (2,) of the map under a pixel; only for a map."""
+        assert self.is_map, "a view in perspective has no one place under a pixel"
+        width, height = self.size_wh
+        camera = self.plotter.camera
+        per_px = 2 * camera.parallel_scale / max(height, 1)
+        offset = (np.array(pixel, np.float64) + 0.5 - (width / 2, height / 2)) * per_px
+        return np.array(camera.focal_point[:2]) + offset + self.origin[:2]
+
+    def _show_scale(self, *_: object) -> None:
+        self.scale_bar.show_scale(2 * float(self.plotter.camera.parallel_scale) / max(self.plotter.height(), 1))
+
+    def _on_click(self, x: float, y: float) -> None:
+        scale = self.plotter.devicePixelRatioF()
+        pixel = (int(x * scale), int(self.size_wh[1] - 1 - y * scale))
+        _first_taker(self.click_takers, self, pixel)
+
+
+class _View(QtInteractor):
+    """A view that draws a frame when Qt paints it, and only then: pyvistaqt 0.13 draws it once for VTK and once more for Qt."""
+
+    _is_painting = False
+
+    def draw_once(self) -> None:
+        """From the next paint on, ask Qt for a paint where VTK's mouse styles ask for a frame."""
+        self.iren.interactor.AddObserver(vtkCommand.RenderEvent, lambda *_: None if self._is_painting else self.update())
+
+    def paintGL(self) -> None:
+        """Qt calls it, by way of versions of pyvistaqt that are widgets of OpenGL; others go on drawing as they did."""
+        interactor = self.iren.interactor
+        self._is_painting = True
+        interactor.EnableRenderOn()
+        try:
+            super().paintGL()
+        finally:
+            interactor.EnableRenderOff()
+            self._is_painting = False
+
+
+class _ClickFilter(QObject):
+    """Calls `clicked` with x and y from the upper left where the left button was pressed and released in one place."""
+
+    def __init__(self, watched: QWidget, clicked: Callable[[float, float], None]) -> None:
+        super().__init__(watched)
+        self._clicked = clicked
+        self._pressed: QPointF | None = None
+        watched.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Look on, and let everything pass."""
+        if isinstance(event, QMouseEvent) and event.button() == Qt.MouseButton.LeftButton:
+            if event.type() == QEvent.Type.MouseButtonPress:
+                self._pressed = event.position()
+            elif event.type() == QEvent.Type.MouseButtonRelease and self._pressed is not None:
+                moved, self._pressed = event.position() - self._pressed, None
+                if moved.manhattanLength() <= CLICK_PX:
+                    self._clicked(event.position().x(), event.position().y())
+        return False
+
+
+def _first_taker(takers: Sequence[Clicked], canvas: Canvas, pixel: tuple[int, int]) -> bool:
+    return any(taker(canvas, pixel) for taker in takers)
+
+
+def _same_labels(layer: Layer, other: Layer) -> bool:
+    texts = [[(label.text.splitlines()[0], label.position.tolist()) for label in one.labels] for one in (layer, other)]
+    return texts[0] == texts[1]

@@ -1,0 +1,285 @@
+"""The named views of a run as finished pictures: what `radiant inspect --view … --screenshot` and the report show.
+
+Each view is a list of layers and a page; window and pictures take the layers from here. Once per picture, 0.5 to 2 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from radiant_core.cameras import Cameras
+from radiant_core.errors import BadInput
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.borders.borders import Border
+from radiant_core.plan.borders.buffers import EdgeBuffer
+from radiant_core.plan.borders.forecast import BorderForecast
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.render.trajectories import box_corners
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_viewer.charts.charts import comparison_picture
+from radiant_viewer.layers.camera_layer import camera_layer
+from radiant_viewer.layers.camera_roles import CameraRoles, camera_roles
+from radiant_viewer.layers.forecast_layer import buffer_layer, forecast_layers
+from radiant_viewer.layers.layer import Label, Layer
+from radiant_viewer.layers.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
+from radiant_viewer.layers.seam_layer import SeamPieces, seam_layer
+from radiant_viewer.layers.splat_layer import sparse_point_layer
+from radiant_viewer.layers.waypoint_layer import waypoint_layer
+from radiant_viewer.pictures.images import Image, load_image
+from radiant_viewer.pictures.offscreen import render_map, render_view
+from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
+from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
+from radiant_viewer.runs.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures, seam_band_width
+from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, required_splats
+from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
+from radiant_viewer.runs.unplanned import FolderKind, finish_command, seen_box
+
+View = Literal["regions", "cameras", "seams", "splats", "compare"]
+"""regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats: the model in 3D;
+compare: held-out photographs beside their renders, worst, middle and best."""
+SIZE_WH = (1280, 900)
+
+
+USUAL_VIEW: dict[FolderKind, View] = {"run": "regions", "training": "splats", "scene": "cameras"}
+
+
+def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None) -> Image:
+    """One view of a run, a training or a scene (H,W,3), without `view` the usual one; BadInput for an unknown view or one it is not
+    ready for, StoreDamaged for broken files.
+
+    `camera`, the name of a photograph, is where splats are seen from and what "compare" shows alone; BadInput for another view or name.
+    The height of "compare" is that of its rows.
+    """
+    if view is not None and view not in get_args(View):
+        raise BadInput(f"view {view!r} is unknown: use one of {', '.join(get_args(View))}.")
+    run = load_run_view(run_folder)
+    view = view or USUAL_VIEW[run.kind]
+    if run.kind != "run" and view in ("regions", "seams"):
+        raise BadInput(f"{run_folder} was made without a plan, so there are no {view}: use --view cameras, splats or compare.")
+    if camera is not None:
+        _require_camera(run, view, camera)
+    if view == "regions":
+        return plan_picture(run.scene, run.cloud_plan, run.edge_plans, run.held_out, size_wh)
+    if view == "cameras":
+        return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh)
+    if view == "seams":
+        return seams_picture(run.scene, run.cloud_plan, required_splats(run), size_wh)
+    if view == "splats":
+        return splats_picture(run.scene, run.cloud_plan, required_splats(run), size_wh, camera)
+    return comparisons(run, size_wh[0], camera)
+
+
+def _require_camera(run: RunView, view: str, camera: str) -> None:
+    if view not in ("splats", "compare"):
+        raise BadInput(f"a camera is of the views splats and compare, not of {view!r}: leave it out.")
+    known = run.photographs if view == "compare" else run.scene.cameras.names
+    if camera not in known:
+        near = get_close_matches(camera, known, 1, 0)
+        raise BadInput(f"there is no photograph {camera!r} in this run: did you mean {near[0]!r}?" if near else "the run has no cameras.")
+
+
+def plan_picture(  # noqa: PLR0913
+    scene: SfmScene,
+    cloud_plan: CloudPlan,
+    edge_plans: Sequence[EdgePlan],
+    held_out: Collection[str] = (),
+    size_wh: tuple[int, int] = SIZE_WH,
+    *,
+    forecasts: Sequence[BorderForecast] = (),
+    buffers: Sequence[EdgeBuffer] = (),
+) -> Image:
+    """The map of a plan: regions, strips, cameras and edges with counts and predicted times, borders by forecast where there is one."""
+    roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
+    subtitle = f"{len(scene.cameras)} cameras, {_plan_text(cloud_plan, len(roles.device_ids))}"
+    ground = ground_height(scene)
+    layers = plan_layers(scene, cloud_plan, edge_plans, roles)
+    if buffers:
+        layers.insert(-2, buffer_layer(scene.cameras.centers, cloud_plan, buffers))
+    layers[-1:-1] = forecast_layers(forecasts, ground)
+    return render_map(
+        layers,
+        size_wh,
+        PageText(title="Plan", subtitle=subtitle, unit=scene.frame.unit),
+    )
+
+
+def waypoint_plan_picture(
+    positions: FloatArray,
+    cloud_plan: CloudPlan,
+    edge_plans: Sequence[EdgePlan],
+    size_wh: tuple[int, int] = SIZE_WH,
+    *,
+    forecasts: Sequence[BorderForecast] = (),
+    buffers: Sequence[EdgeBuffer] = (),
+) -> Image:
+    """The map of a plan made from waypoints (P,3) m before anything was captured, borders by forecast where there is one."""
+    num_devices = sum(len(plan.device_ids) for plan in edge_plans)
+    layers = [
+        region_layer(cloud_plan),
+        strip_layer(cloud_plan, edge_plans),
+        border_layer(cloud_plan),
+        *([buffer_layer(positions, cloud_plan, buffers)] if buffers else []),
+        waypoint_layer(positions, cloud_plan),
+        *forecast_layers(forecasts),
+        edge_site_layer(cloud_plan),
+    ]
+    subtitle = f"{len(positions)} waypoints, {_plan_text(cloud_plan, num_devices)}"
+    return render_map(layers, size_wh, PageText(title="Plan before capture", subtitle=subtitle, unit="m"))
+
+
+def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
+    return (
+        f"{len(cloud_plan.edge_ids)} edges, {num_devices} devices   ·   predicted makespan {duration_text(cloud_plan.makespan_s)}, "
+        f"lower bound {duration_text(cloud_plan.lower_bound_s)}   ·   {cloud_plan.method}, {cloud_plan.status}"
+    )
+
+
+def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], roles: CameraRoles) -> list[Layer]:
+    """Regions, strips, cameras by region, edges, from the ground up."""
+    ground = ground_height(scene)
+    return [
+        region_layer(cloud_plan, ground),
+        strip_layer(cloud_plan, edge_plans, ground),
+        border_layer(cloud_plan, ground),
+        camera_layer(scene.cameras, roles, "region"),
+        edge_site_layer(cloud_plan, ground),
+    ]
+
+
+def cameras_picture(
+    scene: SfmScene, roles: CameraRoles, psnr_db: Mapping[str, float] | None = None, size_wh: tuple[int, int] = SIZE_WH
+) -> Image:
+    """All cameras over the sparse points in 3D, coloured by PSNR once there are figures, by split before."""
+    unplaced = len(set(psnr_db or ()) - set(scene.cameras.names))
+    placed = psnr_db and len(psnr_db) > unplaced
+    cameras = camera_layer(scene.cameras, roles, "psnr" if placed else "split", psnr_db)
+    subtitle = f"{len(scene.cameras)} cameras, {int(roles.held_out.sum())} held out"
+    if unplaced:
+        subtitle = f"{len(scene.cameras)} cameras; {unplaced} held out, whose places stayed with their devices"
+    if psnr_db:
+        worst = min(psnr_db, key=lambda name: psnr_db[name])
+        mean = float(np.mean(list(psnr_db.values())))
+        subtitle += f"   ·   held-out PSNR {mean:.2f} dB on average, lowest {psnr_db[worst]:.2f} dB ({worst})"
+    points = [sparse_point_layer(scene)] if len(scene.points) else []
+    return render_view([*points, cameras], size_wh, PageText(title="Cameras", subtitle=subtitle, unit=scene.frame.unit))
+
+
+def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
+    """The map of the model with its borders coloured by the colour step across them."""
+    findings = seam_findings(scene, cloud_plan, splats)
+    ground, unit = ground_height(scene), scene.frame.unit
+    labels = tuple(_finding_label(finding, ground) for finding in findings if finding.found)
+    # The found seams' labels find room before those of the edges.
+    seams = replace(_seam_layer_of(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
+    layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
+    drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
+    return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=verdict_text(findings, unit), unit=unit))
+
+
+def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
+    """The layer of the borders' colour steps; BadInput when the plan has one region only."""
+    return _seam_layer_of(scene, cloud_plan, border_figures(scene, cloud_plan, splats))
+
+
+def worst_border(run: RunView) -> Border:
+    """What was observed of the border with the largest colour step of a run's model, the longest border where there is no verdict;
+    BadInput without any border."""
+    figures = border_figures(run.scene, run.cloud_plan, required_splats(run))
+    worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)
+    return replace(worst.border, ends=worst.observed_ends)
+
+
+def _seam_layer_of(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[BorderFigures]) -> Layer:
+    pieces = SeamPieces(
+        ends=np.concatenate([one.ends for one in figures]),
+        edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),
+    )
+    label = f"Step over texture (of 255), bands of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
+    return seam_layer(pieces, np.concatenate([one.told for one in figures]), label, ground_height(scene), 2 * VISIBLE_LEVELS)
+
+
+def _finding_label(finding: SeamFinding, ground: float) -> Label:
+    border = finding.figures.border
+    what = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.steps else []
+    text = f"{finding.figures.title}\nseam: {', '.join([*what, *finding.quantities])}"
+    # Beside the line, which it must not hide.
+    beside = border.ends.mean(axis=0) + 0.15 * border.length_m * border.toward_first
+    return Label(text=text, position=np.append(beside, ground), strong=True)
+
+
+def splats_picture(
+    scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None
+) -> Image:
+    """The model as our renderer draws it, from all above or from one of its cameras, with the borders of the regions on the ground."""
+    ground = ground_height(scene)
+    has_regions = any(len(border) for border in cloud_plan.borders)
+    layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)] if has_regions else []
+    room_wh = drawing_size_wh(size_wh, is_map=False)
+    subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
+    if camera is None:
+        view = fitted_camera(_looked_at(scene, cloud_plan, ground), room_wh)
+    else:
+        view = _fitted_to(scene.cameras.named([camera]), room_wh)
+        subtitle += f"   ·   from {camera}"
+    text = PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit)
+    return compose_page(draw_splat_view(layers, splats, view), layers, size_wh, text)
+
+
+def _looked_at(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
+    """Places (K,3) that a picture of the whole model holds: all regions and a tenth of their width above them, without regions what cameras
+    and points span; far haze and sky do not make them small."""
+    corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
+    if not len(corners):
+        return box_corners(seen_box(scene))
+    rise = [0.0, 0.0, 0.1 * float(np.ptp(corners[:, 0]))]
+    return np.concatenate([corners, corners + rise])
+
+
+def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:
+    shown = [(edge, border) for edge, border in zip(cloud_plan.edge_ids, cloud_plan.borders, strict=True) if len(border) >= 3]
+    labels = tuple(Label(text=edge, position=np.append(border.mean(axis=0), ground), strong=True) for edge, border in shown)
+    return Layer(name="Regions", labels=labels)
+
+
+def _fitted_to(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
+    """The same camera with a picture as large as there is room: all it sees, and more at two sides."""
+    old_wh = camera.sizes_wh[0]
+    scale = float(np.min(np.array(room_wh) / old_wh))
+    K = camera.Ks[0].copy()
+    K[:2] *= scale
+    K[:2, 2] += (np.array(room_wh) - scale * old_wh) / 2
+    return Cameras(names=camera.names, Ks=K[None], cam_from_world=camera.cam_from_world, sizes_wh=np.array([room_wh], np.int64))
+
+
+def comparisons(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
+    """Photograph, render and difference of the held-out photographs with the lowest, the middle and the highest PSNR, or of `camera`, one
+    below the other; BadInput before evaluation, or where `camera` was trained on."""
+    if not run.psnr_db:
+        raise BadInput(f"{run.folder} has no figures of held-out photographs: {finish_command(run.folder)}.")
+    psnr_db = run.psnr_db
+    if camera is not None and camera not in psnr_db:
+        raise BadInput(f"{camera!r} was trained on, so nothing compares it: choose one of {', '.join(sorted(psnr_db)[:4])} …")
+    ordered = sorted(psnr_db, key=lambda name: psnr_db[name])
+    # Keyed by name: with one or two photographs a row is not shown twice.
+    shown = {ordered[0]: "lowest", ordered[len(ordered) // 2]: "middle", ordered[-1]: "highest"} | {ordered[0]: "lowest"}
+    if camera is not None:
+        shown = {camera: f"number {ordered.index(camera) + 1} from below"}
+    rows = []
+    for name, place in shown.items():
+        photo, render, difference = (load_image(path) for path in comparison_paths(run, name))
+        title = f"{name}: {psnr_db[name]:.2f} dB, {place} of {len(ordered)}"
+        rows.append(comparison_picture(photo, render, difference, title=title, width_px=width_px))
+    width = max(row.shape[1] for row in rows)
+    return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows])
+
+
+def ground_height(scene: SfmScene) -> float:
+    """Height at which regions are drawn in 3D: that of the lowest tenth of the sparse points, 0 without points."""
+    return float(np.quantile(scene.points[:, 2], 0.1)) if len(scene.points) else 0.0
