@@ -413,6 +413,7 @@ def _photographs(folder: Path, source: Path, count: int) -> Path:
 
 
 def test_bad_input_gets_one_sentence_and_leaves_nothing(hamlet: Path, tmp_path: Path) -> None:
+    """Alone gives `radiant run` bad input of seven kinds, each to a process of its own."""
     empty, one = _photographs(tmp_path / "empty", hamlet, 0), _photographs(tmp_path / "one", hamlet, 1)
     unknown_key, no_bandwidth = tmp_path / "key.toml", tmp_path / "bandwidth.toml"
     device = '[[edge]]\nid = "a"\nuplink_mbit_per_s = {}\n[[edge.device]]\nid = "d"\n'
@@ -479,6 +480,7 @@ def test_photographs_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_ends_with_130_and_the_run_can_be_resumed(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
+    """Alone interrupts a run while its real workers train, and resumes it."""
     config, _, _ = finished
     out = tmp_path / "run"
     shutil.copytree(config.out, out)
