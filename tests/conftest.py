@@ -21,6 +21,7 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
 import hypothesis
 import jaxtyping
 import numpy as np
+import pytest
 from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
@@ -31,7 +32,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from tests import forked
 
-vars(local)["subprocess"] = SimpleNamespace(**{**vars(subprocess), "Popen": forked.popen})
+pytest.MonkeyPatch().setattr(local, "subprocess", SimpleNamespace(**{**vars(subprocess), "Popen": forked.popen}))
 
 # No deadline: the first example pays for imports. The same examples each time, so that a failure is a failure for everybody.
 hypothesis.settings.register_profile("radiant", deadline=None, derandomize=True, database=None)
