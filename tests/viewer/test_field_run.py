@@ -140,12 +140,10 @@ from radiant_viewer.runs.run_figures import image_figures
 from radiant_viewer.runs.run_view import load_run_view
 
 class Window(QMainWindow):
-    def tell(self, sentence):
-        print("told:", sentence)
+    def show_status(self, message):
+        print("status:", message)
     def select_camera(self, name):
         self.dock.show_camera(run.photographs.index(name))
-    def raise_dock(self, dock):
-        pass
 
 application = QApplication([])
 run, window = load_run_view(Path(sys.argv[1]), with_files=True), Window()

@@ -88,12 +88,12 @@ def compare_plans(user: User, out: Path) -> dict[str, Any]:
     user.click_tab("Plan")
     user.will_name(out / "other.json")
     user.click(planning.dock.buttons["Compare…"], "Compare…")
-    until(lambda: planning.comparison is not None, "nothing was compared")
-    assert planning.comparison is not None
+    until(lambda: planning.actions.comparison is not None, "nothing was compared")
+    assert planning.actions.comparison is not None
     return {
         "text": planning.dock.changes.text(),
         "marked_px": vermillion() - before,
-        "different": np.flatnonzero(planning.comparison.new_edge).tolist(),
+        "different": np.flatnonzero(planning.actions.comparison.new_edge).tolist(),
     }
 
 

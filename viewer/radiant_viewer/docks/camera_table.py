@@ -43,7 +43,7 @@ class CameraTable(QAbstractTableModel):
         self._keys, self._figures = [figure.key for figure in more], figures or {}
         self.rows = _rows(run, self._keys, self._figures)
 
-    def take_run(self, run: RunView) -> None:
+    def show_run(self, run: RunView) -> None:
         """The same cameras with another plan."""
         self.rows = _rows(run, self._keys, self._figures)
         self.dataChanged.emit(self.index(0, 0), self.index(len(self.rows) - 1, len(self.headings) - 1))

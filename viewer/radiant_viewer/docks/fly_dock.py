@@ -7,7 +7,6 @@ window stays usable and a closed window leaves no half film behind.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import (
@@ -25,12 +24,11 @@ from PySide6.QtWidgets import (
 )
 
 from radiant_viewer.docks.flight_job import FlightJob, FrameSource, LayerFrames, SplatFrames
+from radiant_viewer.docks.splat_dock import SplatDock
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.fly_through import flight
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 SIZES = {"640 × 360": (640, 360), "1280 × 720": (1280, 720), "1920 × 1080": (1920, 1080)}
 SPLATS, LAYERS = "Splats", "Layers as visible"
@@ -39,10 +37,10 @@ SPLATS, LAYERS = "Splats", "Layers as visible"
 class FlyDock(QDockWidget):
     """`keyframes` are flown through in order; `job` is a film that is being written."""
 
-    def __init__(self, window: InspectorWindow) -> None:
-        super().__init__("Fly-through", window)
+    def __init__(self, host: Host, splat_dock: SplatDock | None) -> None:
+        super().__init__("Fly-through")
         self.setObjectName("fly-through")
-        self._window = window
+        self._host, self._splat_dock = host, splat_dock
         self.keyframes: list[ViewPose] = []
         self.job: FlightJob | None = None
         self.list = QListWidget()
@@ -51,7 +49,7 @@ class FlyDock(QDockWidget):
         self.seconds, self.rate = _spin(3.0, 0.1, 60, " s per leg"), _spin(24.0, 1, 60, " frames/s")
         self.frame_size, self.source = QComboBox(), QComboBox()
         self.frame_size.addItems(list(SIZES))
-        self.source.addItems([SPLATS, LAYERS] if window.docks.splats is not None else [LAYERS])
+        self.source.addItems([SPLATS, LAYERS] if splat_dock is not None else [LAYERS])
         self.source.setToolTip("What the film shows: the model by our own renderer, or the layers that are visible now")
         self.add, self.remove, self.play = QPushButton("Add view"), QPushButton("Remove"), QPushButton("Play")
         self.add.setToolTip("Add the 3D view as the next keyframe (K)")
@@ -73,7 +71,7 @@ class FlyDock(QDockWidget):
 
     def add_view(self) -> None:
         """Take the 3D view as it stands as the last keyframe."""
-        self.add_keyframe(self._window.view.pose)
+        self.add_keyframe(self._host.view.pose)
 
     def add_keyframe(self, pose: ViewPose) -> None:
         """Fly through a pose last."""
@@ -92,18 +90,17 @@ class FlyDock(QDockWidget):
             self._timer.stop()
             self.play.setText("Play")
             return
-        self._window.attempt(self._play)
+        self._host.attempt(self._play)
 
     def write(self, path: Path, *, source: str | None = None, size_wh: tuple[int, int] | None = None) -> None:
         """Begin to write the flight; BadInput when it cannot be. `job.ended` tells how it went."""
         size = size_wh or SIZES[self.frame_size.currentText()]
         poses = self.poses()
         writer = MovieWriter(path, size, self.rate.value())
-        dock = self._window.docks.splats
-        if (source or self.source.currentText()) == SPLATS and dock is not None:
-            frames: FrameSource = SplatFrames(self, dock.ply_path, size, self._window.theme, self._window.crop_box)
+        if (source or self.source.currentText()) == SPLATS and self._splat_dock is not None:
+            frames: FrameSource = SplatFrames(self, self._splat_dock.ply_path, size, self._host.theme, self._host.crop_box)
         else:
-            frames = LayerFrames(self._window.visible_layers(), size, self._window.origin, self._window.theme)
+            frames = LayerFrames(self._host.visible_layers(), size, self._host.origin, self._host.theme)
         self.job = FlightJob(self, poses, writer, frames)
         self.job.progressed.connect(self.bar.setValue)
         self.job.ended.connect(self._on_ended)
@@ -122,7 +119,7 @@ class FlyDock(QDockWidget):
         self.job = None
         self._update()
         self.note.setText(message)
-        self._window.tell(message)
+        self._host.show_status(message)
 
     def _play(self) -> None:
         self._playing = self.poses()
@@ -133,13 +130,13 @@ class FlyDock(QDockWidget):
         if not self._playing:
             self.play_or_stop()
             return
-        self._window.view.set_pose(self._playing.pop(0))
-        self._window.view.render()
+        self._host.view.set_pose(self._playing.pop(0))
+        self._host.view.render()
 
     def _go_to_current(self) -> None:
         if 0 <= (row := self.list.currentRow()) < len(self.keyframes):
-            self._window.view.set_pose(self.keyframes[row])
-            self._window.render_views()
+            self._host.view.set_pose(self.keyframes[row])
+            self._host.render_views()
 
     def _remove_current(self) -> None:
         row = self.list.currentRow() if self.list.currentRow() >= 0 else len(self.keyframes) - 1
@@ -163,7 +160,7 @@ class FlyDock(QDockWidget):
         kinds = "WebM for browsers and players (*.webm);;MP4 for desktop players, not for browsers (*.mp4);;GIF (*.gif)"
         path, _ = QFileDialog.getSaveFileName(self, "Export flight", str(Path.cwd() / "flight.webm"), kinds)
         if path:
-            self._window.attempt(lambda: self.write(Path(path)))
+            self._host.attempt(lambda: self.write(Path(path)))
 
     def _lay_out(self) -> None:
         body = QWidget()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent, QShowEvent
 from PySide6.QtWidgets import QDockWidget, QLabel, QScrollArea
@@ -11,12 +9,10 @@ from PySide6.QtWidgets import QDockWidget, QLabel, QScrollArea
 from radiant_core.errors import RadiantError
 from radiant_viewer.charts.gantt_chart import gantt_picture
 from radiant_viewer.host.picture_label import pixmap_of
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.themes import ThemeName
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.runs.run_feeds import RunFeeds
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 MIN_WIDTH_PX = 900
 
@@ -24,10 +20,10 @@ MIN_WIDTH_PX = 900
 class GanttDock(QDockWidget):
     """Draws when it is first seen, and when its width changes."""
 
-    def __init__(self, window: InspectorWindow, feeds: RunFeeds) -> None:
-        super().__init__("Timeline", window)
+    def __init__(self, host: Host, feeds: RunFeeds) -> None:
+        super().__init__("Timeline")
         self.setObjectName("timeline")
-        self._window, self._feeds = window, feeds
+        self._host, self._feeds = host, feeds
         self.image: Image | None = None
         self._drawn: tuple[int, ThemeName] | None = None
         self.label = QLabel("")
@@ -53,14 +49,8 @@ class GanttDock(QDockWidget):
         if self.isVisible():
             self._draw()
 
-    def reload(self) -> None:
-        """Read plan and times anew."""
-        self._drawn = None
-        if self.isVisible():
-            self._draw()
-
     def _draw(self) -> None:
-        width_px, theme = max(MIN_WIDTH_PX, self.width() - 24), self._window.theme
+        width_px, theme = max(MIN_WIDTH_PX, self.width() - 24), self._host.theme
         if self._drawn == (width_px, theme.name):
             return
         self._drawn = (width_px, theme.name)

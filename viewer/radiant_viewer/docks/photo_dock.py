@@ -6,8 +6,6 @@ Needs the `desktop` extra.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 from PySide6.QtCore import Qt
@@ -15,14 +13,12 @@ from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSlid
 
 from radiant_core.errors import BadInput
 from radiant_viewer.host.picture_label import PictureLabel
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.photo_reasons import reason_text
 from radiant_viewer.runs.run_figures import FIGURES, ImageFigures
 from radiant_viewer.runs.run_view import RunView, comparison_paths
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 PAIRS = (("Photograph", "Render"), ("Photograph", "Difference"), ("Render", "Difference"))
 SINGLES = ("Photograph", "Render", "Difference")
@@ -32,12 +28,12 @@ STEPS = 1000
 
 
 class PhotoDock(QDockWidget):
-    """Shows what `window` has selected."""
+    """Shows the selected photograph."""
 
-    def __init__(self, window: InspectorWindow, run: RunView, figures: ImageFigures) -> None:
-        super().__init__("Photograph", window)
+    def __init__(self, host: Host, run: RunView, figures: ImageFigures) -> None:
+        super().__init__("Photograph")
         self.setObjectName("photograph")
-        self._window, self._run, self._figures = window, run, figures
+        self._host, self._run, self._figures = host, run, figures
         psnr_db = run.psnr_db or {}
         self.worst_first = sorted(psnr_db, key=lambda name: psnr_db[name])
         self._pictures: dict[str, Image] = {}
@@ -102,18 +98,19 @@ class PhotoDock(QDockWidget):
     def show_worst(self) -> None:
         """Select the held-out photograph with the lowest PSNR and show why it is the worst."""
         if not self.worst_first:
-            self._window.tell(NO_FIGURES)
+            self._host.show_status(NO_FIGURES)
             return
-        self._window.select_camera(self.worst_first[0])
-        self._window.raise_dock(self)
+        self._host.select_camera(self.worst_first[0])
+        self.show()
+        self.raise_()
 
     def step(self, by: int) -> None:
         """Go `by` photographs towards better ones among those that were held out."""
         if not self.worst_first:
-            self._window.tell(NO_FIGURES)
+            self._host.show_status(NO_FIGURES)
             return
         at = self.worst_first.index(self.at) + by if self.at in self.worst_first else 0
-        self._window.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
+        self._host.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
 
     def _comparison(self, name: str) -> tuple[dict[str, Image], str]:
         """The three pictures by name; none for a camera that was trained on, or, with a sentence, where they stayed elsewhere."""

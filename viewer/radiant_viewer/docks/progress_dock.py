@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from PySide6.QtCore import QTimer, Signal
 from PySide6.QtWidgets import (
     QDockWidget,
@@ -19,12 +17,9 @@ from PySide6.QtWidgets import (
 )
 
 from radiant_core.errors import RadiantError
+from radiant_viewer.host.protocols import StatusHost
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.runs.run_feeds import RunFeeds, RunProgress, StageState
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.waiting_window import WaitingWindow
-    from radiant_viewer.window.window import InspectorWindow
 
 POLL_MS = 1000
 HEADINGS = ("Stage", "State", "", "Doing")
@@ -35,16 +30,16 @@ class ProgressDock(QDockWidget):
 
     polled = Signal()
 
-    def __init__(self, window: InspectorWindow | WaitingWindow, feeds: RunFeeds) -> None:
-        super().__init__("Progress", window)
+    def __init__(self, host: StatusHost, feeds: RunFeeds) -> None:
+        super().__init__("Progress")
         self.setObjectName("progress")
-        self._window, self._feeds = window, feeds
+        self._host, self._feeds = host, feeds
         self.shown = RunProgress()
         self._filled: tuple[StageState, ...] = ()
         self.summary = QLabel("")
         self.reload = QPushButton("Reload")
         self.reload.setToolTip("Read the run's plan, model and figures anew (F5)")
-        self.reload.clicked.connect(window.reload)
+        self.reload.clicked.connect(host.reload)
         self.table = QTableWidget(0, len(HEADINGS))
         self.table.setHorizontalHeaderLabels(HEADINGS)
         self.table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
@@ -85,9 +80,9 @@ class ProgressDock(QDockWidget):
         self.summary.setText(_summary(now))
         self.summary.setToolTip("\n".join(now.warnings))
         if was_running and not now.is_running:
-            self._window.tell(f"The run ended ({now.status}).")
+            self._host.show_status(f"The run ended ({now.status}).")
         if now.is_running and had_ended:
-            self._window.tell("The run goes on.")
+            self._host.show_status("The run goes on.")
 
     def _poll(self) -> None:
         self.read()

@@ -10,7 +10,7 @@ import tempfile
 import time
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
@@ -20,11 +20,9 @@ from radiant_core.decisions import Decision
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
 from radiant_viewer.host.picture_label import PictureLabel
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.splats.splat_process import Frame, Kind, SplatProcess
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 POLL_MS, REST_S = 60, 0.4
 COARSE = 3
@@ -36,12 +34,12 @@ CHOICES = ("Automatic", *NAMES.values())
 
 
 class SplatDock(QDockWidget):
-    """Follows `window.view`; hidden, it draws nothing."""
+    """Draws what the 3D view sees; hidden, it draws nothing."""
 
-    def __init__(self, window: InspectorWindow, splats: Splats) -> None:
-        super().__init__("Splats", window)
+    def __init__(self, host: Host, splats: Splats) -> None:
+        super().__init__("Splats")
         self.setObjectName("splats")
-        self._window = window
+        self._host = host
         # Of what the strict reader took, and in a place of its own: the run may be written to while the window is open.
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
         self._splats = splats
@@ -85,7 +83,7 @@ class SplatDock(QDockWidget):
     def kind(self) -> Kind:
         """Who draws now."""
         index = self.choice.currentIndex()
-        if self._window.crop_box is not None:
+        if self._host.crop_box is not None:
             return "own"
         if index > 0:
             return get_args(Kind)[index - 1]
@@ -116,15 +114,15 @@ class SplatDock(QDockWidget):
             # Open3D makes a new renderer for another size: it draws all pictures in full.
             full = rests or process.kind == "open3d"
             self._asked = (key, full)
-            process.ask(0, camera if full else self._camera(COARSE)[0], self._window.theme.view, self._window.crop_box)
+            process.ask(0, camera if full else self._camera(COARSE)[0], self._host.theme.view, self._host.crop_box)
 
     def _camera(self, coarse: int) -> tuple[Cameras, bytes]:
         """The 3D view's camera at the size of the dock, `coarse` times smaller a side, and what tells one picture from another."""
         scale = self.picture.devicePixelRatioF() / coarse
         size = max(32, round(self.picture.width() * scale)), max(32, round(self.picture.height() * scale))
-        camera = self._window.view.pose.camera(size)
-        box = self._window.crop_box
-        key = camera.cam_from_world.tobytes() + camera.Ks.tobytes() + self._window.theme.name.encode() + self.kind.encode()
+        camera = self._host.view.pose.camera(size)
+        box = self._host.crop_box
+        key = camera.cam_from_world.tobytes() + camera.Ks.tobytes() + self._host.theme.name.encode() + self.kind.encode()
         return camera, key + (b"" if box is None else box.tobytes())
 
     def _process(self, kind: Kind) -> SplatProcess:
@@ -161,13 +159,13 @@ class SplatDock(QDockWidget):
 
     def _compare(self) -> None:
         """Once a full picture stands, let both renderers draw it in turn and take the faster one."""
-        if self.decision is not None or self.choice.currentIndex() or self._window.crop_box is not None:
+        if self.decision is not None or self.choice.currentIndex() or self._host.crop_box is not None:
             return
         kind, number = self._trial or ("own", 0)
         process = self._process(kind)
         if process.is_ready and not process.is_busy:
             self._trial = (kind, number)
-            process.ask(1, self._camera(1)[0], self._window.theme.view, None)
+            process.ask(1, self._camera(1)[0], self._host.theme.view, None)
 
     def _on_trial(self, kind: Kind, frame: Frame) -> None:
         if self._trial is None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from PySide6.QtCore import QModelIndex, QPersistentModelIndex, QRect, QSignalBlocker, Qt
 from PySide6.QtGui import QColor, QPainter
-from PySide6.QtWidgets import QDockWidget, QHeaderView, QStyledItemDelegate, QStyleOptionViewItem, QTreeWidget, QTreeWidgetItem, QWidget
+from PySide6.QtWidgets import QDockWidget, QHeaderView, QStyledItemDelegate, QStyleOptionViewItem, QTreeWidget, QTreeWidgetItem
 
 from radiant_viewer.editing.plan_report import LoadRow
 from radiant_viewer.layers.palette import category_colors, tinted
@@ -19,8 +19,8 @@ SHARE_ROLE, COLOR_ROLE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
 class LoadDock(QDockWidget):
     """One row per edge with its devices below; a chosen row tells `chosen` the ids of edge and device."""
 
-    def __init__(self, parent: QWidget, chosen: Callable[[str, str | None], None]) -> None:
-        super().__init__("Edges and devices", parent)
+    def __init__(self, chosen: Callable[[str, str | None], None]) -> None:
+        super().__init__("Edges and devices")
         self.setObjectName("loads")
         self._chosen = chosen
         self.tree = QTreeWidget()

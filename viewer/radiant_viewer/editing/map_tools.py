@@ -11,7 +11,6 @@ Everything else goes on to the view, which pans and zooms. Hit tests are pure fu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QSize, Qt
@@ -23,10 +22,8 @@ from radiant_core.plan.borders import Border, shared_borders
 from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.editing.edited_plan import dragged_weight_m2
+from radiant_viewer.editing.plan_actions import PlanActions
 from radiant_viewer.editing.plan_edits import Edit, FixWeight, MoveEdge
-
-if TYPE_CHECKING:
-    from radiant_viewer.editing.planning import Planning
 
 EDGE_PX, BORDER_PX = 12, 7
 """How near a press must be to an edge or a border."""
@@ -88,10 +85,10 @@ def grip_at(
 class MapTools(QObject):
     """Watches the mouse over the map's view while `is_active`."""
 
-    def __init__(self, planning: Planning) -> None:
-        super().__init__(planning.window)
-        self._planning = planning
-        self._canvas = planning.window.map
+    def __init__(self, actions: PlanActions) -> None:
+        super().__init__(actions)
+        self._actions = actions
+        self._canvas = actions.host.map
         self._widget = self._canvas.plotter
         self.is_active = False
         self._grip: EdgeGrip | BorderGrip | None = None
@@ -125,7 +122,7 @@ class MapTools(QObject):
             return False
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() == Qt.Key.Key_Escape and self._grip:
             self._let_go()
-            self._planning.drop_preview()
+            self._actions.drop_preview()
             return True
         if not isinstance(event, QMouseEvent):
             return False
@@ -151,12 +148,12 @@ class MapTools(QObject):
             self._band.setGeometry(QRect(self._box_from, QSize()))
             self._band.show()
             return True
-        session = self._planning.session
+        session = self._actions.session
         grip = None if session is None else self._grip_under(event.position())
         if session is None or grip is None:
             return False
         if session.is_busy:
-            self._planning.window.tell("The plan is being solved: wait a moment.")
+            self._actions.host.show_status("The plan is being solved: wait a moment.")
             return True
         self._widget.setFocus()
         self._grip, self._pressed_on = grip, session.editor.state.cloud
@@ -169,7 +166,7 @@ class MapTools(QObject):
             return True
         if self._grip is not None and self._pressed_on is not None:
             self._last_place = self._place(event.position())
-            self._planning.drag_to(self._grip.edit(self._last_place, self._pressed_on))
+            self._actions.drag_to(self._grip.edit(self._last_place, self._pressed_on))
             return True
         if not event.buttons():
             self._show_cursor(event.position())
@@ -181,7 +178,7 @@ class MapTools(QObject):
             self._let_go()
             corners = np.stack([self._place(QPointF(box.topLeft())), self._place(QPointF(box.bottomRight()))])
             adds = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
-            self._planning.select_box(corners.min(axis=0), corners.max(axis=0), add=adds)
+            self._actions.select_box(corners.min(axis=0), corners.max(axis=0), add=adds)
             return True
         if self._grip is None:
             return False
@@ -189,7 +186,7 @@ class MapTools(QObject):
             self._last_place = self._place(event.position())
         edit = self.end_drag()
         if edit is not None:
-            self._planning.do(edit)
+            self._actions.do(edit)
         return True
 
     def _let_go(self) -> None:
@@ -207,7 +204,7 @@ class MapTools(QObject):
             self._widget.setCursor(Qt.CursorShape.SplitHCursor if across else Qt.CursorShape.SplitVCursor)
 
     def _grip_under(self, position: QPointF) -> EdgeGrip | BorderGrip | None:
-        session = self._planning.session
+        session = self._actions.session
         if session is None:
             return None
         state = session.editor.state

@@ -51,7 +51,7 @@ class PlanSetting:
     """Of constraints, the cameras' names, and the name of the plan they refer to."""
 
 
-def subject_of(run: RunView) -> PlanSubject:
+def plan_subject(run: RunView) -> PlanSubject:
     """The cameras that a run's plan deals, without those that are held out of it; BadInput where there are none."""
     planned = np.flatnonzero(run.roles.edge_of_camera >= 0)
     frame = run.scene.frame

@@ -27,7 +27,7 @@ def edited_layers(run: RunView, subject: PlanSubject, plan: EditedPlan, base: Ed
     """What a plan changes on the map; without strips, as in a drag, what needs devices is left out."""
     ground = ground_height(run.scene)
     cloud = plan.cloud
-    roles = roles_of(run, plan)
+    roles = edited_roles(run, plan)
     owners = [np.array(each.cloud.edge_ids)[each.cloud.edge_of_camera] for each in (base, plan)]
     is_drag = not plan.edges
     pyramids = not is_drag or len(run.scene.cameras) <= PYRAMIDS_IN_DRAGS
@@ -45,7 +45,7 @@ def edited_layers(run: RunView, subject: PlanSubject, plan: EditedPlan, base: Ed
     return layers
 
 
-def roles_of(run: RunView, plan: EditedPlan) -> CameraRoles:
+def edited_roles(run: RunView, plan: EditedPlan) -> CameraRoles:
     """Who trains what under an edited plan."""
     return camera_roles(run.scene.cameras, plan.cloud, plan.edges, run.held_out)
 

@@ -79,7 +79,7 @@ class ComparedRow:
     other: str
 
 
-def compared_rows(mine: CloudPlan, other: CloudPlan) -> tuple[ComparedRow, ...]:
+def compare_figures(mine: CloudPlan, other: CloudPlan) -> tuple[ComparedRow, ...]:
     """Makespan, its ratio to the bound, and each edge's cameras and time in two plans; those that differ most in cameras first."""
     rows = [
         ComparedRow(name="makespan", mine=duration_text(mine.makespan_s), other=duration_text(other.makespan_s)),

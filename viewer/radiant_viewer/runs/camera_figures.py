@@ -116,7 +116,7 @@ def sorted_rows(figures: CameraFigures, name: str, *, descending: bool = False) 
     return np.lexsort((-ranks if descending else ranks, values == ""))
 
 
-def filtered_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
+def filter_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
     """Rows (K,) that meet all conditions of a filter, every row for an empty one; a lone word is looked for in names.
 
     Raises BadInput, with what is expected, for a condition that cannot be read.

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -123,14 +124,15 @@ class _Desk:
 
         from radiant_viewer.window.waiting_window import WaitingWindow
         from radiant_viewer.window.window import InspectorWindow
-        from radiant_viewer.window.window_state import state_of
+        from radiant_viewer.window.window_state import read_window_state, restore_window
 
         before = self.window
         if reading is None:
             self.window = WaitingWindow(self._path, self._feeds, theme)
         else:
-            state = state_of(before) if isinstance(before, InspectorWindow) else None
-            self.window = InspectorWindow(reading.subject, self._feeds, theme, reading.setting, state)
+            state = read_window_state(before) if isinstance(before, InspectorWindow) else None
+            restore = None if state is None else partial(restore_window, state=state)
+            self.window = InspectorWindow(reading.subject, self._feeds, theme, reading.setting, restore)
         self.window.wants_reload.connect(self._reload)
         if isinstance(before, InspectorWindow):
             self.window.setGeometry(before.geometry())
@@ -149,7 +151,7 @@ class _Desk:
             reading = self.read()
         except RadiantError as error:
             # What is shown stays: a run may be in the middle of writing.
-            self.window.tell(str(error))
+            self.window.show_status(str(error))
             return
         if reading is not None:
             self.show(reading, self.window.theme.name if isinstance(self.window, InspectorWindow) else "light")

@@ -5,15 +5,12 @@ A dock among tabs has no title bar, since its tab says the same; one that floats
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QEvent, QObject
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QMenu, QTabBar, QToolButton, QWidget
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 SIZE_WH = (520, 420)
 """Of a dock that floats for the first time."""
@@ -22,9 +19,9 @@ SIZE_WH = (520, 420)
 class Panels(QObject):
     """`button` opens the menu; made once all docks stand."""
 
-    def __init__(self, window: InspectorWindow) -> None:
+    def __init__(self, window: QMainWindow, docks: Sequence[QDockWidget]) -> None:
         super().__init__(window)
-        self._window = window
+        self._window, self._docks = window, tuple(docks)
         # Tabs can be dragged out as well.
         window.setDockOptions(window.dockOptions() | QMainWindow.DockOption.GroupedDragging)
         self.button = QToolButton()
@@ -32,10 +29,10 @@ class Panels(QObject):
         self.button.setToolTip("Show, hide or float a panel; a double click on its tab floats it, too")
         self.button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
         menu = QMenu(self.button)
-        for dock in window.all_docks():
+        for dock in docks:
             menu.addAction(dock.toggleViewAction())
         menu.addSeparator()
-        for dock in window.all_docks():
+        for dock in docks:
             float_action = menu.addAction(f"Float {dock.windowTitle()}")
             float_action.setCheckable(True)
             float_action.toggled.connect(partial(self.set_floating, dock))
@@ -62,7 +59,7 @@ class Panels(QObject):
                 bar.installEventFilter(self)
         if isinstance(watched, QTabBar) and isinstance(event, QMouseEvent) and event.type() == QEvent.Type.MouseButtonDblClick:
             title = watched.tabText(watched.tabAt(event.position().toPoint()))
-            for dock in self._window.all_docks():
+            for dock in self._docks:
                 if dock.windowTitle() == title:
                     self.set_floating(dock, True)
                     return True

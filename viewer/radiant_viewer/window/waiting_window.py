@@ -38,8 +38,8 @@ class WaitingWindow(QMainWindow):
         self.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self.progress)
         self.resizeDocks([self.progress], [SIZE_WH[1]], Qt.Orientation.Vertical)
 
-    def tell(self, message: str) -> None:
-        """One line in the status bar."""
+    def show_status(self, message: str) -> None:
+        """See `StatusHost`."""
         self.statusBar().showMessage(message)
 
     def reload(self) -> None:
