@@ -7,7 +7,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.pictures.fly_through import flight
-from radiant_viewer.pictures.view_pose import ViewPose, pose_of_camera, pose_toward
+from radiant_viewer.pictures.view_pose import ViewPose, pose_of_camera
 from tests.viewer.made_up_run import made_up_town
 
 UTM = np.array([612_345.678, 5_411_234.567, 312.25])
@@ -58,8 +58,13 @@ def test_views_that_see_nothing_are_refused() -> None:
             ViewPose(position=np.array(position), focal_point=np.array(focal_point), up=np.array(up), angle_deg=angle)
 
 
+def pose_from_south(target: np.ndarray, distance: float) -> ViewPose:
+    place = target + distance * np.array([0.0, -0.8, 0.6])
+    return ViewPose(position=place, focal_point=target, up=np.array([0.0, 0, 1]), angle_deg=30.0)
+
+
 def test_a_flight_passes_its_keyframes_and_overshoots_none() -> None:
-    keys = [pose_toward(UTM + np.array([40 * index, 0, 0]), 30.0 + index, (200 - 30 * index, 40)) for index in range(4)]
+    keys = [pose_from_south(UTM + np.array([40 * index, 0, 0]), 30.0 + index) for index in range(4)]
     frames = flight(keys, seconds_per_leg=2.0, frames_per_s=10)
     assert len(frames) == 61
     for index, key in enumerate(keys):
@@ -80,4 +85,4 @@ def test_a_flight_over_the_top_and_one_on_the_spot_keep_a_direction() -> None:
 @pytest.mark.parametrize(("count", "seconds", "rate"), [(1, 1, 24), (2, 0, 24), (2, np.nan, 24), (2, 1, 500), (2, 1e6, 24), (2, 0.01, 1)])
 def test_flights_that_cannot_be_flown_are_refused(count: int, seconds: float, rate: float) -> None:
     with pytest.raises(BadInput):
-        flight([pose_toward(np.zeros(3), 10.0)] * count, seconds, rate)
+        flight([pose_from_south(np.zeros(3), 10.0)] * count, seconds, rate)

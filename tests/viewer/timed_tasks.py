@@ -52,7 +52,7 @@ def find_worst_photograph(user: User, out: Path) -> dict[str, Any]:
     window, dock = user.window, user.window.docks.photo
     assert dock is not None
     user.press("W")
-    until(lambda: dock.picture.has_picture, "no photograph came")
+    until(lambda: dock.picture._left is not None, "no photograph came")
     user.choose(dock.mode, "Difference")
     until(lambda: dock.mode.currentText() == "Difference", "nothing was chosen")
     user.press("Return")

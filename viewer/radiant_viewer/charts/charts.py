@@ -68,9 +68,7 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
     return figure_image(figure)
 
 
-def comparison_picture(
-    photo: Image, render: Image, difference: Image | None = None, captions: Sequence[str] = (), title: str = "", width_px: int | None = None
-) -> Image:
+def comparison_picture(photo: Image, render: Image, difference: Image | None = None, title: str = "", width_px: int | None = None) -> Image:
     """Photograph, render and difference (each (H,W,3)) side by side with captions, each 380 to 560 px wide, or `width_px` for all three.
 
     Without `difference` it is |photo − render| × 3. Raises BadInput when sizes differ.
@@ -81,7 +79,7 @@ def comparison_picture(
     pictures = (photo, render, difference)
     for picture in pictures:
         _require_same_size(photo, picture)
-    texts = [*captions, *("Photograph", "Render", "Difference × 3")[len(captions) :]]
+    texts = ("Photograph", "Render", "Difference × 3")
     height, width = photo.shape[:2]
     gap, head, foot = 14, 44 if title else 14, 38
     scale = max(380 / width, min(1.0, 560 / width)) if width_px is None else max(160, (width_px - 4 * gap) // 3) / width

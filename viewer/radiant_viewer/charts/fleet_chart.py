@@ -16,7 +16,7 @@ WIDTH_PX, HEIGHT_PX, TOP_PX, LEFT_PX, FOOT_PX = 1100, 560, 104, 72, 58
 Row = tuple[float, ...]
 
 
-def fleet_picture(panels: Mapping[str, Mapping[str, Sequence[Row]]], title: str = "Time until the scene is whole, simulated") -> Image:
+def fleet_picture(panels: Mapping[str, Mapping[str, Sequence[Row]]]) -> Image:
     """Panel → method → rows (clients, seconds, low, high) on logarithmic axes; BadInput without rows or where one is not positive."""
     rows = [row for lines in panels.values() for line in lines.values() for row in line]
     if not rows:
@@ -24,7 +24,9 @@ def fleet_picture(panels: Mapping[str, Mapping[str, Sequence[Row]]], title: str 
     if not all(len(row) == 4 and np.isfinite(row).all() and min(row) > 0 for row in rows):
         raise BadInput("a row of a fleet is not four positive numbers: clients, seconds, low, high.")
     figure = new_figure((WIDTH_PX, HEIGHT_PX))
-    figure.text(16 / WIDTH_PX, 1 - 14 / HEIGHT_PX, title, size=14, weight="bold", color=INK_COLOR, va="top")
+    figure.text(
+        16 / WIDTH_PX, 1 - 14 / HEIGHT_PX, "Time until the scene is whole, simulated", size=14, weight="bold", color=INK_COLOR, va="top"
+    )
     detail = "Bands: 5th to 95th percentile with every curve and uplink within ±30 %"
     figure.text(16 / WIDTH_PX, 1 - 40 / HEIGHT_PX, detail, size=10, color=SOFT_COLOR, va="top")
     names = list(dict.fromkeys(name for lines in panels.values() for name in lines))

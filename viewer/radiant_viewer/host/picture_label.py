@@ -42,11 +42,6 @@ class PictureLabel(QWidget):
         self.share = float(np.clip(share, 0, 1))
         self.update()
 
-    @property
-    def has_picture(self) -> bool:
-        """Whether there is a picture and not a message."""
-        return self._left is not None
-
     def paintEvent(self, event: QPaintEvent) -> None:
         """Draw both halves, the line between them and their names."""
         painter = QPainter(self)

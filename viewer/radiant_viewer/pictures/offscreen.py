@@ -37,11 +37,10 @@ def render_view(
     layers: Sequence[Layer],
     size_wh: tuple[int, int] = (1280, 900),
     text: PageText | None = None,
-    direction_deg: tuple[float, float] = (205, 42),
 ) -> Image:
     """A finished view (H,W,3) in perspective from (azimuth from north, elevation); BadInput when there is nothing to draw."""
     page = text or PageText()
-    return compose_page(draw_view(layers, drawing_size_wh(size_wh, is_map=False), direction_deg), layers, size_wh, page)
+    return compose_page(draw_view(layers, drawing_size_wh(size_wh, is_map=False)), layers, size_wh, page)
 
 
 def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
@@ -81,11 +80,7 @@ def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: 
 
 
 def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[float, float] = (205, 42)) -> None:
-    """Look from (azimuth from north, elevation) so that all positions (K,3) just fit into the picture.
-
-    With x across, y up and t towards the viewer, a position is inside when |x − c| ≤ (D − t) k for the half-angle's tangent k,
-    so D = (max(x + t k) − min(x − t k)) / 2k and c = (max(x + t k) + min(x − t k)) / 2, likewise for y; the larger D decides.
-    """
+    """Look from (azimuth from north, elevation) so that all positions (K,3) just fit into the picture."""
     azimuth, elevation = np.radians(direction_deg)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     across = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
@@ -93,14 +88,25 @@ def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[
     camera = plotter.camera
     width, height = plotter.window_size
     tangent = np.tan(np.radians(camera.view_angle / 2)) * (1 - MARGIN)
+    distance, target = fitted_distance(positions, toward, ((across, tangent * width / height), (up, tangent)))
+    camera.focal_point, camera.position, camera.up = tuple(target), tuple(target + distance * toward), (0.0, 0.0, 1.0)
+    plotter.renderer.reset_camera_clipping_range()
+
+
+def fitted_distance(positions: FloatArray, toward: FloatArray, slopes: Sequence[tuple[FloatArray, float]]) -> tuple[float, FloatArray]:
+    """Return the least distance from which all positions (K,3) are in view, and the target (3,) to look at.
+
+    `toward` (3,) points at the viewer; `slopes` holds per image axis (3,) the tangent k of half its angle. A position with coordinates
+    x along the axis and t towards the viewer is in view for |x − c| ≤ (D − t) k, so D = (max(x + t k) − min(x − t k)) / 2k and
+    c = (max(x + t k) + min(x − t k)) / 2; the larger D of the axes counts.
+    """
     depths = positions @ toward
     distance, target = 1e-3, np.zeros(3)
-    for axis, slope in ((across, tangent * width / height), (up, tangent)):
+    for axis, slope in slopes:
         outer, inner = (positions @ axis + depths * slope).max(), (positions @ axis - depths * slope).min()
         distance = max(distance, float(outer - inner) / (2 * slope))
         target += axis * float(outer + inner) / 2
-    camera.focal_point, camera.position, camera.up = tuple(target), tuple(target + distance * toward), (0.0, 0.0, 1.0)
-    plotter.renderer.reset_camera_clipping_range()
+    return distance, target
 
 
 def _require_size(size_wh: tuple[int, int]) -> None:

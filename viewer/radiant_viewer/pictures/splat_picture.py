@@ -19,9 +19,11 @@ from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.pictures.images import Drawing, Image
-from radiant_viewer.pictures.offscreen import draw_map
+from radiant_viewer.pictures.offscreen import draw_map, fitted_distance
 
 ALTITUDE = 100.0
+DIRECTION_DEG = (205, 42)
+"""Azimuth from north and elevation from which a whole model is seen."""
 KEPT_WHITE_PX = 7.5
 """White within this distance of a marker is the marker's own."""
 NEAR_SHARE = 1e-3
@@ -55,28 +57,19 @@ def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) ->
     return Drawing(image=image.reshape(height, width, 3), label_px=pixels, mark_px=np.zeros((0, 2)), extent=None)
 
 
-def fitted_camera(positions: FloatArray, size_wh: tuple[int, int], direction_deg: tuple[float, float] = (205, 42)) -> Cameras:
-    """A camera of 30° that looks from (azimuth from north, elevation) and has all positions (K,3) just inside its picture.
-
-    The distance is the least for which |x − c| ≤ (D − t) k holds for all, see `offscreen.aim_camera`.
-    """
-    azimuth, elevation = np.radians(direction_deg)
+def fitted_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
+    """Return a camera of 30° that looks down from the south-west and has all positions (K,3) just inside its picture."""
+    azimuth, elevation = np.radians(DIRECTION_DEG)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     right = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
     up = np.cross(toward, right)
     focal_px = max(size_wh) / 2 / np.tan(np.radians(15.0))
     middle = (positions.min(axis=0) + positions.max(axis=0)) / 2
-    local = positions - middle
-    depths = local @ toward
-    distance, target = 1e-3, middle.copy()
-    for axis, side in ((right, size_wh[0]), (up, size_wh[1])):
-        slope = 0.97 * side / 2 / focal_px
-        outer, inner = (local @ axis + depths * slope).max(), (local @ axis - depths * slope).min()
-        distance = max(distance, float(outer - inner) / (2 * slope))
-        target += axis * float(outer + inner) / 2
+    slopes = [(axis, 0.97 * side / 2 / focal_px) for axis, side in ((right, size_wh[0]), (up, size_wh[1]))]
+    distance, offset = fitted_distance(positions - middle, toward, slopes)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, -up, -toward])
-    pose[:3, 3] = -pose[:3, :3] @ (target + distance * toward)
+    pose[:3, 3] = -pose[:3, :3] @ (middle + offset + distance * toward)
     K = np.array([[[focal_px, 0, size_wh[0] / 2], [0, focal_px, size_wh[1] / 2], [0, 0, 1]]])
     return Cameras(names=("view",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64))
 

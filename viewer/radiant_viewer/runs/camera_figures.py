@@ -1,14 +1,12 @@
-"""The cameras of a scene as a table of figures: what is known of each, sorted, filtered and written as CSV. Pure; once per plan.
+"""The cameras of a scene as a table of figures: what is known of each, sorted and filtered. Pure; once per plan.
 
 psnr < 22 and region = north        conditions of a filter, all of which must hold; = and != take names too, ~ a part of one
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
@@ -133,16 +130,6 @@ def filter_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
     return np.flatnonzero(kept)
 
 
-def figures_csv(figures: CameraFigures, rows: Sequence[int] | NDArray[np.int64]) -> str:
-    """These rows as CSV with headings; unknown figures stay empty."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\r\n")
-    writer.writerow([figures.headings[name] for name in figures.columns])
-    for row in rows:
-        writer.writerow([_cell(values[row]) for values in figures.columns.values()])
-    return text.getvalue()
-
-
 def _holds(figures: CameraFigures, name: str, sign: str, wanted: str) -> NDArray[np.bool_]:
     values = figures.column(name)
     if values.dtype.kind != "f":
@@ -160,7 +147,3 @@ def _holds(figures: CameraFigures, name: str, sign: str, wanted: str) -> NDArray
     compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "=": np.equal, "!=": np.not_equal}
     # A camera without the figure meets no condition on it.
     return compare[sign](values, number) & ~np.isnan(values)
-
-
-def _cell(value: Any) -> str:
-    return cell_of_text(str(value)) if isinstance(value, str) else "" if np.isnan(value) else f"{value:.6g}"

@@ -23,10 +23,12 @@ from radiant_core.errors import RadiantError
 from radiant_core.io.ply import load_ply
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.splats.open3d_splats import NEAR_SHARE
 
 if TYPE_CHECKING:
     import open3d as o3d
+
+NEAR_SHARE = 1e-3
+"""Near plane as a share of the distance to the farthest Gaussian: the one that Open3D chooses cuts what lies close to the camera."""
 
 
 class Renderer(Protocol):
