@@ -140,7 +140,7 @@ def held_out_of_training(run: RunView) -> Cameras:
 
 
 def _flight(request: RenderRequest, lens: Lens) -> Cameras:
-    from radiant_viewer.runs.run_pictures import ground_height
+    from radiant_viewer.runs.run_layers import ground_height
 
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")

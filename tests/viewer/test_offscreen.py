@@ -17,7 +17,8 @@ from radiant_viewer.layers.palette import WHITE, ColorArray, category_colors, ti
 from radiant_viewer.layers.region_layer import FILL_TINT, region_layer
 from radiant_viewer.pictures.images import Drawing, Image, load_image, save_png
 from radiant_viewer.pictures.offscreen import draw_map, draw_view, render_map, render_view
-from radiant_viewer.runs.run_pictures import plan_layers, plan_picture
+from radiant_viewer.runs.run_layers import plan_layers
+from radiant_viewer.runs.run_pictures import plan_picture
 from tests.viewer.made_up_run import made_up_town
 
 SIZE_WH = (320, 220)

@@ -19,8 +19,9 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.palette import VERMILLION
+from radiant_viewer.runs.run_layers import run_layers
 from radiant_viewer.runs.run_view import load_run_view
-from radiant_viewer.web.rows import camera_headers, camera_rows, layer_row, pictures_of, run_camera_figures, run_layers
+from radiant_viewer.web.rows import camera_headers, camera_rows, layer_row, pictures_of, run_camera_figures
 from radiant_viewer.web.server import address_text, open_page, require_web
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -190,7 +191,7 @@ def test_rows_say_every_figure_once_with_its_unit(run_folder: Path) -> None:
     assert len(rows) == 24
     assert rows[8]["psnr_db"] == "21.00"
     assert rows[1]["psnr_db"] == ""
-    layers = {row["name"]: row for row in map(layer_row, run_layers(run))}
+    layers = {row["name"]: row for row in map(layer_row, run_layers(run, with_seams=False))}
     heat = layers["Cameras by PSNR"]["heat"]
     assert (heat["label"], heat["low"], heat["high"]) == ("PSNR of held-out photographs (dB)", "20", "22")
     assert heat["gradient"].startswith("linear-gradient(to right, #440154"), "the bar is not the colours of the layer"

@@ -12,11 +12,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW, tinted
+from radiant_viewer.layers.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW, tinted, unit_rgb
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.layers.themes import LIGHT, Theme, hex_color
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, new_figure
+from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, new_figure, titled_figure
 
 ROW_PX, TOP_PX, FOOT_PX, LABEL_PX, RIGHT_PX = 26, 92, 52, 150, 96
 STAGE_COLORS = {"initialise": SKY, "train": BLUE, "send": ORANGE, "aggregate": GREEN, "merge": PURPLE, "evaluate": YELLOW, "whole": GREY}
@@ -55,9 +55,8 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
         raise BadInput(f"a timeline of {width_px} px was asked for, expected at least 640 px.")
     label_px = min(width_px // 3, max(LABEL_PX, 24 + int(7.2 * max(len(row.name) for row in rows))))
     height_px = TOP_PX + ROW_PX * len(rows) + FOOT_PX
-    figure = new_figure((width_px, height_px))
+    figure = titled_figure((width_px, height_px), title)
     axes = axes_at(figure, (label_px, FOOT_PX, width_px - label_px - RIGHT_PX, ROW_PX * len(rows)))
-    figure.text(16 / width_px, 1 - 14 / height_px, title, size=14, weight="bold", color=INK_COLOR, va="top")
     end_s = max(span.stop_s for row in rows for span in row.spans)
     unit_s, unit = time_unit(end_s)
     colors = stage_colors(dict.fromkeys(span.stage for row in rows for span in row.spans))
@@ -96,7 +95,7 @@ def comparison_picture(photo: Image, render: Image, difference: Image | None = N
     return figure_image(figure)
 
 
-def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: dict[str, tuple[float, ...]]) -> None:
+def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: dict[str, tuple[float, float, float]]) -> None:
     for span in row.spans:
         start, length = span.start_s / unit_s, (span.stop_s - span.start_s) / unit_s
         axes.barh(index, length, left=start, height=0.68, color=colors[span.stage], edgecolor="white", linewidth=0.6)
@@ -136,7 +135,7 @@ def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, la
         spine.set_color(soft)
 
 
-def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[float, ...]]) -> None:
+def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[float, float, float]]) -> None:
     figure_axes.set(xlim=(0, width_px), ylim=(0, 34))
     figure_axes.set_axis_off()
     x = 0.0
@@ -151,13 +150,13 @@ def key_width_px(text: str) -> float:
     return 22 + 7.4 * len(text) + 26
 
 
-def stage_colors(found: Iterable[str]) -> dict[str, tuple[float, ...]]:
+def stage_colors(found: Iterable[str]) -> dict[str, tuple[float, float, float]]:
     """Colour of each of the stages found, in the order of the key."""
     found = list(found)
     stages = [stage for stage in STAGE_COLORS if stage in found] + [stage for stage in found if stage not in STAGE_COLORS]
     others = [stage for stage in stages if stage not in STAGE_COLORS]
     chosen = {stage: OTHER_COLORS[index % len(OTHER_COLORS)] for index, stage in enumerate(others)}
-    return {stage: tuple(channel / 255 for channel in {**STAGE_COLORS, **chosen}[stage]) for stage in stages}
+    return {stage: unit_rgb({**STAGE_COLORS, **chosen}[stage]) for stage in stages}
 
 
 def _require_same_size(photo: Image, other: Image) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import CATEGORIES
+from radiant_viewer.layers.palette import CATEGORIES, unit_rgb
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, new_figure
+from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, style_axes, titled_figure
 
 WIDTH_PX, HEIGHT_PX, TOP_PX, LEFT_PX, FOOT_PX = 1100, 560, 104, 72, 58
 Row = tuple[float, ...]
@@ -23,12 +23,8 @@ def fleet_picture(panels: Mapping[str, Mapping[str, Sequence[Row]]]) -> Image:
         raise BadInput("there is no fleet to draw: give at least one row.")
     if not all(len(row) == 4 and np.isfinite(row).all() and min(row) > 0 for row in rows):
         raise BadInput("a row of a fleet is not four positive numbers: clients, seconds, low, high.")
-    figure = new_figure((WIDTH_PX, HEIGHT_PX))
-    figure.text(
-        16 / WIDTH_PX, 1 - 14 / HEIGHT_PX, "Time until the scene is whole, simulated", size=14, weight="bold", color=INK_COLOR, va="top"
-    )
     detail = "Bands: 5th to 95th percentile with every curve and uplink within ±30 %"
-    figure.text(16 / WIDTH_PX, 1 - 40 / HEIGHT_PX, detail, size=10, color=SOFT_COLOR, va="top")
+    figure = titled_figure((WIDTH_PX, HEIGHT_PX), "Time until the scene is whole, simulated", detail)
     names = list(dict.fromkeys(name for lines in panels.values() for name in lines))
     values = [value for row in rows for value in row[1:]]
     for index, (panel, lines) in enumerate(panels.items()):
@@ -36,8 +32,7 @@ def fleet_picture(panels: Mapping[str, Mapping[str, Sequence[Row]]]) -> Image:
         axes = axes_at(figure, (LEFT_PX + index * width_px, FOOT_PX, width_px - LEFT_PX - 20, HEIGHT_PX - TOP_PX - FOOT_PX))
         for name, line in lines.items():
             clients, seconds, low, high = np.array(sorted(line)).T
-            red, green, blue = CATEGORIES[names.index(name) % len(CATEGORIES)]
-            color = (red / 255, green / 255, blue / 255)
+            color = unit_rgb(CATEGORIES[names.index(name) % len(CATEGORIES)])
             axes.plot(clients, seconds / 60, color=color, linewidth=1.8, marker="o", markersize=3.5, label=name)
             axes.fill_between(clients, low / 60, high / 60, color=color, alpha=0.15, linewidth=0)
         axes.set(xscale="log", yscale="log", ylim=(min(values) / 60 * 0.7, max(values) / 60 * 1.4))
@@ -47,11 +42,7 @@ def fleet_picture(panels: Mapping[str, Mapping[str, Sequence[Row]]]) -> Image:
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
             axis.set_minor_formatter(NullFormatter())
         axes.set_title(panel, size=11, color=INK_COLOR, loc="left")
-        axes.set_xlabel("Clients (devices)", color=SOFT_COLOR)
-        axes.set_ylabel("Time (min)", color=SOFT_COLOR)
-        axes.tick_params(colors=SOFT_COLOR, labelsize=8)
-        axes.grid(visible=True, axis="y", color=SOFT_COLOR, alpha=0.15)
-        axes.spines[["top", "right"]].set_visible(False)
+        style_axes(axes, "Clients (devices)", "Time (min)")
         if index == 0:
             axes.legend(fontsize=8.5, frameon=False, loc="upper left")
     return figure_image(figure)

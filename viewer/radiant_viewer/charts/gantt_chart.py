@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
 from radiant_viewer.charts.charts import LABEL_PX, RIGHT_PX, TimelineSpan, key_width_px, stage_colors, style_time_axes, time_unit
+from radiant_viewer.layers.palette import unit_rgb
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.layers.themes import LIGHT, Theme, hex_color
 from radiant_viewer.pictures.images import Image
@@ -113,7 +114,7 @@ def _draw_row(axes: Axes, index: int, row: GanttRow, unit_s: float, colors: dict
 
 
 def _draw_keys(axes: Axes, width_px: int, colors: dict[str, Color], kinds: Sequence[str], theme: Theme) -> None:
-    ink, grey = hex_color(theme.ink), tuple(channel / 255 for channel in theme.soft_text)
+    ink, grey = hex_color(theme.ink), unit_rgb(theme.soft_text)
     axes.set(xlim=(0, width_px), ylim=(0, 34))
     axes.set_axis_off()
     x = 0.0

@@ -8,7 +8,7 @@ from textwrap import fill
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QIcon, QImage, QPainter, QPen, QPixmap
-from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidgetItem, QWidget
+from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidgetItem
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.detail import moving_note
@@ -25,8 +25,8 @@ LEGEND_COLUMNS = 36
 class LayerDock(QDockWidget):
     """Calls `changed` whenever what is visible changes; `is_visible` says what is."""
 
-    def __init__(self, parent: QWidget, layers: Sequence[Layer], hidden: frozenset[str], changed: Callable[[], None]) -> None:
-        super().__init__("Layers", parent)
+    def __init__(self, layers: Sequence[Layer], hidden: frozenset[str], changed: Callable[[], None]) -> None:
+        super().__init__("Layers")
         self.setObjectName("layers")
         self._changed = changed
         self.tree = QTreeWidget()

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.layer import Layer, LegendEntry
 from radiant_viewer.layers.palette import VERMILLION, WHITE
-from radiant_viewer.runs.run_pictures import ground_height
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_findings import part_text, step_text
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops

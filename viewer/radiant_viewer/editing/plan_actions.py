@@ -34,7 +34,7 @@ from radiant_viewer.layers.change_layer import selection_layer
 from radiant_viewer.layers.layer import at_height, outline_segments
 from radiant_viewer.layers.palette import VERMILLION
 from radiant_viewer.runs.camera_figures import CameraFigures, camera_figures, filter_rows
-from radiant_viewer.runs.run_pictures import ground_height
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 COMPARED = "Elsewhere in the other plan"

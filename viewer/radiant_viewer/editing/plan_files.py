@@ -27,7 +27,7 @@ from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject
 from radiant_viewer.editing.plan_edits import AdoptPlan
-from radiant_viewer.runs.run_pictures import ground_height
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 SAME_PLACE_M = 1e-6

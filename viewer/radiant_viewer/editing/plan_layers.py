@@ -16,7 +16,7 @@ from radiant_viewer.layers.footprint_layer import footprint_layer, overlap_layer
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.load_layer import load_layer
 from radiant_viewer.layers.region_layer import border_layer, edge_site_layer, region_layer, strip_layer
-from radiant_viewer.runs.run_pictures import ground_height
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 PYRAMIDS_IN_DRAGS = 500

@@ -11,7 +11,7 @@ from radiant_core.plan.border_forecast import BorderForecast
 from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.layers.layer import Label, Layer, LegendEntry, at_height
-from radiant_viewer.layers.palette import BLACK, VERMILLION, WHITE, YELLOW, category_colors, tinted
+from radiant_viewer.layers.palette import BLACK, VERMILLION, WHITE, YELLOW, category_colors, rgb, tinted
 
 RISK_COLORS = {"low": WHITE, "medium": YELLOW, "high": VERMILLION}
 """Colours of borders; a dark line lies under them, so that the light ones show."""
@@ -60,7 +60,7 @@ def buffer_layer(positions: FloatArray, cloud_plan: CloudPlan, buffers: Sequence
         point_colors=colors[edges[shown]],
         point_size_px=float(np.clip(420 / np.sqrt(max(1, len(positions))), 5.0, 14.0)),
         point_rim=True,
-        legend=(LegendEntry(text=text, color=_rgb(colors[edges[0]]), marker="ring"),) if len(cameras) else (),
+        legend=(LegendEntry(text=text, color=rgb(colors[edges[0]]), marker="ring"),) if len(cameras) else (),
     )
 
 
@@ -77,7 +77,3 @@ def _legend(forecasts: Sequence[BorderForecast]) -> tuple[LegendEntry, ...]:
         for risk, count in counts.items()
         if count
     )
-
-
-def _rgb(color: np.ndarray) -> tuple[int, int, int]:
-    return int(color[0]), int(color[1]), int(color[2])

@@ -5,6 +5,7 @@ Runs once per layer. Colours are (3,) uint8, sRGB. Source: Okabe & Ito, Color Un
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,9 +37,18 @@ class CurveStyle:
 
 def curve_style(index: int) -> CurveStyle:
     """Style of the curve `index` ≥ 0: colour, dash and marker together come back after 308 curves, and no two of eleven share a marker."""
-    red, green, blue = CURVE_COLORS[index % len(CURVE_COLORS)]
     dash = DASHES[index // len(CURVE_COLORS) % len(DASHES)]
-    return CurveStyle(color=(red / 255, green / 255, blue / 255), dash=dash, marker=MARKERS[index % len(MARKERS)])
+    return CurveStyle(color=unit_rgb(CURVE_COLORS[index % len(CURVE_COLORS)]), dash=dash, marker=MARKERS[index % len(MARKERS)])
+
+
+def rgb(color: ColorArray) -> tuple[int, int, int]:
+    """Return a colour (3,) as plain numbers."""
+    return int(color[0]), int(color[1]), int(color[2])
+
+
+def unit_rgb(color: Sequence[int]) -> tuple[float, float, float]:
+    """Return a colour with channels in 0..1, as matplotlib takes it."""
+    return color[0] / 255, color[1] / 255, color[2] / 255
 
 
 def tinted(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:

@@ -12,7 +12,7 @@ import numpy as np
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_viewer.layers.layer import Label, Layer, LegendEntry, at_height, outline_segments
-from radiant_viewer.layers.palette import INK, WHITE, category_colors, shade_colors, tinted
+from radiant_viewer.layers.palette import INK, WHITE, category_colors, rgb, shade_colors, tinted
 
 FILL_TINT = 0.62
 """Share of white in a region's fill, so that points and cameras over it stay readable."""
@@ -41,7 +41,7 @@ def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
         segments=sides,
         segment_colors=np.tile(np.array(INK, np.uint8), (len(sides), 1)),
         line_width_px=2.2,
-        legend=tuple(LegendEntry(text=_edge_text(cloud_plan, index), color=_rgb(colors[index]), marker="area") for index in shown),
+        legend=tuple(LegendEntry(text=_edge_text(cloud_plan, index), color=rgb(colors[index]), marker="area") for index in shown),
     )
 
 
@@ -52,7 +52,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
     for plan in (plan for plan in edge_plans if plan.device_ids):
         shades = shade_colors(edge_colors[cloud_plan.edge_ids.index(plan.edge_id)], len(plan.device_ids))
         for index, (device_id, strip) in enumerate(zip(plan.device_ids, plan.strips, strict=True)):
-            legend.append(LegendEntry(text=_device_text(plan, index), color=_rgb(shades[index]), marker="area"))
+            legend.append(LegendEntry(text=_device_text(plan, index), color=rgb(shades[index]), marker="area"))
             if len(strip) >= 3:
                 polygons.append(at_height(strip, height))
                 fills.append(tinted(shades[index], WHITE, FILL_TINT))
@@ -130,7 +130,3 @@ def _device_text(plan: EdgePlan, index: int) -> str:
 
 def _load_text(count: int, seconds: float) -> str:
     return f"{count} camera{'' if count == 1 else 's'}, {duration_text(seconds)}"
-
-
-def _rgb(color: np.ndarray) -> tuple[int, int, int]:
-    return int(color[0]), int(color[1]), int(color[2])

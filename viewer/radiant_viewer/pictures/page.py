@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
-from radiant_viewer.layers.palette import INK, heat_table
+from radiant_viewer.layers.palette import INK, heat_table, unit_rgb
 from radiant_viewer.pictures.images import Drawing, Image
 from radiant_viewer.pictures.measure import nice_length
 
@@ -79,6 +79,24 @@ def new_figure(size_wh: tuple[int, int]) -> Figure:
     figure = Figure(figsize=(size_wh[0] / DPI, size_wh[1] / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
+
+
+def titled_figure(size_wh: tuple[int, int], title: str, detail: str = "") -> Figure:
+    """Return a figure of `size_wh` px with a bold title at the upper left and a line of detail below it."""
+    figure = new_figure(size_wh)
+    figure.text(16 / size_wh[0], 1 - 14 / size_wh[1], title, size=14, weight="bold", color=INK_COLOR, va="top")
+    figure.text(16 / size_wh[0], 1 - 40 / size_wh[1], detail, size=9.5, color=SOFT_COLOR, va="top")
+    return figure
+
+
+def style_axes(axes: Axes, x_label: str, y_label: str, *, grid: bool = True) -> None:
+    """Label axes in the soft colour, without a box around them, with horizontal lines at the ticks."""
+    axes.set_xlabel(x_label, color=SOFT_COLOR)
+    axes.set_ylabel(y_label, color=SOFT_COLOR)
+    axes.tick_params(colors=SOFT_COLOR, labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    if grid:
+        axes.grid(visible=True, axis="y", color=SOFT_COLOR, alpha=0.15)
 
 
 def axes_at(figure: Figure, box_px: tuple[float, float, float, float]) -> Axes:
@@ -222,8 +240,7 @@ def _add_legend(figure: Figure, layers: Sequence[Layer], top_px: float) -> None:
 
 
 def _add_entry(axes: Axes, entry: LegendEntry, y: float) -> None:
-    color = tuple(channel / 255 for channel in entry.color)
-    edge = tuple(channel / 255 for channel in INK)
+    color, edge = unit_rgb(entry.color), unit_rgb(INK)
     if entry.marker == "area":
         axes.add_patch(Rectangle((10, y - 7), 20, 13, facecolor=color, edgecolor=edge, linewidth=0.8))
     elif entry.marker == "line":

@@ -29,14 +29,14 @@ from radiant_viewer.layers.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.layers.forecast_layer import buffer_layer, forecast_layers
 from radiant_viewer.layers.layer import Label, Layer
 from radiant_viewer.layers.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
-from radiant_viewer.layers.seam_layer import SeamPieces, seam_layer
 from radiant_viewer.layers.splat_layer import sparse_point_layer
 from radiant_viewer.layers.waypoint_layer import waypoint_layer
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.pictures.offscreen import render_map, render_view
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
 from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
-from radiant_viewer.runs.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures, seam_band_width
+from radiant_viewer.runs.border_figures import border_figures
+from radiant_viewer.runs.run_layers import figures_layer, ground_height, plan_layers
 from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, required_splats
 from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, seen_box
@@ -141,18 +141,6 @@ def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
     )
 
 
-def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], roles: CameraRoles) -> list[Layer]:
-    """Regions, strips, cameras by region, edges, from the ground up."""
-    ground = ground_height(scene)
-    return [
-        region_layer(cloud_plan, ground),
-        strip_layer(cloud_plan, edge_plans, ground),
-        border_layer(cloud_plan, ground),
-        camera_layer(scene.cameras, roles, "region"),
-        edge_site_layer(cloud_plan, ground),
-    ]
-
-
 def cameras_picture(
     scene: SfmScene, roles: CameraRoles, psnr_db: Mapping[str, float] | None = None, size_wh: tuple[int, int] = SIZE_WH
 ) -> Image:
@@ -177,15 +165,10 @@ def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_w
     ground, unit = ground_height(scene), scene.frame.unit
     labels = tuple(_finding_label(finding, ground) for finding in findings if finding.found)
     # The found seams' labels find room before those of the edges.
-    seams = replace(_seam_layer_of(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
+    seams = replace(figures_layer(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
     layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
     drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
     return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=verdict_text(findings, unit), unit=unit))
-
-
-def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
-    """The layer of the borders' colour steps; BadInput when the plan has one region only."""
-    return _seam_layer_of(scene, cloud_plan, border_figures(scene, cloud_plan, splats))
 
 
 def worst_border(run: RunView) -> Border:
@@ -194,15 +177,6 @@ def worst_border(run: RunView) -> Border:
     figures = border_figures(run.scene, run.cloud_plan, required_splats(run))
     worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)
     return replace(worst.border, ends=worst.observed_ends)
-
-
-def _seam_layer_of(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[BorderFigures]) -> Layer:
-    pieces = SeamPieces(
-        ends=np.concatenate([one.ends for one in figures]),
-        edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),
-    )
-    label = f"Step over texture (of 255), bands of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
-    return seam_layer(pieces, np.concatenate([one.told for one in figures]), label, ground_height(scene), 2 * VISIBLE_LEVELS)
 
 
 def _finding_label(finding: SeamFinding, ground: float) -> Label:
@@ -278,8 +252,3 @@ def comparisons(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = N
         rows.append(comparison_picture(photo, render, difference, title=title, width_px=width_px))
     width = max(row.shape[1] for row in rows)
     return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows])
-
-
-def ground_height(scene: SfmScene) -> float:
-    """Height at which regions are drawn in 3D: that of the lowest tenth of the sparse points, 0 without points."""
-    return float(np.quantile(scene.points[:, 2], 0.1)) if len(scene.points) else 0.0

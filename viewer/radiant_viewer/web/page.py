@@ -19,12 +19,11 @@ from radiant_viewer.layers.themes import DARK, LIGHT
 from radiant_viewer.pictures.view_pose import pose_of_camera
 from radiant_viewer.runs.camera_figures import sorted_rows
 from radiant_viewer.runs.run_figures import FIGURES
-from radiant_viewer.runs.run_pictures import ground_height, seam_of
+from radiant_viewer.runs.run_layers import color_step_layer, ground_height, hidden_at_first, run_layers
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
 from radiant_viewer.web.layout import HEADERS, build_layout
 from radiant_viewer.web.rows import (
-    HIDDEN_AT_FIRST,
     Row,
     camera_headers,
     camera_rows,
@@ -32,7 +31,6 @@ from radiant_viewer.web.rows import (
     picture_file,
     pictures_of,
     run_camera_figures,
-    run_layers,
     seam_rows,
 )
 from radiant_viewer.web.scene import WebScene
@@ -46,8 +44,8 @@ class WebPage:
     def __init__(self, run: RunView) -> None:
         self.run = run
         self.figures = run_camera_figures(run)
-        hidden = HIDDEN_AT_FIRST if run.kind == "run" else HIDDEN_AT_FIRST - {"Cameras by split"}
-        self.scene = WebScene(run_layers(run), hidden, self._later)
+        layers = run_layers(run, with_seams=False)
+        self.scene = WebScene(layers, hidden_at_first(layers), self._later)
         self.stops: tuple[SeamStop, ...] = ()
         self.before_solo: list[str] | None = None
         self.server: Any = get_server(f"radiant-{id(self)}", client_type="vue3")
@@ -196,7 +194,7 @@ class WebPage:
                 return
         # Seconds for millions of Gaussians, while the page is in use already.
         self.stops = await asyncio.to_thread(seam_stops, run.scene, run.cloud_plan, run.splats)
-        layer = await asyncio.to_thread(seam_of, run.scene, run.cloud_plan, run.splats)
+        layer = await asyncio.to_thread(color_step_layer, run.scene, run.cloud_plan, run.splats)
         with state:
             self.scene.add_layer(layer)
             state.layers = self._layer_rows()

@@ -14,36 +14,22 @@ import cv2
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.detail import moving_note
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.palette import heat_table
-from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
 from radiant_viewer.layers.themes import LIGHT, Theme, hex_color, themed
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.runs.camera_figures import CameraFigures, camera_figures
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_figures import FIGURES, image_figures
-from radiant_viewer.runs.run_pictures import plan_layers
 from radiant_viewer.runs.run_view import RunView, comparison_paths
 from radiant_viewer.runs.seam_findings import part_text
 from radiant_viewer.runs.seam_tour import SeamStop
 
-HIDDEN_AT_FIRST = frozenset({"Device strips", "Gaussians", "Cameras by device", "Cameras by split", "Cameras by PSNR"})
-"""Layers that cover others: one click away."""
 SHOWN_PX = 1000
 """Long side of a picture as it is sent; a photograph of 20 megapixels is 8 MB, and the page shows it 400 px wide."""
 JPEG_QUALITY = 88
 Row = dict[str, Any]
-
-
-def run_layers(run: RunView) -> list[Layer]:
-    """All layers of a run but its seams, from the ground up."""
-    regions, strips, borders, cameras, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
-    model = [splat_layer(run.splats)] if run.splats is not None else []
-    colorings = ["device", "split", *(["psnr"] if run.placed_psnr_db else [])]
-    others = [camera_layer(run.scene.cameras, run.roles, coloring, run.placed_psnr_db) for coloring in colorings]  # type: ignore[arg-type]
-    return [regions, strips, sparse_point_layer(run.scene), *model, borders, cameras, *others, edges]
 
 
 def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:

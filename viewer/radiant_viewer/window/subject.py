@@ -10,11 +10,10 @@ from radiant_core.io.ply import load_ply
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.editing.plan_layers import with_planning_layers
-from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.layer import Layer
-from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
+from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.runs.plan_view import load_plan_view
-from radiant_viewer.runs.run_pictures import ground_height, plan_layers, seam_of
+from radiant_viewer.runs.run_layers import ground_height, run_layers
 from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_run_view
 
 
@@ -70,34 +69,3 @@ def subject_of_run(run: RunView) -> Subject:
         ground=ground_height(run.scene),
         summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}",
     )
-
-
-def _unplanned_layers(run: RunView) -> list[Layer]:
-    """The layers of a training or a scene from the ground up: points, model, cameras by split and by error."""
-    layers = [sparse_point_layer(run.scene)] if len(run.scene.points) else []
-    if run.splats is not None and not any(layer.name == "Gaussians" for layer in layers):
-        layers.append(splat_layer(run.splats))
-    layers.append(camera_layer(run.scene.cameras, run.roles, "split"))
-    return [*layers, camera_layer(run.scene.cameras, run.roles, "psnr", run.psnr_db)] if run.psnr_db else layers
-
-
-def run_layers(run: RunView) -> list[Layer]:
-    """All layers of a run from the ground up: points, plan, cameras, and what the run has beyond: model, seams, errors."""
-    if run.kind != "run":
-        return _unplanned_layers(run)
-    regions, strips, borders, by_region, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
-    # Before capture there are no points, and "0 points" in a legend looks like a run that failed.
-    layers = [regions, strips, *([sparse_point_layer(run.scene)] if len(run.scene.points) else [])]
-    if run.splats is not None and layers[-1].name != "Gaussians":
-        layers.append(splat_layer(run.splats))
-    layers += [
-        borders,
-        by_region,
-        camera_layer(run.scene.cameras, run.roles, "device"),
-        camera_layer(run.scene.cameras, run.roles, "split"),
-    ]
-    if run.placed_psnr_db:
-        layers.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.placed_psnr_db))
-    if run.splats is not None and len(run.cloud_plan.edge_ids) > 1:
-        layers.append(seam_of(run.scene, run.cloud_plan, run.splats))
-    return [*layers, edges]

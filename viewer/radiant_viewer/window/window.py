@@ -27,16 +27,13 @@ from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, style_
 from radiant_viewer.pictures.images import Image, save_png
 from radiant_viewer.pictures.view_pose import pose_of_camera
 from radiant_viewer.runs.run_feeds import RunFeeds
+from radiant_viewer.runs.run_layers import hidden_at_first
 from radiant_viewer.runs.run_view import RunView, file_stamps
 from radiant_viewer.window.docks import make_docks, place_docks, place_plan_docks, resize_docks
 from radiant_viewer.window.measure_tool import MeasureTool
 from radiant_viewer.window.panels import Panels
 from radiant_viewer.window.subject import Subject
 
-HIDDEN_AT_FIRST = frozenset(
-    {"Device strips", "Gaussians", "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"}
-)
-"""Layers that cover others: one click away."""
 SELECTED = "Selected camera"
 SIZE_WH = (1280, 800)
 PICK_PX = 14
@@ -77,12 +74,7 @@ class InspectorWindow(QMainWindow):
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
         splitter.setSizes([320, 320])
         self.setCentralWidget(splitter)
-        # Where there are no sparse points below them, the Gaussians are the ground.
-        has_ground = any(layer.name == "Sparse points" for layer in self.layers)
-        shown = set() if has_ground else {"Gaussians"}
-        if not any(layer.name == "Cameras by region" for layer in self.layers):
-            shown.add("Cameras by split")
-        self.layer_dock = LayerDock(self, self.layers, HIDDEN_AT_FIRST - shown, self._on_visibility)
+        self.layer_dock = LayerDock(self.layers, hidden_at_first(self.layers), self._on_visibility)
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
