@@ -25,12 +25,12 @@ from radiant_core.io.waypoints import read_waypoints
 from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.footprints import Optics
 from radiant_core.plan.waypoints import Waypoints
-from radiant_viewer.editing.edited_plan import dragged_weight_m2
+from radiant_viewer.editing.edited_plan import border_weight_m2
 from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import FixWeight, LockRegion, PinCameras
 from radiant_viewer.editing.plan_files import load_other_plan, plan_subject, save_edited_plan
-from radiant_viewer.runs.plan_view import likely_ground_m, load_plan_view
-from radiant_viewer.window.subject import subject_of_run
+from radiant_viewer.runs.plan_view import estimate_ground_m, load_plan_view
+from radiant_viewer.window.subject import run_subject
 from tests.app.test_plan_command import grid_csv, make_plan
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -58,10 +58,10 @@ def test_an_edited_plan_is_what_plan_and_run_read(planned: Path) -> None:
     assert (abs(run.scene.cameras.centers[:, 2] - 50) < 15).all()
     forward = run.scene.cameras.cam_from_world[:, 2, :3]
     np.testing.assert_allclose(forward, np.tile([0, 0, -1.0], (300, 1)), atol=1e-9)  # straight down
-    editor = PlanEditor(plan_subject(run), setting.system, (run.cloud_plan, run.edge_plans), setting.keep_in)
+    editor = PlanEditor(plan_subject(run), setting.system, (run.cloud_plan, run.edge_plans), setting.edits_path)
     editor.apply(LockRegion(edge="east"))
     editor.apply(PinCameras(cameras=editor.subject.names[:4], edge="south"))
-    editor.apply(FixWeight(edge="north", weight_m2=dragged_weight_m2(editor.state.cloud, "north", "south", 30.0)))
+    editor.apply(FixWeight(edge="north", weight_m2=border_weight_m2(editor.state.cloud, "north", "south", 30.0)))
     written = save_edited_plan(planned / "mine.json", editor.subject, editor.state, setting)
     beside = {f"mine{ending}" for ending in (".json", "_system.toml", "_start.json", "_constraints.toml", "_waypoints", "_regions.geojson")}
     assert {path.name for path in written} == beside
@@ -229,9 +229,9 @@ def test_cameras_of_a_plan_stand_over_its_ground(planned: Path) -> None:
     editor = PlanEditor(plan_subject(run), setting.system, (run.cloud_plan, run.edge_plans))  # type: ignore[arg-type]
     save_edited_plan(planned / "again.json", editor.subject, editor.state, setting)
     np.testing.assert_array_equal(load_plan_view(planned / "again.json").scene.cameras.centers, run.scene.cameras.centers)
-    assert not [layer.name for layer in subject_of_run(run).layers if "Gaussians" in layer.name or "points" in layer.name]
+    assert not [layer.name for layer in run_subject(run).layers if "Gaussians" in layer.name or "points" in layer.name]
     high = Waypoints(names=("a", "b"), lat_lon_alt=[[47.37, 8.54, 100.0], [47.3704, 8.54, 100.0]])
-    assert likely_ground_m(high, Optics()) == 0, "images 44 m apart overlap by 70 % from 100 m"
+    assert estimate_ground_m(high, Optics()) == 0, "images 44 m apart overlap by 70 % from 100 m"
 
 
 def test_a_run_with_a_broken_system_opens_and_one_without_manifest_says_so(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from radiant_viewer.layers.footprint_layer import footprint_layer, overlap_count
 from radiant_viewer.layers.load_layer import load_layer
 from radiant_viewer.layers.region_layer import region_layer
 from radiant_viewer.pictures.offscreen import render_map
-from radiant_viewer.runs.camera_figures import camera_figures, filter_rows, neighbours_of, sorted_rows
+from radiant_viewer.runs.camera_figures import camera_figures, count_overlaps, filter_rows, sort_rows
 from tests.viewer.made_up_run import Town, made_up_town
 from tests.viewer.test_plan_editor import editor_of
 
@@ -57,7 +57,7 @@ def test_overlap_is_what_shapely_counts(shift: tuple[float, float]) -> None:
     assert counts.max() > 1
     middles = footprints.polygons.mean(axis=1)
     others = [sum(shape.contains(Point(*(middle - low))) for shape in shapes) - 1 for middle in middles]
-    np.testing.assert_array_equal(neighbours_of(footprints), others)
+    np.testing.assert_array_equal(count_overlaps(footprints), others)
 
 
 def test_footprint_layers_have_outlines_cells_and_say_what_sees_nothing() -> None:
@@ -75,7 +75,7 @@ def test_footprint_layers_have_outlines_cells_and_say_what_sees_nothing() -> Non
     blind = Footprints(polygons=footprints.polygons, areas_m2=np.zeros(24))
     assert "Without sight of the ground: 24" in footprint_layer(blind, roles, town.cloud_plan).legend[-1].text
     assert overlap_layer(blind, town.cloud_plan).polygons == ()
-    assert np.isnan(neighbours_of(blind)).all()
+    assert np.isnan(count_overlaps(blind)).all()
     with pytest.raises(BadInput, match="give one each"):
         footprint_layer(Footprints(polygons=footprints.polygons[:3], areas_m2=footprints.areas_m2[:3]), roles, town.cloud_plan)
     with pytest.raises(BadInput, match="give regions"):
@@ -88,9 +88,9 @@ def test_cameras_are_sorted_and_filtered_by_any_figure() -> None:
     roles = camera_roles(town.scene.cameras, town.cloud_plan, town.edge_plans, town.held_out)
     figures = camera_figures(town.scene, roles, town.cloud_plan, psnr_db, footprints_of(town))
     assert len(figures) == 24 and set(figures.columns) == set(figures.headings)
-    assert sorted_rows(figures, "psnr")[:4].tolist() == [8, 16, 0, 1]
-    assert sorted_rows(figures, "psnr", descending=True)[:4].tolist() == [0, 16, 8, 1]
-    assert sorted_rows(figures, "name", descending=True)[0] == 23
+    assert sort_rows(figures, "psnr")[:4].tolist() == [8, 16, 0, 1]
+    assert sort_rows(figures, "psnr", descending=True)[:4].tolist() == [0, 16, 8, 1]
+    assert sort_rows(figures, "name", descending=True)[0] == 23
     assert filter_rows(figures, "psnr < 22.5 and use = held out").tolist() == [8, 16]
     assert filter_rows(figures, "psnr != 22").tolist() == [0, 8]
     north = filter_rows(figures, "region = north")

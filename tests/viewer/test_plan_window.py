@@ -141,7 +141,7 @@ def test_the_window_drags_pins_undoes_saves_and_loses_nothing(tmp_path: Path, di
     # Closed while two edits were on the way: all four are there at the next opening.
     run, setting = load_run_view(tmp_path / "run"), run_setting(tmp_path / "run")
     assert setting.system is not None
-    editor = PlanEditor(plan_subject(run), setting.system, (run.cloud_plan, run.edge_plans), setting.keep_in)
+    editor = PlanEditor(plan_subject(run), setting.system, (run.cloud_plan, run.edge_plans), setting.edits_path)
     assert editor.restore() == ()
     assert [type(edit) for edit in editor.edits] == [FixWeight, PinCameras, MoveEdge, MoveEdge]
     assert editor.state.cloud.sites[1].tolist() == [60.0, 20.0]

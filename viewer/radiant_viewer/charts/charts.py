@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW, tinted, unit_rgb
+from radiant_viewer.layers.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW, tint, unit_rgb
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.layers.themes import LIGHT, Theme, hex_color
 from radiant_viewer.pictures.images import Image
@@ -21,7 +21,7 @@ from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, new_f
 ROW_PX, TOP_PX, FOOT_PX, LABEL_PX, RIGHT_PX = 26, 92, 52, 150, 96
 STAGE_COLORS = {"initialise": SKY, "train": BLUE, "send": ORANGE, "aggregate": GREEN, "merge": PURPLE, "evaluate": YELLOW, "whole": GREY}
 """Colour of the stages that every run has; others take the remaining colours in the order they come."""
-OTHER_COLORS = (VERMILLION, GREY, tinted(BLUE, WHITE, 0.55), tinted(GREEN, WHITE, 0.55), tinted(PURPLE, WHITE, 0.55))
+OTHER_COLORS = (VERMILLION, GREY, tint(BLUE, WHITE, 0.55), tint(GREEN, WHITE, 0.55), tint(PURPLE, WHITE, 0.55))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -49,13 +49,13 @@ def curve_picture(
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_locator(MaxNLocator(6))
-        axes.set_xticks(_apart([getattr(point, name) for points in curves.values() for point in points]))
+        axes.set_xticks(_spread_labels([getattr(point, name) for points in curves.values() for point in points]))
         if panel == 0:
             axes.legend(fontsize=9, frameon=False, loc="lower right")
     return figure_image(figure)
 
 
-def _apart(values: Sequence[float]) -> list[float]:
+def _spread_labels(values: Sequence[float]) -> list[float]:
     """Round values to label on a logarithmic axis, the smallest and others that leave room for the labels between them."""
     rounded = sorted({float(f"{value:.2g}") for value in values})
     kept = rounded[:1]

@@ -30,7 +30,7 @@ COLORINGS = {
     "Held-out": "Cameras by split",
     "PSNR": "Cameras by PSNR",
 }
-"""What cameras can be coloured by, and the layer that shows it."""
+"""Choice of colouring → the layer that shows it."""
 
 
 class CameraDock(QDockWidget):
@@ -88,24 +88,24 @@ class CameraDock(QDockWidget):
         self.table.scrollTo(row, QAbstractItemView.ScrollHint.PositionAtCenter)
 
     def show_run(self, run: RunView) -> None:
-        """Show the same cameras with another plan; sorting, filter and selection stay."""
+        """Show the same cameras with another plan; sorting, filter and selection are kept."""
         self._run = run
         self.cameras.show_run(run)
 
     def color_by(self, what: str) -> None:
-        """Show cameras in the colours of "Region", "Device", "Held-out" or "PSNR" alone."""
+        """Colour the cameras by a key of `COLORINGS`; the layers of the others are hidden."""
         for name, layer in COLORINGS.items():
             if self.coloring.findText(name) >= 0:
                 self._host.set_layer_visible(layer, name == what)
         self.coloring.setCurrentText(what)
 
     def shown_order(self) -> list[int]:
-        """Indices of the cameras as they are filtered and sorted."""
+        """Return the indices of the cameras as they are filtered and sorted."""
         model = self.sorted_cameras
         return [model.mapToSource(model.index(row, 0)).row() for row in range(model.rowCount())]
 
     def save_csv(self, path: Path) -> None:
-        """Write the shown rows; BadInput when it cannot be written."""
+        """Write the shown rows; BadInput where the file cannot be written."""
         order = self.shown_order()
         self.cameras.save_csv(path, order)
         self._host.show_status(f"Saved {len(order)} cameras to {path}")

@@ -1,7 +1,7 @@
-"""Keyframed flights: views are collected, played in the 3D view, and written as MP4, WebM or GIF. Needs the `desktop` extra.
+"""Keyframed flights: collected from the 3D view, played in it, and written as MP4, WebM or GIF. Needs the `desktop` extra.
 
-Frames come from our own splat renderer in a process of its own, or from the visible layers; one at a time through the event loop, so the
-window stays usable and a closed window leaves no half film behind.
+Frames come from our own renderer in a separate process or from the visible layers, one at a time through the event loop:
+the window stays usable, and closing it leaves no partial film.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from PySide6.QtWidgets import (
 from radiant_viewer.docks.flight_job import FlightJob, FrameSource, LayerFrames, SplatFrames
 from radiant_viewer.docks.splat_dock import SplatDock
 from radiant_viewer.host.protocols import Host
-from radiant_viewer.pictures.fly_through import flight
+from radiant_viewer.pictures.fly_through import flight_poses
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
 
@@ -35,7 +35,7 @@ SPLATS, LAYERS = "Splats", "Layers as visible"
 
 
 class FlyDock(QDockWidget):
-    """`keyframes` are flown through in order; `job` is a film that is being written."""
+    """`keyframes` in the order of the flight; `job` is the film being written, or None."""
 
     def __init__(self, host: Host, splat_dock: SplatDock | None) -> None:
         super().__init__("Fly-through")
@@ -70,22 +70,22 @@ class FlyDock(QDockWidget):
         self._update()
 
     def add_view(self) -> None:
-        """Take the 3D view as it stands as the last keyframe."""
+        """Append the present 3D view as a keyframe."""
         self.add_keyframe(self._host.view.pose)
 
     def add_keyframe(self, pose: ViewPose) -> None:
-        """Fly through a pose last."""
+        """Append a keyframe."""
         self.keyframes.append(pose)
         x, y, z = pose.position
         self.list.addItem(f"{len(self.keyframes)}:  east {x:.1f}, north {y:.1f}, up {z:.1f}")
         self._update()
 
     def poses(self) -> list[ViewPose]:
-        """All frames of the flight; BadInput for fewer than two keyframes."""
-        return flight(self.keyframes, self.seconds.value(), self.rate.value())
+        """Return the poses of all frames; BadInput for fewer than two keyframes."""
+        return flight_poses(self.keyframes, self.seconds.value(), self.rate.value())
 
     def play_or_stop(self) -> None:
-        """Fly through the keyframes in the 3D view, or stop that."""
+        """Play the flight in the 3D view, or stop it."""
         if self._timer.isActive():
             self._timer.stop()
             self.play.setText("Play")
@@ -93,7 +93,7 @@ class FlyDock(QDockWidget):
         self._host.attempt(self._play)
 
     def write(self, path: Path, *, source: str | None = None, size_wh: tuple[int, int] | None = None) -> None:
-        """Begin to write the flight; BadInput when it cannot be. `job.ended` tells how it went."""
+        """Start writing the flight; BadInput where that is not possible. `job.ended` carries the result."""
         size = size_wh or SIZES[self.frame_size.currentText()]
         poses = self.poses()
         writer = MovieWriter(path, size, self.rate.value())
@@ -110,7 +110,7 @@ class FlyDock(QDockWidget):
         self.job.begin()
 
     def stop(self) -> None:
-        """Give up a film that is being written, and leave nothing of it; stop playing."""
+        """Stop playing, and cancel a film that is being written."""
         self._timer.stop()
         if self.job is not None:
             self.job.give_up()

@@ -1,4 +1,4 @@
-"""The Gantt chart of the plan and, after a run, of what happened, as the report draws it. Needs the `desktop` extra."""
+"""The Gantt chart of the plan and of the measured run, as in the report. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MIN_WIDTH_PX = 900
 
 
 class GanttDock(QDockWidget):
-    """Draws when it is first seen, and when its width changes."""
+    """Draws when it is first shown, and when its width changes."""
 
     def __init__(self, host: Host, feeds: RunFeeds) -> None:
         super().__init__("Timeline")
@@ -34,12 +34,12 @@ class GanttDock(QDockWidget):
         self.setWidget(area)
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Qt calls it when the tab is opened."""
+        """Draw when the tab is opened."""
         super().showEvent(event)
         self._draw()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Qt calls it when the window is resized."""
+        """Draw for the new width."""
         super().resizeEvent(event)
         if self.isVisible():
             self._draw()

@@ -1,6 +1,6 @@
-"""The selected camera's photograph and, where it was held out, its render and the difference, wiped against each other with a slider.
+"""The photograph of the selected camera and, where it was held out, its render and their difference, compared by a wipe.
 
-Held-out pictures are walked worst first. A photograph that is not on this machine is not shown; a sentence says with whom it stays.
+Held-out photographs are visited worst first. For a photograph that is not on this machine, a sentence names its device.
 Needs the `desktop` extra.
 """
 
@@ -38,7 +38,7 @@ class PhotoDock(QDockWidget):
         self.worst_first = sorted(psnr_db, key=lambda name: psnr_db[name])
         self._pictures: dict[str, Image] = {}
         self.at = ""
-        """Name of the photograph that is shown."""
+        """Name of the photograph on show."""
         self.name = QLabel("No camera selected")
         self.name.setStyleSheet("font-weight: 600")
         self.name.setSizePolicy(self.name.sizePolicy().horizontalPolicy().Ignored, self.name.sizePolicy().verticalPolicy())
@@ -73,7 +73,7 @@ class PhotoDock(QDockWidget):
         self._set_enabled(False)
 
     def show_camera(self, index: int) -> None:
-        """Show the photograph of camera `index`, or of `RunView.photographs`, with its comparison where there is one."""
+        """Show photograph `index` of `RunView.photographs`, with its comparison where there is one."""
         name = self._run.photographs[index]
         self.at = name
         file = self._run.files.get(name)
@@ -105,7 +105,7 @@ class PhotoDock(QDockWidget):
         self.raise_()
 
     def step(self, by: int) -> None:
-        """Go `by` photographs towards better ones among those that were held out."""
+        """Move by `by` held-out photographs towards better ones."""
         if not self.worst_first:
             self._host.show_status(NO_FIGURES)
             return
@@ -113,18 +113,18 @@ class PhotoDock(QDockWidget):
         self._host.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
 
     def _comparison(self, name: str) -> tuple[dict[str, Image], str]:
-        """The three pictures by name; none for a camera that was trained on, or, with a sentence, where they stayed elsewhere."""
+        """Return the three pictures by name, empty for a training camera; with a sentence where they are on another machine."""
         if name not in (self._run.psnr_db or {}):
             return {}, ""
         try:
             paths = comparison_paths(self._run, name)
             return {kind: load_image(path) for kind, path in zip(SINGLES, paths, strict=True)}, ""
         except BadInput as error:
-            # With whom a photograph stays is said by its preview where photographs are pooled.
+            # Where photographs are pooled, the preview names the device.
             return {}, f"{str(error)[0].upper()}{str(error)[1:]}" if self._run.in_field else ""
 
     def _reasons(self, index: int, apart: str) -> str:
-        """What the camera saw beside the others, and what of it is not here."""
+        """Return what the camera saw beside the other cameras, and what is missing here."""
         if index < len(self._run.scene.cameras):
             return reason_text(self._run.scene, index)
         return f"{apart} The place of its camera stayed with device {self._run.owner(index)}, too.".strip()
@@ -152,7 +152,7 @@ class PhotoDock(QDockWidget):
             if figure.key in known
         ]
         if name in self.worst_first:
-            parts.insert(0, f"{_place(self.worst_first.index(name) + 1)} of {len(self.worst_first)}")
+            parts.insert(0, f"{_rank_text(self.worst_first.index(name) + 1)} of {len(self.worst_first)}")
         return "   ·   ".join(parts) or "Trained on: figures are measured on held-out photographs."
 
     def _set_enabled(self, compares: bool) -> None:
@@ -178,12 +178,12 @@ class PhotoDock(QDockWidget):
         self.figures_text.setToolTip("\n".join(f"{figure.heading}: {figure.meaning}" for figure in FIGURES))
 
 
-def _place(rank: int) -> str:
+def _rank_text(rank: int) -> str:
     return "worst" if rank == 1 else f"{rank}. worst"
 
 
 def _preview(image: Image) -> Image:
-    """At most 1,600 px a side: a window shows no more, and a photograph of 45 megapixels takes 135 MB."""
+    """Scale to at most 1,600 px a side: a photograph of 45 megapixels takes 135 MB."""
     scale = MAX_PREVIEW_PX / max(image.shape[:2])
     if scale >= 1:
         return image

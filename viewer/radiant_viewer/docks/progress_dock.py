@@ -1,4 +1,4 @@
-"""How a run that is at work stands: a bar per stage, warnings, time left, asked for once a second. Needs the `desktop` extra."""
+"""Progress of a running run: a bar per stage, warnings, time left, polled once a second. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HEADINGS = ("Stage", "State", "", "Doing")
 
 
 class ProgressDock(QDockWidget):
-    """`shown` is what was last read; `polled` comes after every reading but the first."""
+    """`shown` is the last reading; `polled` is emitted after every reading but the first."""
 
     polled = Signal()
 
@@ -62,15 +62,15 @@ class ProgressDock(QDockWidget):
         self.read()
 
     def end(self) -> None:
-        """Ask no more."""
+        """Stop polling."""
         self._timer.stop()
 
     def read(self) -> None:
-        """Ask how the run stands and show it; one that ended may be resumed, so it is asked all the same."""
+        """Read the progress and show it; a run that ended may be resumed, so polling goes on."""
         try:
             now = self._feeds.progress()
         except RadiantError as error:
-            # It may be in the middle of writing.
+            # The run may be in the middle of writing.
             self.summary.setText(str(error))
             return
         was_running, had_ended = self.shown.is_running, bool(self.shown.status) and not self.shown.is_running
@@ -101,7 +101,7 @@ class ProgressDock(QDockWidget):
                 bar.setFixedWidth(160)
                 self.table.setCellWidget(row, 2, bar)
             share = stage.share
-            # Qt moves a bar without a range to say that something is going on.
+            # Qt animates a bar without a range.
             bar.setRange(0, 0 if share is None and stage.state == "running" else 100)
             bar.setValue(0 if share is None else round(100 * share))
             self.table.setItem(row, 3, QTableWidgetItem(stage.note))

@@ -1,7 +1,7 @@
-"""The splat view: the model as the 3D view's camera sees it. Coarse while that moves, full half a second after it rests.
+"""The splat view: the model from the camera of the 3D view, coarse while that moves and full half a second after it rests.
 
-Which renderer draws is a `Decision`: our own is exact and starts at once; when its first full picture stands, Open3D's is started
-beside it, both draw the same picture, and the faster one stays. A crop box is always drawn by our own. Needs the `desktop` extra.
+The choice of renderer is a `Decision`: our own is exact and starts at once; after its first full picture Open3D's is started,
+both draw the same picture, and the faster one is kept. A crop box is always drawn by our own. Needs the `desktop` extra.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from radiant_viewer.splats.splat_process import Frame, Kind, SplatProcess
 
 POLL_MS, REST_S = 60, 0.4
 COARSE = 3
-"""While the view moves, a picture has so many times fewer pixels a side."""
+"""Divisor of the picture's sides while the view moves."""
 TRIALS = 3
-"""Pictures that a renderer draws to be timed; the last counts, since the first ones build what later ones reuse."""
+"""Pictures per renderer in the timing; the last counts, since the first ones fill caches."""
 NAMES: dict[Kind, str] = {"own": "Own renderer", "open3d": "Open3D"}
 CHOICES = ("Automatic", *NAMES.values())
 
@@ -40,7 +40,7 @@ class SplatDock(QDockWidget):
         super().__init__("Splats")
         self.setObjectName("splats")
         self._host = host
-        # Of what the strict reader took, and in a place of its own: the run may be written to while the window is open.
+        # A copy of what the strict reader accepted: the run may be written to while the window is open.
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
         self._splats = splats
         self.picture = PictureLabel()
@@ -74,14 +74,14 @@ class SplatDock(QDockWidget):
 
     @cached_property
     def ply_path(self) -> Path:
-        """The model for the processes that draw it; written when it is first asked for, which many a window never does."""
+        """The model as a file for the renderer processes; written at its first use."""
         path = Path(self._folder.name) / "model.ply"
         save_ply(path, self._splats)
         return path
 
     @property
     def kind(self) -> Kind:
-        """Who draws now."""
+        """The renderer in use."""
         index = self.choice.currentIndex()
         if self._host.crop_box is not None:
             return "own"
@@ -90,7 +90,7 @@ class SplatDock(QDockWidget):
         return "open3d" if self.decision is not None and self.decision.choice == NAMES["open3d"] else "own"
 
     def end(self) -> None:
-        """Stop the processes; called when the window closes."""
+        """Stop the renderer processes; call it when the window closes."""
         self._timer.stop()
         for process in self._processes.values():
             process.end()
@@ -117,7 +117,7 @@ class SplatDock(QDockWidget):
             process.ask(0, camera if full else self._camera(COARSE)[0], self._host.theme.view, self._host.crop_box)
 
     def _camera(self, coarse: int) -> tuple[Cameras, bytes]:
-        """The 3D view's camera at the size of the dock, `coarse` times smaller a side, and what tells one picture from another."""
+        """Return the camera of the 3D view at the size of the dock over `coarse`, and a key that identifies the picture."""
         scale = self.picture.devicePixelRatioF() / coarse
         size = max(32, round(self.picture.width() * scale)), max(32, round(self.picture.height() * scale))
         camera = self._host.view.pose.camera(size)
@@ -140,16 +140,16 @@ class SplatDock(QDockWidget):
         self.last_image = frame.image
         self.picture.show_picture(frame.image)
         self._drawn = self._asked
-        # A full picture of where the view was before it moved is none of where it is.
+        # The view may have moved since this picture was requested.
         self.shown_is_full = self._drawn == (self._last_key, True)
         width, height = frame.image.shape[1], frame.image.shape[0]
         detail = "full" if self._drawn is not None and self._drawn[1] else "coarse while moving"
-        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms\n{detail}{self._why()}")
+        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms\n{detail}{self._reason_text()}")
         reason = "" if self.decision is None else f"\n{self.decision.reason}"
         self.note.setToolTip(f"{self.note.text()}{reason}")
 
-    def _why(self) -> str:
-        """What decided between the renderers, where that decided."""
+    def _reason_text(self) -> str:
+        """Return the times that decided between the renderers, empty where the user chose."""
         if self.decision is None or self.choice.currentIndex():
             return ""
         others = [
@@ -158,7 +158,7 @@ class SplatDock(QDockWidget):
         return f" ({', '.join(others) or 'the other does not run here'})"
 
     def _compare(self) -> None:
-        """Once a full picture stands, let both renderers draw it in turn and take the faster one."""
+        """Time both renderers on the full picture in turn, and keep the faster one."""
         if self.decision is not None or self.choice.currentIndex() or self._host.crop_box is not None:
             return
         kind, number = self._trial or ("own", 0)
@@ -169,7 +169,7 @@ class SplatDock(QDockWidget):
 
     def _on_trial(self, kind: Kind, frame: Frame) -> None:
         if self._trial is None:
-            # Somebody chose a renderer while it was tried.
+            # The user chose a renderer during the timing.
             return
         self._seconds[kind] = frame.seconds
         number = self._trial[1] + 1
@@ -194,7 +194,7 @@ class SplatDock(QDockWidget):
         )
         idle: Kind = "open3d" if faster == "own" else "own"
         self._end_process(idle)
-        # The picture stands; only its note changes.
+        # Draw again, so that the note shows the decision.
         self._drawn = None
 
     def _on_failed(self, kind: Kind, reason: str) -> None:
@@ -227,8 +227,7 @@ class SplatDock(QDockWidget):
 
 
 def _note() -> QLabel:
-    """Of two lines whatever it says, and cut off rather than wrapped: were it higher at times, the picture above it would change its size
-    with every text, which counts as a movement, and would never come to rest."""
+    """Return a label of fixed height: a change of height would resize the picture above it, which counts as a movement."""
     note = QLabel("")
     note.setProperty("soft", "true")
     note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)

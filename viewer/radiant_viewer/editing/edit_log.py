@@ -28,7 +28,7 @@ MAX_LOG_BYTES = 512 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class KeptEdits:
+class EditHistory:
     """Edits in the order they were made, and those that were undone, the next to redo last."""
 
     done: tuple[Edit, ...] = ()
@@ -40,28 +40,28 @@ def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
     return content_key(cloud, tuple(edges))
 
 
-def save_edits(path: Path, base: str, kept: KeptEdits) -> None:
+def save_edits(path: Path, base: str, kept: EditHistory) -> None:
     """Write the edits whole or not at all; BadInput where the folder cannot be written."""
     record = {"done": [edit_record(edit) for edit in kept.done], "undone": [edit_record(edit) for edit in kept.undone]}
     write_json(path, {"schema": SCHEMA, "version": VERSION, "base": base, **record})
 
 
-def load_edits(path: Path, base: str) -> tuple[KeptEdits, str]:
+def load_edits(path: Path, base: str) -> tuple[EditHistory, str]:
     """The edits kept for the plan with this key, and one sentence where there were some that cannot be used, which are set aside."""
     if not path.exists():
-        return KeptEdits(), ""
+        return EditHistory(), ""
     try:
         with naming(path):
             record = read_json(path, ("schema", "version", "base", "done", "undone"), MAX_LOG_BYTES)
             if (record["schema"], record["version"]) != (SCHEMA, VERSION):
                 raise BadInput(f"it is {record['schema']!r} {record['version']!r}, expected {SCHEMA!r} {VERSION}.")
             if record["base"] == base:
-                return KeptEdits(done=_edits(record["done"]), undone=_edits(record["undone"])), ""
+                return EditHistory(done=_edits(record["done"]), undone=_edits(record["undone"])), ""
             reason = "were made on another plan"
     except (BadInput, StoreDamaged):
         reason = "cannot be read"
     aside = move_aside(path)
-    return KeptEdits(), f"The edits in {path.name} {reason}: they are kept as {aside.name}, this plan is shown as it was made."
+    return EditHistory(), f"The edits in {path.name} {reason}: they are kept as {aside.name}, this plan is shown as it was made."
 
 
 def edit_record(edit: Edit) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def edit_record(edit: Edit) -> dict[str, Any]:
     return {"edit": type(edit).__name__, **asdict(edit)}
 
 
-def edit_of_record(record: Any) -> Edit:
+def parse_edit(record: Any) -> Edit:
     """The edit that `edit_record` wrote; BadInput for anything else."""
     kinds = {kind.__name__: kind for kind in EDITS}
     if not isinstance(record, Mapping) or record.get("edit") not in kinds:
@@ -89,7 +89,7 @@ def edit_of_record(record: Any) -> Edit:
 def _edits(records: Any) -> tuple[Edit, ...]:
     if not isinstance(records, list):
         raise BadInput("the edits are no list.")
-    return tuple(edit_of_record(record) for record in records)
+    return tuple(parse_edit(record) for record in records)
 
 
 def _value(name: str, value: Any) -> Any:
@@ -117,7 +117,7 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def name_aside(path: Path) -> Path:
+def free_path_beside(path: Path) -> Path:
     """A name beside `path` that nothing has yet."""
     number = 1
     while (aside := path.with_name(f"{path.stem}_{number}{path.suffix}")).exists():
@@ -127,7 +127,7 @@ def name_aside(path: Path) -> Path:
 
 def move_aside(path: Path) -> Path:
     """Give a file another name, which is returned; BadInput where that cannot be."""
-    aside = name_aside(path)
+    aside = free_path_beside(path)
     try:
         path.rename(aside)
     except OSError as error:

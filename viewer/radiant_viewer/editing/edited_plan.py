@@ -66,12 +66,12 @@ class EditedPlan:
     edges: tuple[EdgePlan, ...] = ()
 
 
-def first_state(subject: PlanSubject, system: System, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> EditedPlan:
+def initial_plan(subject: PlanSubject, system: System, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> EditedPlan:
     """A plan as it is found, bit for bit; its edges stand where it has them. BadInput when plan, cameras and system are not of one kind."""
     require_plan_of(len(subject.names), cloud, edges)
     require_same_system(edges, system)
     wishes = PlanWishes(
-        system=_at_sites(system, cloud),
+        system=_move_to_sites(system, cloud),
         constraints=PlanConstraints(),
         slack=cloud.slack if cloud.status == "slack" else None,
         reference=cloud,
@@ -79,7 +79,7 @@ def first_state(subject: PlanSubject, system: System, cloud: CloudPlan, edges: t
     return EditedPlan(wishes=wishes, cloud=cloud, edges=edges)
 
 
-def planned_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) -> EditedPlan:
+def solve_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) -> EditedPlan:
     """The regions that the wishes call for, from a similar plan on; BadInput with the planner's sentence where there are none."""
     if wishes.slack is not None and wishes.constraints:
         raise BadInput("slack is for a plan in which nothing is fixed, locked or pinned: free these first, or take the slack back.")
@@ -96,18 +96,18 @@ def planned_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) 
     return EditedPlan(wishes=wishes if constraints else replace(wishes, reference=found), cloud=found)
 
 
-def with_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
+def add_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
     """The same plan with its cameras dealt to devices."""
     return plan if plan.edges else replace(plan, edges=split_edges(subject.on_map, plan.cloud, plan.wishes.system))
 
 
-def dragged_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -> float:
+def border_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -> float:
     """The weight with which the border of `edge` towards `other` lies `distance` farther out; negative draws it in."""
     first, second = cloud.edge_ids.index(edge), cloud.edge_ids.index(other)
     return float(cloud.weights[first] + 2 * np.linalg.norm(cloud.sites[first] - cloud.sites[second]) * distance)
 
 
-def with_closed_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: FloatArray) -> CloudPlan:
+def add_empty_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: FloatArray) -> CloudPlan:
     """The plan with one edge more that owns nothing: its weight is below what any camera would need to lie in its cell."""
     centre = subject.on_map.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
     cameras, sites = subject.on_map - centre, cloud.sites - centre
@@ -125,7 +125,7 @@ def with_closed_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: Fl
     )
 
 
-def without_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tuple[str, ...]) -> CloudPlan:
+def remove_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tuple[str, ...]) -> CloudPlan:
     """The plan without an edge, whose cameras go to the nearest cells among edges that are not locked."""
     gone = cloud.edge_ids.index(name)
     kept = np.flatnonzero(np.arange(len(cloud.edge_ids)) != gone)
@@ -150,7 +150,7 @@ def without_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tupl
     )
 
 
-def _at_sites(system: System, cloud: CloudPlan) -> System:
+def _move_to_sites(system: System, cloud: CloudPlan) -> System:
     sites = [(float(x), float(y)) for x, y in cloud.sites]
     return replace(
         system, edges=tuple(replace(edge, position=site, lat_lon_deg=None) for edge, site in zip(system.edges, sites, strict=True))

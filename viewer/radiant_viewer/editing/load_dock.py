@@ -9,7 +9,7 @@ from PySide6.QtGui import QColor, QPainter
 from PySide6.QtWidgets import QDockWidget, QHeaderView, QStyledItemDelegate, QStyleOptionViewItem, QTreeWidget, QTreeWidgetItem
 
 from radiant_viewer.editing.plan_report import LoadRow
-from radiant_viewer.layers.palette import category_colors, tinted
+from radiant_viewer.layers.palette import category_colors, tint
 from radiant_viewer.layers.region_layer import duration_text
 
 NAME, CAMERAS, TIME, LOAD, NOTE = range(5)
@@ -56,7 +56,7 @@ class LoadDock(QDockWidget):
         edge = -1
         for item, row in zip(self._items, rows, strict=True):
             edge += row.is_edge
-            red, green, blue = (int(value) for value in (colors[edge] if row.is_edge else tinted(colors[edge], (255, 255, 255), 0.45)))
+            red, green, blue = (int(value) for value in (colors[edge] if row.is_edge else tint(colors[edge], (255, 255, 255), 0.45)))
             item.setText(CAMERAS, "" if row.time_s is None else f"{row.num_cameras:,}")
             item.setText(TIME, "" if row.time_s is None else duration_text(row.time_s))
             item.setText(NOTE, row.note)

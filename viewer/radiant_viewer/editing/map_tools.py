@@ -21,7 +21,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders import Border, shared_borders
 from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.plans import CloudPlan
-from radiant_viewer.editing.edited_plan import dragged_weight_m2
+from radiant_viewer.editing.edited_plan import border_weight_m2
 from radiant_viewer.editing.plan_actions import PlanActions
 from radiant_viewer.editing.plan_edits import Edit, FixWeight, MoveEdge
 
@@ -54,7 +54,7 @@ class BorderGrip:
     def edit(self, place: FloatArray, cloud: CloudPlan) -> Edit:
         """What a drag to `place` (2,) means for the plan that was there at the press."""
         distance = float((place - self.place) @ self.outward)
-        return FixWeight(edge=self.edge, weight_m2=dragged_weight_m2(cloud, self.edge, self.other, distance))
+        return FixWeight(edge=self.edge, weight_m2=border_weight_m2(cloud, self.edge, self.other, distance))
 
 
 def grip_at(
@@ -108,7 +108,7 @@ class MapTools(QObject):
     def set_active(self, active: bool) -> None:
         """Take the mouse, or leave it to the view."""
         self.is_active = active
-        self._let_go()
+        self._release()
         self._widget.unsetCursor()
 
     def close(self) -> None:
@@ -121,7 +121,7 @@ class MapTools(QObject):
         if not self.is_active or watched is not self._widget:
             return False
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() == Qt.Key.Key_Escape and self._grip:
-            self._let_go()
+            self._release()
             self._actions.drop_preview()
             return True
         if not isinstance(event, QMouseEvent):
@@ -137,7 +137,7 @@ class MapTools(QObject):
     def end_drag(self) -> Edit | None:
         """Let go, and return the edit that the drag so far means, None where nothing was held."""
         grip, cloud, place = self._grip, self._pressed_on, self._last_place
-        self._let_go()
+        self._release()
         if grip is None or cloud is None or place is None:
             return None
         return grip.edit(place, cloud)
@@ -175,7 +175,7 @@ class MapTools(QObject):
     def _on_release(self, event: QMouseEvent) -> bool:
         if self._box_from is not None:
             box = QRect(self._box_from, event.position().toPoint()).normalized()
-            self._let_go()
+            self._release()
             corners = np.stack([self._place(QPointF(box.topLeft())), self._place(QPointF(box.bottomRight()))])
             adds = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
             self._actions.select_box(corners.min(axis=0), corners.max(axis=0), add=adds)
@@ -189,7 +189,7 @@ class MapTools(QObject):
             self._actions.do(edit)
         return True
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         self._grip = self._pressed_on = self._box_from = None
         self._band.hide()
 

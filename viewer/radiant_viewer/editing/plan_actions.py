@@ -88,10 +88,10 @@ class PlanActions(QObject):
         if self.session is not None:
             self.session.redo()
 
-    def settle(self, *, take_over: bool) -> None:
+    def resolve_conflict(self, *, take_over: bool) -> None:
         """Resolve a conflict with another window: keep this window's edits, or take the other one's."""
         if self.session is not None:
-            self.session.settle(take_over=take_over)
+            self.session.resolve_conflict(take_over=take_over)
 
     def pin(self, edge: str | None) -> None:
         """Pin the selected cameras to an edge, or with None remove their pins."""
@@ -248,7 +248,7 @@ class PlanActions(QObject):
             return NO_SYSTEM if self.setting is None else self.setting.reason
         plan = (self.run.cloud_plan, self.run.edge_plans)
         try:
-            editor = PlanEditor(plan_subject(self.run), self.setting.system, plan, self.setting.keep_in)
+            editor = PlanEditor(plan_subject(self.run), self.setting.system, plan, self.setting.edits_path)
         except BadInput as error:
             return f"The plan cannot be changed: {error}"
         self.session = PlanSession(editor, self)

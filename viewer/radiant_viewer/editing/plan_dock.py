@@ -181,7 +181,7 @@ class PlanDock(QDockWidget):
             ("Keep mine", True, "This window's edits count; those of the other window are kept in a file beside"),
             ("Take theirs", False, "Show the plan as the other window has it; this window's edits are kept in a file beside"),
         ):
-            row.addWidget(self._button(name, partial(self._actions.settle, take_over=take_over)))
+            row.addWidget(self._button(name, partial(self._actions.resolve_conflict, take_over=take_over)))
             self.buttons[name].setToolTip(tip)
         layout.addWidget(self.conflict_text)
         layout.addLayout(row)

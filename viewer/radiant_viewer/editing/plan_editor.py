@@ -15,11 +15,11 @@ from pathlib import Path
 from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
-from radiant_viewer.editing.edit_log import KeptEdits, plan_key
-from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject, first_state, with_strips
-from radiant_viewer.editing.kept_file import KeptFile
+from radiant_viewer.editing.edit_file import EditFile
+from radiant_viewer.editing.edit_log import EditHistory, plan_key
+from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject, add_strips, initial_plan
 from radiant_viewer.editing.plan_difference import PlanDifference, plan_difference
-from radiant_viewer.editing.plan_edits import Edit, applied
+from radiant_viewer.editing.plan_edits import Edit, apply_edit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,19 +31,19 @@ class _Step:
 class PlanEditor:
     """One plan and its history.
 
-    `keep_in`: the file in which edits are kept; None: nowhere. Raises BadInput when plan, cameras and system do not belong together.
+    `edits_path`: the file in which edits are kept; None: nowhere. Raises BadInput when plan, cameras and system do not belong together.
     """
 
     def __init__(
-        self, subject: PlanSubject, system: System, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], keep_in: Path | None = None
+        self, subject: PlanSubject, system: System, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], edits_path: Path | None = None
     ) -> None:
         self.subject = subject
-        self.base = first_state(subject, system, *plan)
-        self._file = None if keep_in is None else KeptFile(keep_in, plan_key(*plan))
+        self.base = initial_plan(subject, system, *plan)
+        self._file = None if edits_path is None else EditFile(edits_path, plan_key(*plan))
         self._done: list[_Step] = []
         self._undone: list[_Step] = []
         self._pending: tuple[Edit, ...] = ()
-        self.keeping_failed = ""
+        self.save_error = ""
         """Why edits cannot be kept, one sentence, empty where they are."""
 
     @property
@@ -51,7 +51,7 @@ class PlanEditor:
         """One sentence where another window changed the edits of this plan, empty where this one has them for itself."""
         if self._file is None or self._file.aside is None:
             return ""
-        return " ".join(["Another window changed the edits of this plan.", *self._told_aside()])
+        return " ".join(["Another window changed the edits of this plan.", *self._aside_sentences()])
 
     @property
     def state(self) -> EditedPlan:
@@ -74,25 +74,25 @@ class PlanEditor:
         return self._undone[-1].edit.text if self._undone else ""
 
     @property
-    def since_start(self) -> PlanDifference:
+    def changes_since_start(self) -> PlanDifference:
         """How the plan differs from the one that was opened."""
         return plan_difference((self.base.cloud, self.base.edges), (self.state.cloud, self.state.edges))
 
     @property
-    def since_last_edit(self) -> PlanDifference:
+    def changes_since_last_edit(self) -> PlanDifference:
         """How the plan differs from the one before the last edit."""
         before = self._done[-2].after if len(self._done) > 1 else self.base
         return plan_difference((before.cloud, before.edges), (self.state.cloud, self.state.edges))
 
     def preview(self, edit: Edit) -> EditedPlan:
         """The regions that an edit would give, without strips; changes nothing. BadInput as `apply`."""
-        return applied(self.subject, self.state, edit, strips=False)
+        return apply_edit(self.subject, self.state, edit, strips=False)
 
     def apply(self, edit: Edit) -> EditedPlan:
         """Do an edit; BadInput with one sentence, and nothing changed, where it cannot be done."""
         self.begin(edit)
         try:
-            after = applied(self.subject, self.state, edit)
+            after = apply_edit(self.subject, self.state, edit)
         except BaseException:
             self.abandon()
             raise
@@ -137,11 +137,11 @@ class PlanEditor:
         kept, sentence = self._file.load()
         told = [sentence] if sentence else []
         for edit in kept.done:
-            told += self._replayed(edit, self._done)
+            told += self._replay(edit, self._done)
         undone: list[_Step] = []
         # The next to redo comes last in the file and follows on the plan first; one that fails takes those after it along.
         for edit in reversed(kept.undone):
-            failed = self._replayed(edit, undone)
+            failed = self._replay(edit, undone)
             if failed:
                 told += failed
                 break
@@ -149,10 +149,10 @@ class PlanEditor:
         self._reached()
         return tuple(told)
 
-    def _replayed(self, edit: Edit, steps: list[_Step]) -> list[str]:
+    def _replay(self, edit: Edit, steps: list[_Step]) -> list[str]:
         """Append the step of a kept edit; a sentence where it cannot be done. Regions alone: strips are made of what is shown."""
         try:
-            after = applied(self.subject, steps[-1].after if steps else self.state, edit, strips=False)
+            after = apply_edit(self.subject, steps[-1].after if steps else self.state, edit, strips=False)
         except BadInput as error:
             return [f"A kept edit is left out, {edit.text}: {error}"]
         steps.append(_Step(edit=edit, after=after))
@@ -161,14 +161,14 @@ class PlanEditor:
     def _reached(self) -> EditedPlan:
         if self._done:
             last = self._done[-1]
-            self._done[-1] = _Step(edit=last.edit, after=with_strips(self.subject, last.after))
+            self._done[-1] = _Step(edit=last.edit, after=add_strips(self.subject, last.after))
         self._keep()
         return self.state
 
     def find_conflict(self) -> str:
         """Look whether another window wrote the file of the edits; `conflict` afterwards."""
         if self._file is not None:
-            self._file.find_other()
+            self._file.has_foreign_edits()
         return self.conflict
 
     def take_over(self) -> tuple[str, ...]:
@@ -176,27 +176,27 @@ class PlanEditor:
         they cannot be kept."""
         return () if self._file is None else (self._file.take_over(self._kept()),)
 
-    def take_theirs(self) -> tuple[str, ...]:
+    def adopt_other(self) -> tuple[str, ...]:
         """The other window's edits count: do what the file keeps, as `restore`; this window's stay beside it where it made any."""
-        told = self._told_aside()
+        told = self._aside_sentences()
         self._done, self._undone = [], []
         return (*told, *self.restore())
 
-    def _told_aside(self) -> list[str]:
+    def _aside_sentences(self) -> list[str]:
         """Where this window's own edits are since another one has the file."""
         aside = None if self._file is None else self._file.aside
         return [f"This window's are kept in {aside.name}."] if aside is not None and aside.exists() else []
 
-    def _kept(self) -> KeptEdits:
+    def _kept(self) -> EditHistory:
         # With an edit on the way, what was undone before is out of reach.
         undone = () if self._pending else tuple(step.edit for step in self._undone)
-        return KeptEdits(done=(*self.edits, *self._pending), undone=undone)
+        return EditHistory(done=(*self.edits, *self._pending), undone=undone)
 
     def _keep(self) -> None:
         if self._file is None:
             return
-        self.keeping_failed = ""
+        self.save_error = ""
         try:
             self._file.save(self._kept())
         except (BadInput, OSError) as error:
-            self.keeping_failed = f"Edits are not kept: {error}"
+            self.save_error = f"Edits are not kept: {error}"

@@ -25,11 +25,11 @@ from radiant_viewer.editing.edited_plan import (
     EditedPlan,
     PlanSubject,
     PlanWishes,
-    first_state,
-    planned_regions,
-    with_closed_edge,
-    with_strips,
-    without_edge,
+    add_empty_edge,
+    add_strips,
+    initial_plan,
+    remove_edge,
+    solve_regions,
 )
 
 
@@ -145,7 +145,9 @@ class MoveEdge:
         """See the module."""
         _require_edge(before.wishes.system, self.edge)
         position = (float(self.position[0]), float(self.position[1]))
-        return _with_edges(before.wishes, lambda edge: replace(edge, position=position, lat_lon_deg=None) if edge.id == self.edge else edge)
+        return _replace_edges(
+            before.wishes, lambda edge: replace(edge, position=position, lat_lon_deg=None) if edge.id == self.edge else edge
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +172,7 @@ class AddEdge:
         devices = tuple(replace(device, id=f"{self.edge}-{number}") for number, device in enumerate(like.devices, 1))
         position = (float(self.position[0]), float(self.position[1]))
         new = replace(like, id=self.edge, position=position, lat_lon_deg=None, devices=devices)
-        reference = with_closed_edge(before.wishes.reference, subject, self.edge, np.array(position))
+        reference = add_empty_edge(before.wishes.reference, subject, self.edge, np.array(position))
         return replace(before.wishes, system=replace(system, edges=(*system.edges, new)), reference=reference)
 
 
@@ -196,7 +198,7 @@ class RemoveEdge:
             before.wishes,
             system=replace(system, edges=tuple(edge for edge in system.edges if edge.id != self.edge)),
             constraints=constraints,
-            reference=without_edge(before.wishes.reference, subject, self.edge, constraints.locked),
+            reference=remove_edge(before.wishes.reference, subject, self.edge, constraints.locked),
         )
 
 
@@ -222,7 +224,7 @@ class AddDevice:
         if not like:
             raise BadInput(f"there is no device {self.like!r} to take the new one after: there are {_some(d.id for d in system.devices)}.")
         new = replace(like[0], id=self.device)
-        return _with_edges(before.wishes, lambda edge: replace(edge, devices=(*edge.devices, new)) if edge.id == self.edge else edge)
+        return _replace_edges(before.wishes, lambda edge: replace(edge, devices=(*edge.devices, new)) if edge.id == self.edge else edge)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -247,7 +249,7 @@ class RemoveDevice:
         def left(edge: Edge) -> Edge:
             return replace(edge, devices=tuple(device for device in edge.devices if device.id != self.device))
 
-        return _with_edges(before.wishes, left)
+        return _replace_edges(before.wishes, left)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,12 +305,12 @@ Edit = Solved | AdoptPlan
 EDITS: tuple[type[Any], ...] = (*SOLVED, AdoptPlan)
 
 
-def applied(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: bool = True) -> EditedPlan:
+def apply_edit(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: bool = True) -> EditedPlan:
     """The plan after an edit, without strips while a drag goes on; BadInput with one sentence where it cannot be."""
     if isinstance(edit, AdoptPlan):
-        return first_state(subject, before.wishes.system, edit.cloud, edit.edges)
-    after = planned_regions(subject, edit.wishes(before, subject), before.cloud)
-    return with_strips(subject, after) if strips else after
+        return initial_plan(subject, before.wishes.system, edit.cloud, edit.edges)
+    after = solve_regions(subject, edit.wishes(before, subject), before.cloud)
+    return add_strips(subject, after) if strips else after
 
 
 def _require_edge(system: System, name: str) -> Edge:
@@ -318,7 +320,7 @@ def _require_edge(system: System, name: str) -> Edge:
     return found[0]
 
 
-def _with_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanWishes:
+def _replace_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanWishes:
     return replace(wishes, system=replace(wishes.system, edges=tuple(changed(edge) for edge in wishes.system.edges)))
 
 

@@ -41,7 +41,7 @@ class PlanSetting:
     """None: not known, and the plan cannot be changed."""
     reason: str
     """Why the system is not known and what to do, one sentence."""
-    keep_in: Path | None
+    edits_path: Path | None
     waypoints: Waypoints | None
     """What the plan was made from, where its file says it."""
     ground_m: float | None
@@ -70,17 +70,17 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
     """Write a plan and what goes with it; returns the files. BadInput for a name that does not end in .json, and as `write_atomic`."""
     if path.suffix != ".json":
         raise BadInput(f"{path.name} is no name for a plan: choose one that ends in .json.")
-    waypoints, shift = _on_the_globe(subject, setting.waypoints)
-    cloud, edges = moved_plan((plan.cloud, plan.edges), -shift)
+    waypoints, shift = _geo_waypoints(subject, setting.waypoints)
+    cloud, edges = shift_plan((plan.cloud, plan.edges), -shift)
     system, constraints = plan.wishes.system, plan.wishes.constraints
     system_path, constraints_path, start_path, lists, regions = (
         path.with_name(f"{path.stem}{ending}")
         for ending in ("_system.toml", "_constraints.toml", "_start.json", "_waypoints", "_regions.geojson")
     )
     written = [system_path]
-    write_atomic(system_path, setting.system_text(_moved_system(system, -shift)).encode())
+    write_atomic(system_path, setting.system_text(_shift_system(system, -shift)).encode())
     if constraints:
-        save_plan(start_path, moved_plan((plan.wishes.reference, ()), -shift)[0], ())
+        save_plan(start_path, shift_plan((plan.wishes.reference, ()), -shift)[0], ())
         write_atomic(constraints_path, setting.constraints_text(constraints, subject.names, start_path.name).encode())
         written += [start_path, constraints_path]
     if waypoints is not None:
@@ -98,10 +98,10 @@ def save_plan_geojson(
     """Regions, strips and cameras of a plan as GeoJSON for maps; BadInput where they are not on the globe, and as `write_features`."""
     if path.suffix.lower() not in (".geojson", ".json"):
         raise BadInput(f"{path.name} is no name for regions: choose one that ends in .geojson.")
-    waypoints, shift = _on_the_globe(subject, None if setting is None else setting.waypoints)
+    waypoints, shift = _geo_waypoints(subject, None if setting is None else setting.waypoints)
     if waypoints is None:
         raise BadInput("this scene is not on the globe, its photographs hold no GPS: a map cannot show its regions.")
-    cloud, edges = moved_plan(plan, -shift)
+    cloud, edges = shift_plan(plan, -shift)
     save_regions_geojson(path, cloud, edges, waypoints)
 
 
@@ -127,15 +127,15 @@ def load_other_plan(path: Path, subject: PlanSubject) -> AdoptPlan:
         if set(waypoints.names) != set(subject.names):
             strange = sorted(set(waypoints.names) - set(subject.names))[0]
             raise BadInput(f"{path.name} is a plan of other cameras, {strange!r} for one: open it by itself.")
-        cloud, edges = _reordered((cloud, edges), waypoints.names, subject.names)
+        cloud, edges = _reorder((cloud, edges), waypoints.names, subject.names)
         if subject.origin is not None:
             shift = enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]
             # The same origin gives roundings, which would change the plan's bits.
-            cloud, edges = moved_plan((cloud, edges), shift if np.hypot(*shift) > SAME_PLACE_M else np.zeros(2))
+            cloud, edges = shift_plan((cloud, edges), shift if np.hypot(*shift) > SAME_PLACE_M else np.zeros(2))
     return AdoptPlan(name=path.name, cloud=cloud, edges=edges)
 
 
-def moved_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def shift_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """The same plan in coordinates that are larger by shift (2,)."""
     if not shift.any():
         return plan
@@ -144,7 +144,7 @@ def moved_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) 
     return moved, tuple(replace(edge, strips=tuple(strip + shift if len(strip) else strip for strip in edge.strips)) for edge in edges)
 
 
-def _on_the_globe(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
+def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
     """Waypoints of the cameras where they are on the globe, and their origin (2,) in the subject's frame: a plan file is about that."""
     if known is not None:
         return known, np.zeros(2)
@@ -165,7 +165,7 @@ def _altitude_m(place: FloatArray, height: float, origin: FloatArray) -> float:
     return float(geodetic_from_enu(np.array([[*place, height]]), origin)[0, 2])
 
 
-def _moved_system(system: System, shift: FloatArray) -> System:
+def _shift_system(system: System, shift: FloatArray) -> System:
     if not shift.any():
         return system
     edges = [
@@ -177,7 +177,7 @@ def _moved_system(system: System, shift: FloatArray) -> System:
     return replace(system, edges=tuple(edges))
 
 
-def _reordered(
+def _reorder(
     plan: tuple[CloudPlan, tuple[EdgePlan, ...]], names: Sequence[str], wanted: Sequence[str]
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """A plan of cameras `names` as one of the same cameras in the order `wanted`."""

@@ -50,7 +50,7 @@ def edited_roles(run: RunView, plan: EditedPlan) -> CameraRoles:
     return camera_roles(run.scene.cameras, plan.cloud, plan.edges, run.held_out)
 
 
-def with_planning_layers(run: RunView, layers: list[Layer]) -> list[Layer]:
+def add_planning_layers(run: RunView, layers: list[Layer]) -> list[Layer]:
     """The layers of a run with those of planning where they belong from the ground up: what images see, changes, constraints, loads."""
     ground = ground_height(run.scene)
     positions = run.scene.cameras.centers

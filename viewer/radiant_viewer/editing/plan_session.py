@@ -14,7 +14,7 @@ from PySide6.QtCore import QObject, Signal
 from radiant_core.errors import BadInput
 from radiant_viewer.editing.edited_plan import EditedPlan
 from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import Edit, applied
+from radiant_viewer.editing.plan_edits import Edit, apply_edit
 
 
 class PlanSession(QObject):
@@ -25,7 +25,7 @@ class PlanSession(QObject):
     previewed = Signal(object)
     failed = Signal(str)
     busy = Signal(bool)
-    settled = Signal(str)
+    conflict_resolved = Signal(str)
     _solved = Signal(object)
 
     def __init__(self, editor: PlanEditor, parent: QObject | None = None) -> None:
@@ -68,12 +68,12 @@ class PlanSession(QObject):
         """As `undo`, forward."""
         self._step(self.editor.redo)
 
-    def settle(self, *, take_over: bool) -> None:
-        """Where two windows changed the edits: this window's count, or those of the other one; told by `settled`."""
+    def resolve_conflict(self, *, take_over: bool) -> None:
+        """Where two windows changed the edits: this window's count, or those of the other one; told by `conflict_resolved`."""
         told: list[str] = []
-        self._step(lambda: told.extend(self.editor.take_over() if take_over else self.editor.take_theirs()))
+        self._step(lambda: told.extend(self.editor.take_over() if take_over else self.editor.adopt_other()))
         if told:
-            self.settled.emit(" ".join(told))
+            self.conflict_resolved.emit(" ".join(told))
 
     def drop_preview(self) -> None:
         """A drag was given up: the plan is shown as it is."""
@@ -103,7 +103,7 @@ class PlanSession(QObject):
         self.busy.emit(True)
         self.editor.begin(edit, *self._waiting)
         subject, state = self.editor.subject, self.editor.state
-        self._pool.submit(applied, subject, state, edit).add_done_callback(lambda future: self._hand_over("edit", future))
+        self._pool.submit(apply_edit, subject, state, edit).add_done_callback(lambda future: self._hand_over("edit", future))
 
     def _preview_next(self) -> None:
         edit = self._next_preview
@@ -111,7 +111,7 @@ class PlanSession(QObject):
             return
         self._next_preview, self._is_previewing = None, True
         subject, state = self.editor.subject, self.editor.state
-        future = self._pool.submit(applied, subject, state, edit, strips=False)
+        future = self._pool.submit(apply_edit, subject, state, edit, strips=False)
         future.add_done_callback(lambda future: self._hand_over("preview", future))
 
     def _hand_over(self, kind: str, future: Future[EditedPlan]) -> None:

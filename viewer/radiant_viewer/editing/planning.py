@@ -56,7 +56,7 @@ class Planning:
         session.previewed.connect(self._show_preview)
         session.failed.connect(self._show_failure)
         session.busy.connect(self.dock.working.setVisible)
-        session.settled.connect(self._show_settled)
+        session.conflict_resolved.connect(self._show_settled)
         self._watch = QTimer(actions)
         self._watch.timeout.connect(self._look_for_conflict)
         self._watch.start(WATCH_MS)
@@ -112,10 +112,10 @@ class Planning:
         self.actions.follow_session()
         run = self.actions.run
         self._host.remove_mark(COMPARED)
-        changes = editor.since_last_edit.text if editor.edits else "As it was opened."
+        changes = editor.changes_since_last_edit.text if editor.edits else "As it was opened."
         if len(editor.edits) > 1:
-            changes += f" Since the opening: {editor.since_start.text}"
-        for sentence in (*restored, editor.keeping_failed):
+            changes += f" Since the opening: {editor.changes_since_start.text}"
+        for sentence in (*restored, editor.save_error):
             changes += f" {sentence}" if sentence else ""
         if editor.edits or restored or self._was_drawn:
             self._draw(edited_layers(run, editor.subject, state, editor.base))
@@ -123,7 +123,8 @@ class Planning:
         self._was_drawn = True
         self.dock.show_plan(state, changes)
         self.loads.show_rows(load_rows(state.cloud, state.edges, state.wishes.system, state.wishes.constraints))
-        self._host.show_status(f"{editor.undo_text}: {editor.since_last_edit.text}" if editor.edits else "The plan is as it was opened.")
+        last = editor.changes_since_last_edit.text
+        self._host.show_status(f"{editor.undo_text}: {last}" if editor.edits else "The plan is as it was opened.")
         self._show_conflict()
 
     def _look_for_conflict(self) -> None:
@@ -151,7 +152,7 @@ class Planning:
         editor = self.session.editor
         if not self.tools.is_dragging:
             return
-        self._host.map.detail.stir()
+        self._host.map.detail.coarsen()
         self._draw(edited_layers(self.actions.run, editor.subject, plan, editor.base), map_only=True)
         difference = plan_difference((editor.state.cloud, ()), (plan.cloud, ()))
         self.dock.show_figures(plan.cloud, difference.text)

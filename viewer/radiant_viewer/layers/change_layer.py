@@ -44,7 +44,7 @@ def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: 
         (tuple(constraints.fixed_weights_m2), VERMILLION, "Region with a dragged border"),
     ):
         rims = [cloud_plan.borders[cloud_plan.edge_ids.index(name)] for name in ids if name in cloud_plan.edge_ids]
-        sides = outline_segments([at_height(_shrunk(rim), height) for rim in rims if len(rim) >= 3])
+        sides = outline_segments([at_height(_shrink(rim), height) for rim in rims if len(rim) >= 3])
         segments.append(sides)
         colors.append(np.tile(np.array(color, np.uint8), (len(sides), 1)))
         legend += [LegendEntry(text=f"{text}: {', '.join(ids)}", color=color, marker="line")] if ids else []
@@ -76,7 +76,7 @@ def selection_layer(positions: FloatArray) -> Layer:
     )
 
 
-def _shrunk(border: FloatArray) -> FloatArray:
+def _shrink(border: FloatArray) -> FloatArray:
     """A convex border (V,2) shrunk about its middle, so that two neighbours' rims do not cover each other."""
     middle = border.mean(axis=0)
     return middle + 0.98 * (border - middle)

@@ -45,7 +45,7 @@ def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
     order = np.argsort(codes, kind="stable")
     levels = _first_levels(codes[order])
     last = int(np.searchsorted(np.cumsum(np.bincount(levels)), limit, side="right"))
-    cells = _any_of_each(np.flatnonzero(levels < last), len(order))
+    cells = _pick_per_cell(np.flatnonzero(levels < last), len(order))
     free = levels == last
     free[cells] = False
     below = np.flatnonzero(free)
@@ -54,7 +54,7 @@ def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
     return np.sort(order[np.concatenate([cells, rest])]) * step
 
 
-def _any_of_each(starts: NDArray[np.int64], stop: int) -> NDArray[np.int64]:
+def _pick_per_cell(starts: NDArray[np.int64], stop: int) -> NDArray[np.int64]:
     """One place of each cell that begins at `starts`: always the first would lie in one corner of all cells and draw a grid."""
     sizes = np.diff(np.append(starts, stop))
     shares = (np.arange(len(starts)) * 0.6180339887498949) % 1.0
@@ -108,13 +108,13 @@ def visible_subset(points: NDArray[np.float32], clip_from_world: FloatArray, siz
         xy = (scaled[:, :2] + 1) * (cells_wh / 2)
         inside = np.flatnonzero(((xy >= 0) & (xy < cells_wh)).all(axis=1))
         cells = xy[inside].astype(np.int64)
-        keys = _ordered_bits(scaled[inside, 2]) << np.uint64(32) | (before[inside] + start).astype(np.uint64)
+        keys = _sortable_bits(scaled[inside, 2]) << np.uint64(32) | (before[inside] + start).astype(np.uint64)
         np.minimum.at(nearest, cells[:, 1] * columns + cells[:, 0], keys)
     taken = nearest[nearest != np.iinfo(np.uint64).max]
     return np.sort((taken & np.uint64(0xFFFFFFFF)).astype(np.int64))
 
 
-def _ordered_bits(depths: NDArray[np.float32]) -> NDArray[np.uint64]:
+def _sortable_bits(depths: NDArray[np.float32]) -> NDArray[np.uint64]:
     """Integers of 32 bits in the order of the floats: sign and magnitude turned into one line."""
     bits = np.ascontiguousarray(depths).view(np.uint32)
     return np.where(bits >> 31, ~bits, bits | np.uint32(0x80000000)).astype(np.uint64)

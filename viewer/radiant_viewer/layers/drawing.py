@@ -63,12 +63,12 @@ def add_layer(
 
 
 def update_layer(actors: Sequence[pv.Actor], layer: Layer, origin: FloatArray, flat_height: float | None = None) -> None:
-    """Let the actors that `add_layer` made of a layer draw another one that `is_alike`: a third of the time of new ones."""
+    """Let the actors that `add_layer` made of a layer draw another one that `has_same_structure`: a third of the time of new ones."""
     for actor, (_, mesh) in zip(actors, _parts(layer, origin, flat_height), strict=True):
         actor.mapper.SetInputData(mesh)
 
 
-def is_alike(layer: Layer, other: Layer) -> bool:
+def has_same_structure(layer: Layer, other: Layer) -> bool:
     """Whether two layers differ in places, colours and labels alone, and neither is a large cloud."""
     styles = [
         (

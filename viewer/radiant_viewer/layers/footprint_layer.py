@@ -36,7 +36,7 @@ def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: Clou
     box = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     kept = np.zeros(len(sides), bool)
     if len(box):
-        sides, kept = _clipped(sides, box.min(axis=0), box.max(axis=0))
+        sides, kept = _clip_segments(sides, box.min(axis=0), box.max(axis=0))
     text = f"Footprint of an image ({len(seeing)})" if every == 1 else f"Footprint, one of {every} of {len(seeing)}"
     blind = len(footprints) - len(seeing)
     more = (LegendEntry(text=f"Without sight of the ground: {blind}", color=WHITE, marker="line"),) if blind else ()
@@ -87,7 +87,7 @@ def overlap_counts(footprints: Footprints, low: FloatArray, size: float, shape_x
     return counts
 
 
-def _clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _clip_segments(segments: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Segments (S,2,2) cut to a box, and which of them (S,) have a part in it (Liang, Barsky 1984)."""
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):

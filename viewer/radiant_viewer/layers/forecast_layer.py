@@ -11,7 +11,7 @@ from radiant_core.plan.border_forecast import BorderForecast
 from radiant_core.plan.buffers import EdgeBuffer
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.layers.layer import Label, Layer, LegendEntry, at_height
-from radiant_viewer.layers.palette import BLACK, VERMILLION, WHITE, YELLOW, category_colors, rgb, tinted
+from radiant_viewer.layers.palette import BLACK, VERMILLION, WHITE, YELLOW, category_colors, rgb, tint
 
 RISK_COLORS = {"low": WHITE, "medium": YELLOW, "high": VERMILLION}
 """Colours of borders; a dark line lies under them, so that the light ones show."""
@@ -29,7 +29,7 @@ def forecast_layers(forecasts: Sequence[BorderForecast], height: float = 0.0) ->
     dark = Layer(
         name="Forecast rims",
         segments=ends,
-        segment_colors=np.tile(tinted(BLACK, WHITE, 0.15), (len(ends), 1)),
+        segment_colors=np.tile(tint(BLACK, WHITE, 0.15), (len(ends), 1)),
         line_width_px=8,
         in_front=True,
     )

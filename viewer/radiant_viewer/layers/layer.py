@@ -110,7 +110,7 @@ class Layer:
         object.__setattr__(self, name, checked_array(f"{name} of layer {self.name!r}", getattr(self, name), (count, 3), np.uint8))
 
 
-def drawn_positions(layers: Sequence[Layer]) -> FloatArray:
+def framing_positions(layers: Sequence[Layer]) -> FloatArray:
     """All that decides how far a picture reaches (K,3): ends, corners and markers, and the points of clouds near those.
 
     Clouds (of 100 points or more) hold strays, far ground and a sky; without anything else they count as far as Tukey's outer fence.

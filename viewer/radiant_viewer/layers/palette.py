@@ -51,7 +51,7 @@ def unit_rgb(color: Sequence[int]) -> tuple[float, float, float]:
     return color[0] / 255, color[1] / 255, color[2] / 255
 
 
-def tinted(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
+def tint(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
     """Colours (…,3) uint8 mixed with `share` (0 to 1) of `toward` (3,)."""
     mixed = (1 - share) * np.asarray(color, np.float64) + share * np.asarray(toward, np.float64)
     return np.rint(mixed).astype(np.uint8)
@@ -60,7 +60,7 @@ def tinted(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
 def category_colors(count: int) -> ColorArray:
     """Colours (count,3) for regions: seven hues, then lighter, then darker ones; they repeat from the 22nd on."""
     hues = np.array(CATEGORIES, np.uint8)
-    shades = np.concatenate([hues, tinted(hues, WHITE, 0.45), tinted(hues, BLACK, 0.4)])
+    shades = np.concatenate([hues, tint(hues, WHITE, 0.45), tint(hues, BLACK, 0.4)])
     return shades[np.arange(count) % len(shades)]
 
 
@@ -69,7 +69,7 @@ def shade_colors(color: ArrayLike, count: int) -> ColorArray:
     if count == 1:
         return np.asarray(color, np.uint8)[None]
     steps = np.linspace(-0.3, 0.5, count)
-    return np.stack([tinted(color, WHITE if step > 0 else BLACK, abs(step)) for step in steps])
+    return np.stack([tint(color, WHITE if step > 0 else BLACK, abs(step)) for step in steps])
 
 
 def heat_table(start: float = 0.0) -> ColorArray:
@@ -80,7 +80,7 @@ def heat_table(start: float = 0.0) -> ColorArray:
     return np.rint(255 * colormaps["viridis"](np.linspace(start, 1, 256))[:, :3]).astype(np.uint8)
 
 
-def with_heat_start(colors: ColorArray, start: float) -> ColorArray:
+def trim_heat_colors(colors: ColorArray, start: float) -> ColorArray:
     """Colours (N,3) of the whole scale as those of one that begins at `start`; others stay."""
     packed, whole = (table.astype(np.int64) @ (1 << 16, 1 << 8, 1) for table in (colors, heat_table()))
     order = np.argsort(whole)

@@ -104,7 +104,7 @@ class PointDetail:
         self._draw(cloud, np.zeros(0, np.int64), shown=None)
         self._clouds.append(cloud)
 
-    def stir(self) -> None:
+    def coarsen(self) -> None:
         """Draw the next frame, and those soon after it, with few points, as in a drag under a view that stands still."""
         self._seen = None
 

@@ -12,7 +12,7 @@ import numpy as np
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_viewer.layers.layer import Label, Layer, LegendEntry, at_height, outline_segments
-from radiant_viewer.layers.palette import INK, WHITE, category_colors, rgb, shade_colors, tinted
+from radiant_viewer.layers.palette import INK, WHITE, category_colors, rgb, shade_colors, tint
 
 FILL_TINT = 0.62
 """Share of white in a region's fill, so that points and cameras over it stay readable."""
@@ -37,7 +37,7 @@ def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
         name="Regions",
         pale_fills=True,
         polygons=polygons,
-        polygon_colors=tinted(colors, WHITE, FILL_TINT)[shown],
+        polygon_colors=tint(colors, WHITE, FILL_TINT)[shown],
         segments=sides,
         segment_colors=np.tile(np.array(INK, np.uint8), (len(sides), 1)),
         line_width_px=2.2,
@@ -55,7 +55,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
             legend.append(LegendEntry(text=_device_text(plan, index), color=rgb(shades[index]), marker="area"))
             if len(strip) >= 3:
                 polygons.append(at_height(strip, height))
-                fills.append(tinted(shades[index], WHITE, FILL_TINT))
+                fills.append(tint(shades[index], WHITE, FILL_TINT))
                 labels.append(Label(text=device_id, position=polygons[-1].mean(axis=0)))
     sides = outline_segments(polygons)
     return Layer(
@@ -64,7 +64,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
         polygons=tuple(polygons),
         polygon_colors=np.array(fills, np.uint8).reshape(-1, 3),
         segments=sides,
-        segment_colors=np.tile(tinted(INK, WHITE, 0.35), (len(sides), 1)),
+        segment_colors=np.tile(tint(INK, WHITE, 0.35), (len(sides), 1)),
         line_width_px=1.0,
         labels=tuple(labels),
         legend=tuple(legend),
@@ -86,7 +86,7 @@ def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     """Where each edge stands, with its id, number of cameras and predicted time; sites far outside the map are only counted."""
-    near = near_map(cloud_plan)
+    near = is_near_map(cloud_plan)
     sites = at_height(cloud_plan.sites, height)
     labels = [Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near).tolist()]
     text = "Edge" if near.all() else f"Edge ({int((~near).sum())} outside the map)"
@@ -103,7 +103,7 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     )
 
 
-def near_map(cloud_plan: CloudPlan) -> np.ndarray:
+def is_near_map(cloud_plan: CloudPlan) -> np.ndarray:
     """Whether each site (E,) lies within half a diagonal of the regions: one 10 km off would shrink the map to a dot."""
     corners: FloatArray = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if not len(corners):

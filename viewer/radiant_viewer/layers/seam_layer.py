@@ -81,7 +81,7 @@ def color_steps(
     if not (np.isfinite(width) and width > 0):
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
     counts = np.ones(len(pieces.ends)) if shares is None else checked_array("shares", shares, (len(pieces.ends),))
-    weights = _shown_weights(splats, width)
+    weights = _visible_weights(splats, width)
     weighted = np.column_stack([weights[:, None] * splat_colors(splats), weights, np.ones(len(splats))])
     tree = KDTree(splats.means[:, :2].astype(np.float64))
     middles, normals = pieces.ends.mean(axis=1), piece_normals(pieces)
@@ -120,7 +120,7 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
     known = np.isfinite(raw)
     levels = checked_array("values of the seam", np.where(known, raw, 0.0), (len(pieces.ends),))
     low = min(0.0, float(levels.min(initial=0.0)))
-    high = _rounded_up(max(float(levels.max(initial=0.0)), least_high))
+    high = _round_up(max(float(levels.max(initial=0.0)), least_high))
     colors = np.where(known[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
     ends = np.concatenate([pieces.ends, np.full((len(pieces.ends), 2, 1), height)], axis=2)
     unknown = int((~known).sum())
@@ -136,7 +136,7 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
     )
 
 
-def _shown_weights(splats: Splats, width: float) -> FloatArray:
+def _visible_weights(splats: Splats, width: float) -> FloatArray:
     """Opacity times covered area (N,): the product of the two longer axes, at most a quarter of the band's square."""
     opacities = splats.opacities
     log_areas = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
@@ -144,7 +144,7 @@ def _shown_weights(splats: Splats, width: float) -> FloatArray:
     return opacities * np.exp(np.clip(log_areas - 2 * np.log(width), -50, np.log(0.25)))
 
 
-def _rounded_up(value: float) -> float:
+def _round_up(value: float) -> float:
     """A value to one digit, upwards, for the end of a colour bar: 36.8 gives 40; 1 where nothing is above zero."""
     if value <= 0:
         return 1.0

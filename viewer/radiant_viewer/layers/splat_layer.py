@@ -49,7 +49,7 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
     return Layer(
         name="Gaussians",
         points=points,
-        point_colors=_colors_of(sh0),
+        point_colors=_base_colors(sh0),
         point_size_px=_point_size_px(len(points)),
         legend=(
             LegendEntry(text=_count_text("Gaussians", len(points), len(splats)), color=GREY, marker="dot"),
@@ -60,10 +60,10 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
 
 def splat_colors(splats: Splats) -> NDArray[np.uint8]:
     """View-independent colours (N,3) uint8."""
-    return _colors_of(splats.sh0)
+    return _base_colors(splats.sh0)
 
 
-def _colors_of(sh0: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _base_colors(sh0: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Colours (N,3) of coefficients (N,1,3), in blocks that stay in the cache."""
     colors = np.empty((len(sh0), 3), np.uint8)
     for start in range(0, len(sh0), _BLOCK):

@@ -16,7 +16,7 @@ from radiant_viewer.pictures.view_pose import ViewPose
 MAX_FRAMES = 20_000
 
 
-def flight(keyframes: Sequence[ViewPose], seconds_per_leg: float, frames_per_s: float) -> list[ViewPose]:
+def flight_poses(keyframes: Sequence[ViewPose], seconds_per_leg: float, frames_per_s: float) -> list[ViewPose]:
     """The frames of a flight, the first and the last being keyframes; BadInput for fewer than two keyframes, or times out of range."""
     if len(keyframes) < 2:
         raise BadInput(f"a flight goes through two keyframes or more, {len(keyframes)} came: move the view and add another.")

@@ -31,7 +31,7 @@ def polygon_area(corners: FloatArray) -> float:
     return float(polygon.area)
 
 
-def nice_length(limit: float) -> float:
+def scale_bar_length(limit: float) -> float:
     """The largest of 1, 2, 5 times a power of ten that is at most `limit` > 0: 73 gives 50."""
     power = 10.0 ** np.floor(np.log10(limit))
     return float(max(step * power for step in (1, 2, 5) if step * power <= limit * (1 + 1e-9)))

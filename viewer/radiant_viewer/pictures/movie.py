@@ -51,7 +51,7 @@ class MovieWriter:
         os.close(handle)
         self._part = Path(part)
         self._gif: list[Image] = []
-        self._video = None if suffix == ".gif" else self._opened(CODECS[suffix])
+        self._video = None if suffix == ".gif" else self._open_video(CODECS[suffix])
 
     def __enter__(self) -> Self:
         return self
@@ -99,7 +99,7 @@ class MovieWriter:
         self._gif.clear()
         self._part.unlink(missing_ok=True)
 
-    def _opened(self, codec: str) -> cv2.VideoWriter:
+    def _open_video(self, codec: str) -> cv2.VideoWriter:
         with _quiet_stderr():
             video = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*codec), self.frames_per_s, self.size_wh)
         if not video.isOpened():

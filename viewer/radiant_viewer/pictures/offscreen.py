@@ -16,7 +16,7 @@ import pyvista as pv
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer
-from radiant_viewer.layers.layer import Layer, drawn_positions
+from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.point_detail import PointDetail
 from radiant_viewer.pictures.images import Drawing, Image
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
@@ -46,8 +46,8 @@ def render_view(
 def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
     """Layers seen from straight above, each over the one before it whatever its height."""
     _require_size(size_wh)
-    drawn = drawn_positions(layers)[:, :2]
-    extent = _fitted_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
+    drawn = framing_positions(layers)[:, :2]
+    extent = _fit_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
     origin = np.array([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2, 0.0])
     top = float(SLOTS_PER_LAYER * (len(layers) + 1))
     with _plotter(size_wh) as plotter:
@@ -59,7 +59,7 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
         camera.parallel_projection = True
         camera.parallel_scale = (extent[3] - extent[2]) / 2
         camera.clipping_range = (0.5, top + 1)
-        image = _shot(plotter)
+        image = _screenshot(plotter)
     label_px, mark_px = (_map_px(places, extent, size_wh) for places in (_label_places(layers), _marks(layers)))
     return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=extent)
 
@@ -67,15 +67,15 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
 def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: tuple[float, float] = (205, 42)) -> Drawing:
     """Layers in perspective, all of what is drawn inside the picture."""
     _require_size(size_wh)
-    drawn = drawn_positions(layers)
+    drawn = framing_positions(layers)
     origin = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
     with _plotter(size_wh) as plotter:
         detail = PointDetail(plotter)
         for layer in layers:
             add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, detail=detail)
         aim_camera(plotter, drawn - origin, direction_deg)
-        image = _shot(plotter)
-        label_px, mark_px = (_projected(plotter, places - origin) * size_wh for places in (_label_places(layers), _marks(layers)))
+        image = _screenshot(plotter)
+        label_px, mark_px = (_project(plotter, places - origin) * size_wh for places in (_label_places(layers), _marks(layers)))
     return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=None)
 
 
@@ -88,12 +88,12 @@ def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[
     camera = plotter.camera
     width, height = plotter.window_size
     tangent = np.tan(np.radians(camera.view_angle / 2)) * (1 - MARGIN)
-    distance, target = fitted_distance(positions, toward, ((across, tangent * width / height), (up, tangent)))
+    distance, target = fit_distance(positions, toward, ((across, tangent * width / height), (up, tangent)))
     camera.focal_point, camera.position, camera.up = tuple(target), tuple(target + distance * toward), (0.0, 0.0, 1.0)
     plotter.renderer.reset_camera_clipping_range()
 
 
-def fitted_distance(positions: FloatArray, toward: FloatArray, slopes: Sequence[tuple[FloatArray, float]]) -> tuple[float, FloatArray]:
+def fit_distance(positions: FloatArray, toward: FloatArray, slopes: Sequence[tuple[FloatArray, float]]) -> tuple[float, FloatArray]:
     """Return the least distance from which all positions (K,3) are in view, and the target (3,) to look at.
 
     `toward` (3,) points at the viewer; `slopes` holds per image axis (3,) the tangent k of half its angle. A position with coordinates
@@ -117,7 +117,7 @@ def _require_size(size_wh: tuple[int, int]) -> None:
 @contextmanager
 def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
     width, height = size_wh
-    with egl_window():
+    with egl_rendering():
         plotter = pv.Plotter(off_screen=True, window_size=[OVERSAMPLING * width, OVERSAMPLING * height])
     try:
         plotter.background_color = pv.Color("white")
@@ -127,7 +127,7 @@ def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
 
 
 @contextmanager
-def egl_window() -> Iterator[None]:
+def egl_rendering() -> Iterator[None]:
     """VTK reads this variable when it makes a window; without it, it first tries an X server and complains on stderr."""
     name = "VTK_DEFAULT_OPENGL_WINDOW"
     before = os.environ.get(name)
@@ -139,7 +139,7 @@ def egl_window() -> Iterator[None]:
             del os.environ[name]
 
 
-def _shot(plotter: pv.Plotter) -> Image:
+def _screenshot(plotter: pv.Plotter) -> Image:
     pixels = plotter.screenshot(return_img=True)
     assert pixels is not None
     height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
@@ -147,7 +147,7 @@ def _shot(plotter: pv.Plotter) -> Image:
     return ((blocks.sum(axis=(1, 3)) + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
 
 
-def _fitted_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
+def _fit_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
     """The smallest extent with the picture's proportions around a box, with a margin."""
     center, spans = (low + high) / 2, np.maximum(high - low, 1e-9)
     per_px = float((spans / (np.array(size_wh) * (1 - 2 * MARGIN))).max())
@@ -170,7 +170,7 @@ def _label_places(layers: Sequence[Layer]) -> FloatArray:
     return np.array([label.position for layer in layers for label in layer.labels], np.float64).reshape(-1, 3)
 
 
-def _projected(plotter: pv.Plotter, places: FloatArray) -> FloatArray:
+def _project(plotter: pv.Plotter, places: FloatArray) -> FloatArray:
     """Shares (L,2) of width and height from the top left where places (L,3) fall; NaN behind the camera."""
     width, height = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)

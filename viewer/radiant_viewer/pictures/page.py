@@ -22,7 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
 from radiant_viewer.layers.palette import INK, heat_table, unit_rgb
 from radiant_viewer.pictures.images import Drawing, Image
-from radiant_viewer.pictures.measure import nice_length
+from radiant_viewer.pictures.measure import scale_bar_length
 
 DPI = 100
 PANEL_PX, TITLE_PX, LEFT_PX, BOTTOM_PX, GAP_PX = 310, 62, 76, 58, 16
@@ -163,7 +163,7 @@ def _tick_text(ticks: np.ndarray) -> Callable[[float, int | None], str]:
 def _add_scale_bar(axes: Axes, extent: tuple[float, float, float, float], unit: str) -> Bbox:
     width, height = axes.get_xlim()[1], axes.get_ylim()[0]
     per_px = (extent[1] - extent[0]) / width
-    length = nice_length(0.22 * width * per_px)
+    length = scale_bar_length(0.22 * width * per_px)
     bar_px = length / per_px
     x, y = 16, height - 18
     box = Rectangle((x - 9, y - 25), bar_px + 18, 36, facecolor="white", edgecolor="none", alpha=0.85, zorder=4)
@@ -188,7 +188,7 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
         artist = axes.text(x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style)
         artist.set_bbox({"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
         size = artist.get_window_extent(canvas.get_renderer())
-        place = _free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, drawing.mark_px)
+        place = _find_free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, drawing.mark_px)
         if place is None:
             artist.remove()
             continue
@@ -196,7 +196,7 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
         taken.append(place)
 
 
-def _free_place(
+def _find_free_place(
     at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], taken: Sequence[Bbox], marks: NDArray[np.float64]
 ) -> Bbox | None:
     """The box near a point that covers the fewest markers among those that are free of labels; the nearest of equals."""

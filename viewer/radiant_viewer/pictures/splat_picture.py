@@ -19,7 +19,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.pictures.images import Drawing, Image
-from radiant_viewer.pictures.offscreen import draw_map, fitted_distance
+from radiant_viewer.pictures.offscreen import draw_map, fit_distance
 
 ALTITUDE = 100.0
 DIRECTION_DEG = (205, 42)
@@ -35,7 +35,7 @@ def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int,
     """The map of `layers` as `draw_map` draws it, with the model from straight above wherever nothing is drawn."""
     drawing = draw_map(layers, size_wh)
     assert drawing.extent is not None
-    ground = _from_above(splats, drawing.extent, size_wh)
+    ground = _render_from_above(splats, drawing.extent, size_wh)
     free = (drawing.image == 255).all(axis=2).astype(np.uint8)
     for x, y in drawing.mark_px:
         if -KEPT_WHITE_PX < x < size_wh[0] + KEPT_WHITE_PX and -KEPT_WHITE_PX < y < size_wh[1] + KEPT_WHITE_PX:
@@ -48,16 +48,16 @@ def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) ->
     if len(camera) != 1:
         raise BadInput(f"{len(camera)} cameras came, expected one: choose it with Cameras.named.")
     width, height = (int(side) for side in camera.sizes_wh[0])
-    image = _over_white(splats, camera)
+    image = _render_over_white(splats, camera)
     for layer in layers:
         _draw_segments(image, layer, camera)
     places = np.array([label.position for layer in layers for label in layer.labels], np.float64).reshape(-1, 3)
-    in_camera = _in_camera(places, camera)
+    in_camera = _to_camera_frame(places, camera)
     pixels = (in_camera @ camera.Ks[0].T)[:, :2] / np.where(in_camera[:, 2:] > 0, in_camera[:, 2:], np.nan)
     return Drawing(image=image.reshape(height, width, 3), label_px=pixels, mark_px=np.zeros((0, 2)), extent=None)
 
 
-def fitted_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
+def fit_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
     """Return a camera of 30° that looks down from the south-west and has all positions (K,3) just inside its picture."""
     azimuth, elevation = np.radians(DIRECTION_DEG)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
@@ -66,7 +66,7 @@ def fitted_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
     focal_px = max(size_wh) / 2 / np.tan(np.radians(15.0))
     middle = (positions.min(axis=0) + positions.max(axis=0)) / 2
     slopes = [(axis, 0.97 * side / 2 / focal_px) for axis, side in ((right, size_wh[0]), (up, size_wh[1]))]
-    distance, offset = fitted_distance(positions - middle, toward, slopes)
+    distance, offset = fit_distance(positions - middle, toward, slopes)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, -up, -toward])
     pose[:3, 3] = -pose[:3, :3] @ (middle + offset + distance * toward)
@@ -74,7 +74,7 @@ def fitted_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
     return Cameras(names=("view",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64))
 
 
-def _from_above(splats: Splats, extent: tuple[float, float, float, float], size_wh: tuple[int, int]) -> Image:
+def _render_from_above(splats: Splats, extent: tuple[float, float, float, float], size_wh: tuple[int, int]) -> Image:
     x_min, x_max, y_min, y_max = extent
     middle = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0])
     half = np.array([x_max - x_min, y_max - y_min]) / 2
@@ -88,10 +88,10 @@ def _from_above(splats: Splats, extent: tuple[float, float, float, float], size_
     pose[:3, 3] = pose[:3, :3] @ -np.array([*middle[:2], ground + altitude])
     focal_px = altitude * size_wh[0] / (x_max - x_min)
     K = np.array([[[focal_px, 0, size_wh[0] / 2], [0, focal_px, size_wh[1] / 2], [0, 0, 1]]])
-    return _over_white(low, Cameras(names=("above",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64)))
+    return _render_over_white(low, Cameras(names=("above",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64)))
 
 
-def _over_white(splats: Splats, camera: Cameras) -> Image:
+def _render_over_white(splats: Splats, camera: Cameras) -> Image:
     """The render (H,W,3), seen from near the origin whatever the world's."""
     center = np.round(camera.centers[0])
     pose = camera.cam_from_world.copy()
@@ -106,7 +106,7 @@ def _over_white(splats: Splats, camera: Cameras) -> Image:
 
 def _draw_segments(image: Image, layer: Layer, camera: Cameras) -> None:
     """Lines of one layer that lie in front of the camera, cut where they pass behind it."""
-    ends = _in_camera(layer.segments.reshape(-1, 3), camera).reshape(-1, 2, 3)
+    ends = _to_camera_frame(layer.segments.reshape(-1, 3), camera).reshape(-1, 2, 3)
     near = NEAR_SHARE * max(float(np.abs(ends[..., 2]).max(initial=0.0)), 1e-9)
     limit = 8 * max(image.shape)
     for pair, color in zip(ends, layer.segment_colors, strict=True):
@@ -122,6 +122,6 @@ def _draw_segments(image: Image, layer: Layer, camera: Cameras) -> None:
         cv2.line(image, fixed[0], fixed[1], shade, max(1, round(layer.line_width_px)), cv2.LINE_AA, _FINE)
 
 
-def _in_camera(positions: FloatArray, camera: Cameras) -> FloatArray:
+def _to_camera_frame(positions: FloatArray, camera: Cameras) -> FloatArray:
     pose = camera.cam_from_world[0]
     return positions @ pose[:3, :3].T + pose[:3, 3]

@@ -58,7 +58,7 @@ class ViewPose:
         return Cameras(names=("view",), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]]))
 
 
-def pose_of_camera(cameras: Cameras, index: int, distance: float) -> ViewPose:
+def camera_pose(cameras: Cameras, index: int, distance: float) -> ViewPose:
     """Where camera `index` stood, looking at a point `distance` ahead, all of its picture's height in view."""
     rotation = cameras.cam_from_world[index, :3, :3]
     position = cameras.centers[index]

@@ -60,7 +60,7 @@ class BorderFigures:
         return np.isfinite(self.levels)
 
     @property
-    def told(self) -> FloatArray:
+    def levels_above_texture(self) -> FloatArray:
         """The pieces' steps (K,), 0 where lines beside the border step as much: that is texture."""
         return np.where(self.levels < self.limits, 0.0, self.levels)
 
@@ -76,21 +76,21 @@ class BorderFigures:
         return bool(enough and np.isfinite(self.step_levels))
 
     @property
-    def told_levels(self) -> float:
+    def detectable_levels(self) -> float:
         """The least step that would be told: what is seen, and more than the parallels step."""
         return max(VISIBLE_LEVELS, self.limit_levels)
 
     @property
-    def steps(self) -> bool:
+    def has_step(self) -> bool:
         """Whether colours step visibly and more than beside the border."""
-        return self.has_verdict and self.step_levels >= self.told_levels
+        return self.has_verdict and self.step_levels >= self.detectable_levels
 
     @property
     def verdict(self) -> str:
         """What can be said of it, in some words."""
         if not self.has_verdict:
             return "none: too little observed"
-        return "step told from texture" if self.steps else f"no step of {self.told_levels:.0f} levels or more told"
+        return "step told from texture" if self.has_step else f"no step of {self.detectable_levels:.0f} levels or more told"
 
     @property
     def median_levels(self) -> float:

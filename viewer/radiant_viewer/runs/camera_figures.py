@@ -80,12 +80,12 @@ def camera_figures(
         "distance": f"To its edge ({unit})",
     }
     if footprints is not None:
-        columns |= {"area": footprints.areas_m2, "footprints": neighbours_of(footprints)}
+        columns |= {"area": footprints.areas_m2, "footprints": count_overlaps(footprints)}
         headings |= {"area": f"Footprint ({unit}²)", "footprints": "Images that see its middle"}
     return CameraFigures(columns=columns, headings=headings)
 
 
-def neighbours_of(footprints: Footprints) -> FloatArray:
+def count_overlaps(footprints: Footprints) -> FloatArray:
     """How many other footprints hold the middle of each footprint (P,), NaN where it sees no ground."""
     middles = footprints.polygons.mean(axis=1)
     sees = footprints.areas_m2 > 0
@@ -102,7 +102,7 @@ def neighbours_of(footprints: Footprints) -> FloatArray:
     return np.where(sees, np.maximum(counts, 0), np.nan)
 
 
-def sorted_rows(figures: CameraFigures, name: str, *, descending: bool = False) -> NDArray[np.int64]:
+def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) -> NDArray[np.int64]:
     """Rows (C,) in the order of a column, equal ones as they stand; cameras without the figure come last either way."""
     values = figures.column(name)
     if values.dtype.kind == "f":

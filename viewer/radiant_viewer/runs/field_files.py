@@ -15,7 +15,7 @@ from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.records import load_cameras, load_scene
 
 
-def local_files(folder: Path, devices: Iterable[str]) -> dict[str, str]:
+def local_file_names(folder: Path, devices: Iterable[str]) -> dict[str, str]:
     """Number → name of a file below `devices/<id>/photos` of the run in `folder`, for devices whose records are there."""
     files: dict[str, str] = {}
     for device in devices:

@@ -25,7 +25,7 @@ class PhotoAnswer:
 def find_photograph(run: RunView, index: int) -> PhotoAnswer:
     """The photograph of camera `index` of the scene, or of `RunView.photographs`."""
     if run.in_field:
-        return _of_the_field(run, index)
+        return _find_in_field(run, index)
     name, roles = run.scene.cameras.names[index], run.roles
     parts = PurePosixPath(name)
     if parts.is_absolute() or ".." in parts.parts:
@@ -48,7 +48,7 @@ def find_photograph(run: RunView, index: int) -> PhotoAnswer:
     )
 
 
-def _of_the_field(run: RunView, index: int) -> PhotoAnswer:
+def _find_in_field(run: RunView, index: int) -> PhotoAnswer:
     """Of a run whose photographs stayed with their devices: from the device's folder where that lies in the run's."""
     name, owner = run.photographs[index], run.owner(index)
     file = PurePosixPath(run.files.get(name, ""))

@@ -54,13 +54,13 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
 
 def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None) -> SfmScene:
     """The cameras that waypoints will become, without points, in metres about the waypoints' origin; z counts from the ground, at
-    `ground_m` of the waypoints' altitudes, and where nobody gave it at `likely_ground_m`."""
+    `ground_m` of the waypoints' altitudes, and where nobody gave it at `estimate_ground_m`."""
     optics = Optics()
     positions = waypoints.positions_m.copy()
-    positions[:, 2] += waypoints.origin[2] - (likely_ground_m(waypoints, optics) if ground_m is None else ground_m)
+    positions[:, 2] += waypoints.origin[2] - (estimate_ground_m(waypoints, optics) if ground_m is None else ground_m)
     views = views_before_capture(positions[:, :2], np.ones(len(positions)), optics, waypoints.heading_pitch_deg)
     return SfmScene(
-        cameras=_looking(waypoints.names, positions, views.corner_rays, optics),
+        cameras=_cameras_along(waypoints.names, positions, views.corner_rays, optics),
         points=np.zeros((0, 3)),
         colors=np.zeros((0, 3), np.uint8),
         observations=np.zeros((0, 2), np.int64),
@@ -68,7 +68,7 @@ def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None) ->
     )
 
 
-def likely_ground_m(waypoints: Waypoints, optics: Optics) -> float:
+def estimate_ground_m(waypoints: Waypoints, optics: Optics) -> float:
     """Where the ground lies in the waypoints' altitudes (m): at 0 where a flight may be that high and its images overlap by at most
     `LARGEST_OVERLAP` from there, and else so far below the lowest waypoint that they overlap by `USUAL_OVERLAP`."""
     altitudes = waypoints.lat_lon_alt[:, 2]
@@ -86,7 +86,7 @@ def likely_ground_m(waypoints: Waypoints, optics: Optics) -> float:
     return low - apart / ((1 - USUAL_OVERLAP) * seen_per_height)
 
 
-def _looking(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:
+def _cameras_along(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:
     """Cameras at positions (P,3) through whose corners, from the left upper one on clockwise, the rays (P,4,3) go."""
     left_up, right_up, right_down, left_down = (corner_rays[:, corner] for corner in range(4))
     forward = _unit(corner_rays.sum(axis=1))

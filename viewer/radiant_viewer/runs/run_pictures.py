@@ -34,12 +34,12 @@ from radiant_viewer.layers.waypoint_layer import waypoint_layer
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.pictures.offscreen import render_map, render_view
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
-from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
+from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fit_camera
 from radiant_viewer.runs.border_figures import border_figures
 from radiant_viewer.runs.run_layers import figures_layer, ground_height, plan_layers
-from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, required_splats
+from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, require_splats
 from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
-from radiant_viewer.runs.unplanned import FolderKind, finish_command, seen_box
+from radiant_viewer.runs.unplanned import FolderKind, finish_command, scene_box
 
 View = Literal["regions", "cameras", "seams", "splats", "compare"]
 """regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats: the model in 3D;
@@ -70,10 +70,10 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
     if view == "cameras":
         return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh)
     if view == "seams":
-        return seams_picture(run.scene, run.cloud_plan, required_splats(run), size_wh)
+        return seams_picture(run.scene, run.cloud_plan, require_splats(run), size_wh)
     if view == "splats":
-        return splats_picture(run.scene, run.cloud_plan, required_splats(run), size_wh, camera)
-    return comparisons(run, size_wh[0], camera)
+        return splats_picture(run.scene, run.cloud_plan, require_splats(run), size_wh, camera)
+    return comparisons_picture(run, size_wh[0], camera)
 
 
 def _require_camera(run: RunView, view: str, camera: str) -> None:
@@ -174,14 +174,14 @@ def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_w
 def worst_border(run: RunView) -> Border:
     """What was observed of the border with the largest colour step of a run's model, the longest border where there is no verdict;
     BadInput without any border."""
-    figures = border_figures(run.scene, run.cloud_plan, required_splats(run))
+    figures = border_figures(run.scene, run.cloud_plan, require_splats(run))
     worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)
     return replace(worst.border, ends=worst.observed_ends)
 
 
 def _finding_label(finding: SeamFinding, ground: float) -> Label:
     border = finding.figures.border
-    what = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.steps else []
+    what = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.has_step else []
     text = f"{finding.figures.title}\nseam: {', '.join([*what, *finding.quantities])}"
     # Beside the line, which it must not hide.
     beside = border.ends.mean(axis=0) + 0.15 * border.length_m * border.toward_first
@@ -198,20 +198,20 @@ def splats_picture(
     room_wh = drawing_size_wh(size_wh, is_map=False)
     subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
     if camera is None:
-        view = fitted_camera(_looked_at(scene, cloud_plan, ground), room_wh)
+        view = fit_camera(_framed_positions(scene, cloud_plan, ground), room_wh)
     else:
-        view = _fitted_to(scene.cameras.named([camera]), room_wh)
+        view = _fit_to_page(scene.cameras.named([camera]), room_wh)
         subtitle += f"   ·   from {camera}"
     text = PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit)
     return compose_page(draw_splat_view(layers, splats, view), layers, size_wh, text)
 
 
-def _looked_at(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
+def _framed_positions(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
     """Places (K,3) that a picture of the whole model holds: all regions and a tenth of their width above them, without regions what cameras
     and points span; far haze and sky do not make them small."""
     corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
     if not len(corners):
-        return box_corners(seen_box(scene))
+        return box_corners(scene_box(scene))
     rise = [0.0, 0.0, 0.1 * float(np.ptp(corners[:, 0]))]
     return np.concatenate([corners, corners + rise])
 
@@ -222,7 +222,7 @@ def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:
     return Layer(name="Regions", labels=labels)
 
 
-def _fitted_to(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
+def _fit_to_page(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
     """The same camera with a picture as large as there is room: all it sees, and more at two sides."""
     old_wh = camera.sizes_wh[0]
     scale = float(np.min(np.array(room_wh) / old_wh))
@@ -232,7 +232,7 @@ def _fitted_to(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
     return Cameras(names=camera.names, Ks=K[None], cam_from_world=camera.cam_from_world, sizes_wh=np.array([room_wh], np.int64))
 
 
-def comparisons(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
+def comparisons_picture(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
     """Photograph, render and difference of the held-out photographs with the lowest, the middle and the highest PSNR, or of `camera`, one
     below the other; BadInput before evaluation, or where `camera` was trained on."""
     if not run.psnr_db:

@@ -23,8 +23,8 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.layers.camera_roles import NOBODY, CameraRoles, camera_roles
-from radiant_viewer.runs.field_files import local_files
-from radiant_viewer.runs.unplanned import FolderKind, finish_command, has_unplanned_scene, kind_of, plan_of_everything, unplanned_scene
+from radiant_viewer.runs.field_files import local_file_names
+from radiant_viewer.runs.unplanned import FolderKind, finish_command, folder_kind, has_unplanned_scene, single_region_plan, unplanned_scene
 
 SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
 DELIVERED = "delivered"
@@ -90,7 +90,7 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
-    if (kind := kind_of(folder)) != "run":
+    if (kind := folder_kind(folder)) != "run":
         return _unplanned_view(folder, kind)
     if (folder / DELIVERED).is_dir():
         # Devices that place their own photographs send poses for what they trained on, and nothing of what they held out.
@@ -120,7 +120,7 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
         roles=roles,
         in_field=in_field,
         unplaced=tuple(sorted(set(psnr_db or ()) - set(scene.cameras.names))),
-        files=local_files(folder, roles.device_ids) if in_field and with_files else {},
+        files=local_file_names(folder, roles.device_ids) if in_field and with_files else {},
     )
 
 
@@ -132,7 +132,7 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
     # A scene may hold copies of photographs, which training leaves out before it splits: what it scored is known only from its figures.
     held = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
     held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
-    cloud_plan, edge_plans = plan_of_everything(scene, int((~held).sum()))
+    cloud_plan, edge_plans = single_region_plan(scene, int((~held).sum()))
     roles, nobody = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out), np.full(len(held), NOBODY, np.int64)
     return RunView(
         folder=folder,
@@ -149,7 +149,7 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
 
 def is_planned(folder: Path) -> bool:
     """Whether a run has come so far that there is a plan to show, or a training that there are cameras."""
-    if kind_of(folder) != "run":
+    if folder_kind(folder) != "run":
         return has_unplanned_scene(folder)
     if (folder / DELIVERED).is_dir():
         return (folder / DELIVERED / PLAN_NAME).is_file()
@@ -181,7 +181,7 @@ def plan_path(folder: Path) -> Path:
     return folder / DELIVERED / PLAN_NAME if (folder / DELIVERED).is_dir() else folder / PLAN_NAME
 
 
-def required_splats(run: RunView) -> Splats:
+def require_splats(run: RunView) -> Splats:
     """The run's model; BadInput with the command that makes it when there is none yet."""
     if run.splats is None:
         raise BadInput(no_model_text(run.folder))
@@ -213,7 +213,7 @@ def no_model_text(folder: Path) -> str:
         "training": "the training is not finished",
         "scene": "'radiant sfm' makes cameras and points",
     }
-    return f"{folder} has no {PLY_NAME}: {state[kind_of(folder)]}, {finish_command(folder)}."
+    return f"{folder} has no {PLY_NAME}: {state[folder_kind(folder)]}, {finish_command(folder)}."
 
 
 def _require_file(folder: Path, name: str, reason: str) -> None:

@@ -32,7 +32,7 @@ class SeamFinding:
     @property
     def found(self) -> bool:
         """Whether a seam was told from what is beside it."""
-        return self.figures.has_verdict and (bool(self.quantities) or self.figures.steps)
+        return self.figures.has_verdict and (bool(self.quantities) or self.figures.has_step)
 
 
 def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_examined: int = NUM_EXAMINED) -> list[SeamFinding]:
@@ -53,7 +53,7 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     if not told:
         return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
     found = sum(finding.found for finding in findings)
-    limit = max(figures.told_levels for figures in told)
+    limit = max(figures.detectable_levels for figures in told)
     verdict = (
         f"Seam found at {found} of {len(findings)} border{'s' * (len(findings) != 1)}"
         if found
@@ -61,14 +61,14 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     )
     observed = sum(figures.observed_length for figures in told)
     total = sum(finding.figures.border.length_m for finding in findings)
-    return f"{verdict}; observed: {part_text(observed, total, unit)}   ·   largest: {told[0].title}, {_beside_texture(told[0])}"
+    return f"{verdict}; observed: {observed_text(observed, total, unit)}   ·   largest: {told[0].title}, {_beside_texture(told[0])}"
 
 
 def step_text(figures: BorderFigures) -> str:
     """The step of one border beside the texture's, and whether that is seen; for the end of a sentence."""
     if not figures.has_verdict:
         return "too little observed for a verdict"
-    size = "told from texture" if figures.steps else "not visible" if figures.step_levels < VISIBLE_LEVELS else "not told from texture"
+    size = "told from texture" if figures.has_step else "not visible" if figures.step_levels < VISIBLE_LEVELS else "not told from texture"
     return f"{_beside_texture(figures)}, {size}"
 
 
@@ -76,7 +76,7 @@ def _beside_texture(figures: BorderFigures) -> str:
     return f"{figures.step_levels:.1f} levels beside {figures.texture_levels:.1f} of texture"
 
 
-def part_text(observed: float, total: float, unit: str) -> str:
+def observed_text(observed: float, total: float, unit: str) -> str:
     """How much of borders was observed: "31 m of 60 m"."""
     return (
         f"all {length_text(total, unit)}" if observed >= 0.999 * total else f"{length_text(observed, unit)} of {length_text(total, unit)}"

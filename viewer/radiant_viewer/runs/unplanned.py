@@ -26,7 +26,7 @@ SCENE_NAMES = ("sfm/scene.safetensors", "scene.safetensors")
 EVERYTHING, ONE_MACHINE = "everything", "one machine"
 
 
-def kind_of(folder: Path) -> FolderKind:
+def folder_kind(folder: Path) -> FolderKind:
     """What a folder is; "run" where nothing says otherwise."""
     if not (folder / "manifest.json").is_file():
         return "scene" if (folder / "scene.safetensors").is_file() and (folder / "result.json").is_file() else "run"
@@ -35,7 +35,7 @@ def kind_of(folder: Path) -> FolderKind:
 
 def finish_command(folder: Path) -> str:
     """How what is missing in a folder is made, for the end of a sentence."""
-    kind = kind_of(folder)
+    kind = folder_kind(folder)
     if kind == "training":
         return f"finish it with 'radiant train … --out {folder} --resume'"
     if kind == "scene":
@@ -46,7 +46,7 @@ def finish_command(folder: Path) -> str:
 def unplanned_scene(folder: Path) -> SfmScene:
     """The cameras and points of a training or a scene; BadInput with what to do where they are not there."""
     places = [folder / name for name in SCENE_NAMES]
-    source = _settings(folder).get("source") if kind_of(folder) == "training" else None
+    source = _settings(folder).get("source") if folder_kind(folder) == "training" else None
     if isinstance(source, str):
         places += [Path(source) / name for name in SCENE_NAMES]
     for place in places:
@@ -82,7 +82,7 @@ def has_unplanned_scene(folder: Path) -> bool:
     return True
 
 
-def seen_box(scene: SfmScene) -> FloatArray:
+def scene_box(scene: SfmScene) -> FloatArray:
     """Lower and upper corner (2,3) of the land below the cameras and of where most of the points lie."""
     box = middle_box(scene.points if len(scene.points) else scene.cameras.centers)
     places = scene.cameras.centers[:, :2]
@@ -90,7 +90,7 @@ def seen_box(scene: SfmScene) -> FloatArray:
     return box
 
 
-def plan_of_everything(scene: SfmScene, num_trained: int) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def single_region_plan(scene: SfmScene, num_trained: int) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     """One region without land that has the first to last of so many cameras, and one machine in it."""
     nobody = np.zeros(num_trained, np.int64)
     centers = scene.cameras.centers[:, :2]

@@ -105,7 +105,7 @@ def _open3d_cloud(splats: Splats) -> o3d.t.geometry.PointCloud:
     return cloud
 
 
-class Boxed:
+class CroppedModel:
     """A model cut to a box; each box is cut once."""
 
     def __init__(self, splats: Splats, kind: str) -> None:
@@ -133,7 +133,7 @@ def inside_box(means: NDArray[np.float32], box: list[list[float]]) -> NDArray[np
 
 def serve(kind: str, path: Path, requests: IO[bytes], answers: IO[bytes]) -> None:
     """Answer until `requests` ends."""
-    boxed = Boxed(splats := load_ply(path), kind)
+    boxed = CroppedModel(splats := load_ply(path), kind)
     _answer(answers, {"ready": kind, "num_gaussians": len(splats)})
     for line in requests:
         request = json.loads(line)

@@ -16,8 +16,8 @@ from trame.app import get_server
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.themes import DARK, LIGHT
-from radiant_viewer.pictures.view_pose import pose_of_camera
-from radiant_viewer.runs.camera_figures import sorted_rows
+from radiant_viewer.pictures.view_pose import camera_pose
+from radiant_viewer.runs.camera_figures import sort_rows
 from radiant_viewer.runs.run_figures import FIGURES
 from radiant_viewer.runs.run_layers import color_step_layer, ground_height, hidden_at_first, run_layers
 from radiant_viewer.runs.run_view import RunView
@@ -26,10 +26,10 @@ from radiant_viewer.web.layout import HEADERS, build_layout
 from radiant_viewer.web.rows import (
     Row,
     camera_headers,
+    camera_pictures,
     camera_rows,
     layer_row,
-    picture_file,
-    pictures_of,
+    picture_url,
     run_camera_figures,
     seam_rows,
 )
@@ -89,7 +89,7 @@ class WebPage:
         self.scene.set_mark(highlight_layer(cameras, index))
         state = self.server.state
         state.selected = index
-        state.pictures = pictures_of(self.run, index)
+        state.pictures = camera_pictures(self.run, index)
         state.figures = [
             {"heading": figure.heading, "value": f"{value:.{figure.decimals}f}", "meaning": figure.meaning}
             for figure in FIGURES
@@ -104,7 +104,7 @@ class WebPage:
             return
         cameras = self.run.scene.cameras
         distance = max(float(cameras.centers[index, 2]) - ground_height(self.run.scene), 0.05 * self._side())
-        pose = pose_of_camera(cameras, int(index), distance)
+        pose = camera_pose(cameras, int(index), distance)
         self.scene.view.look(pose, distance)
         self.scene.map.look(pose, 0.25 * self._side())
         self.push()
@@ -155,8 +155,8 @@ class WebPage:
         state.cameras, state.headers = camera_rows(self.figures), camera_headers(self.figures)
         scored = "psnr_db" in self.figures.columns
         state.sort_by = [{"key": "psnr_db" if scored else "name", "order": "asc"}]
-        state.order = sorted_rows(self.figures, state.sort_by[0]["key"]).tolist()
-        state.gantt = picture_file(run.folder / "pictures" / "gantt.png")
+        state.order = sort_rows(self.figures, state.sort_by[0]["key"]).tolist()
+        state.gantt = picture_url(run.folder / "pictures" / "gantt.png")
         state.update({"dark": False, "solo": "", "seams": [], "seam": -1, "seams_note": "Measuring the seams …", "selected": None})
         state.update({"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both"})
 
@@ -177,7 +177,7 @@ class WebPage:
     def _on_sort(self, sort_by: list[dict[str, str]], **_: object) -> None:
         key, order = (sort_by[0]["key"], sort_by[0]["order"]) if sort_by else ("name", "asc")
         if key in self.figures.columns:
-            self.server.state.order = sorted_rows(self.figures, key, descending=order == "desc").tolist()
+            self.server.state.order = sort_rows(self.figures, key, descending=order == "desc").tolist()
 
     def _on_panes(self, **_: object) -> None:
         # The browser says the new size first; a map keeps its scale, so that nothing jumps.

@@ -17,13 +17,13 @@ from radiant_core.errors import BadInput
 from radiant_viewer.layers.detail import moving_note
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.palette import heat_table
-from radiant_viewer.layers.themes import LIGHT, Theme, hex_color, themed
+from radiant_viewer.layers.themes import LIGHT, Theme, apply_theme, hex_color
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.runs.camera_figures import CameraFigures, camera_figures
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_figures import FIGURES, image_figures
 from radiant_viewer.runs.run_view import RunView, comparison_paths
-from radiant_viewer.runs.seam_findings import part_text
+from radiant_viewer.runs.seam_findings import observed_text
 from radiant_viewer.runs.seam_tour import SeamStop
 
 SHOWN_PX = 1000
@@ -34,7 +34,7 @@ Row = dict[str, Any]
 
 def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:
     """Name, legend entries and colour bar of one layer under a theme."""
-    shown = themed(layer, theme)
+    shown = apply_theme(layer, theme)
     legend, scale = shown.legend, shown.heat
     entries = [{"text": entry.text, "color": hex_color(entry.color), "marker": entry.marker} for entry in legend]
     note = moving_note(layer)
@@ -93,14 +93,14 @@ def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
             "step": _shown(stop.figures.step_levels, 1) or "–",
             "texture": _shown(stop.figures.texture_levels, 1) or "–",
             "worst": _shown(stop.worst_levels, 1) or "–",
-            "observed": part_text(stop.figures.observed_length, stop.length, unit),
+            "observed": observed_text(stop.figures.observed_length, stop.length, unit),
             "verdict": stop.figures.verdict,
         }
         for index, stop in enumerate(stops)
     ]
 
 
-def pictures_of(run: RunView, index: int) -> Row:
+def camera_pictures(run: RunView, index: int) -> Row:
     """Photograph, render and difference of a camera as data addresses, "" with a reason where this machine may not see one."""
     name = run.scene.cameras.names[index]
     shown = {"photograph": "", "render": "", "difference": "", "reason": ""}
@@ -111,23 +111,23 @@ def pictures_of(run: RunView, index: int) -> Row:
             shown["reason"] = str(error)
         else:
             return shown | {
-                key: data_address(load_image(path)) for key, path in zip(("photograph", "render", "difference"), paths, strict=True)
+                key: data_url(load_image(path)) for key, path in zip(("photograph", "render", "difference"), paths, strict=True)
             }
     answer = find_photograph(run, index)
     if answer.path is None:
         return shown | {"reason": answer.reason}
     return shown | {
-        "photograph": data_address(load_image(answer.path)),
+        "photograph": data_url(load_image(answer.path)),
         "reason": "A training photograph: only held-out ones are rendered.",
     }
 
 
-def picture_file(path: Path) -> str:
+def picture_url(path: Path) -> str:
     """A PNG of the run as a data address, "" where there is none."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode() if path.is_file() else ""
 
 
-def data_address(image: Image) -> str:
+def data_url(image: Image) -> str:
     """A picture (H,W,3) of at most 1,000 px a side as a JPEG in an address."""
     share = min(1.0, SHOWN_PX / max(image.shape[:2]))
     size_wh = (max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share)))

@@ -12,11 +12,11 @@ from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer
-from radiant_viewer.layers.layer import Layer, drawn_positions
+from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.map_labels import add_map_labels
 from radiant_viewer.layers.point_detail import Later, PointDetail
-from radiant_viewer.layers.themes import LIGHT, Theme, themed
-from radiant_viewer.pictures.offscreen import aim_camera, egl_window
+from radiant_viewer.layers.themes import LIGHT, Theme, apply_theme
+from radiant_viewer.pictures.offscreen import aim_camera, egl_rendering
 from radiant_viewer.pictures.view_pose import ViewPose
 
 TOP_SLOT = 400
@@ -33,7 +33,7 @@ class WebView:
     def __init__(self, *, is_map: bool, origin: FloatArray, later: Later) -> None:
         self.is_map, self.origin = is_map, origin
         self.actors: dict[str, list[vtkProp]] = {}
-        with egl_window():
+        with egl_rendering():
             self.plotter = pv.Plotter(off_screen=True, window_size=list(FIRST_SIZE_WH))
         window = self.plotter.render_window
         assert window is not None
@@ -53,7 +53,7 @@ class WebView:
         """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
         self.remove(layer.name)
         height = float(SLOTS_PER_LAYER * slot) if self.is_map else None
-        actors: list[vtkProp] = [*add_layer(self.plotter, themed(layer, theme), self.origin, flat_height=height, detail=self.detail)]
+        actors: list[vtkProp] = [*add_layer(self.plotter, apply_theme(layer, theme), self.origin, flat_height=height, detail=self.detail)]
         if layer.labels and height is not None:
             actors.append(add_map_labels(self.plotter, layer.labels[:MAX_LABELS], self.origin, height, theme, LABEL_SIZE))
         self.actors[layer.name] = actors
@@ -111,7 +111,7 @@ class WebScene:
         self.visible = {layer.name for layer in layers} - set(hidden)
         self.theme = theme
         self.mark: Layer | None = None
-        drawn = drawn_positions(self.layers)
+        drawn = framing_positions(self.layers)
         self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
         self.map, self.view = (WebView(is_map=is_map, origin=self.origin, later=later) for is_map in (True, False))
         self.set_theme(theme)
@@ -157,7 +157,7 @@ class WebScene:
 
     def fit(self) -> None:
         """All layers into both views."""
-        drawn = drawn_positions(self.layers)
+        drawn = framing_positions(self.layers)
         for view in self.views:
             view.fit(drawn)
 

@@ -14,7 +14,7 @@ from radiant_viewer.docks.fly_dock import FlyDock
 from radiant_viewer.docks.gantt_dock import GanttDock
 from radiant_viewer.docks.photo_dock import PhotoDock
 from radiant_viewer.docks.progress_dock import ProgressDock
-from radiant_viewer.docks.seam_dock import SeamDock, seam_dock
+from radiant_viewer.docks.seam_dock import SeamDock, make_seam_dock
 from radiant_viewer.docks.splat_dock import SplatDock
 from radiant_viewer.editing.planning import Planning
 from radiant_viewer.host.protocols import Host
@@ -57,7 +57,7 @@ def make_docks(host: Host, run: RunView | None, splats: Splats | None, feeds: Ru
         splats=splat_dock,
         photo=PhotoDock(host, run, figures),
         cameras=CameraDock(host, run, figures),
-        seams=seam_dock(host, run),
+        seams=make_seam_dock(host, run),
         gantt=GanttDock(host, feeds),
         progress=ProgressDock(host, feeds),
     )

@@ -58,13 +58,13 @@ def open_window(
     application = existing if isinstance(existing, QApplication) else QApplication(sys.argv[:1])
     application.setStyle("Fusion")
     desk.show(first, theme)
-    with _closed_by_signals(application) as caught:
+    with _close_on_signals(application) as caught:
         code = application.exec()
     return 128 + caught[-1] if caught else code
 
 
 @contextmanager
-def _closed_by_signals(application: QApplication) -> Iterator[list[int]]:
+def _close_on_signals(application: QApplication) -> Iterator[list[int]]:
     """Ctrl-C and SIGTERM close the windows as their own button does; yields the numbers of the signals that came.
 
     An exception, as Python raises for them otherwise, would end one slot of Qt's and leave the window open.

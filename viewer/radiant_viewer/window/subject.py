@@ -9,7 +9,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
-from radiant_viewer.editing.plan_layers import with_planning_layers
+from radiant_viewer.editing.plan_layers import add_planning_layers
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.runs.plan_view import load_plan_view
@@ -49,11 +49,11 @@ def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
         layers = (splat_layer(splats),)
         return Subject(path=path, layers=layers, splats=splats, run=None, unit="units", ground=0.0, summary=summary)
     if path.suffix.lower() == ".json" and not path.is_dir():
-        return subject_of_run(load_plan_view(path, scene))
-    return subject_of_run(load_run_view(path, with_files=True))
+        return run_subject(load_plan_view(path, scene))
+    return run_subject(load_run_view(path, with_files=True))
 
 
-def subject_of_run(run: RunView) -> Subject:
+def run_subject(run: RunView) -> Subject:
     """A run with all its layers."""
     roles = run.roles
     model = "no model yet" if run.splats is None else f"{len(run.splats):,} Gaussians"
@@ -62,7 +62,7 @@ def subject_of_run(run: RunView) -> Subject:
         dealt = f"{len(run.scene.points):,} points"
     return Subject(
         path=run.folder,
-        layers=tuple(with_planning_layers(run, run_layers(run)) if run.kind == "run" else run_layers(run)),
+        layers=tuple(add_planning_layers(run, run_layers(run)) if run.kind == "run" else run_layers(run)),
         splats=run.splats,
         run=run,
         unit=run.unit,

@@ -22,10 +22,10 @@ from radiant_viewer.editing.plan_files import PlanSetting
 from radiant_viewer.editing.planning import make_planning
 from radiant_viewer.host.canvas import TOP_SLOT, Canvas
 from radiant_viewer.layers.camera_layer import highlight_layer
-from radiant_viewer.layers.layer import Layer, drawn_positions
-from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet, themed
+from radiant_viewer.layers.layer import Layer, framing_positions
+from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, apply_theme, style_sheet
 from radiant_viewer.pictures.images import Image, save_png
-from radiant_viewer.pictures.view_pose import pose_of_camera
+from radiant_viewer.pictures.view_pose import camera_pose
 from radiant_viewer.runs.run_feeds import RunFeeds
 from radiant_viewer.runs.run_layers import hidden_at_first
 from radiant_viewer.runs.run_view import RunView, file_stamps
@@ -57,7 +57,7 @@ class InspectorWindow(QMainWindow):
         super().__init__()
         self.subject, self.run = subject, subject.run
         self.layers: list[Layer] = list(subject.layers)
-        drawn = drawn_positions(self.layers)
+        drawn = framing_positions(self.layers)
         self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
         self.theme: Theme = LIGHT
         self.selected: int | None = None
@@ -126,7 +126,7 @@ class InspectorWindow(QMainWindow):
             self.layers[names.index(layer.name)] = layer
         else:
             self.layers.append(layer)
-        self.layer_dock.update_legend(themed(layer, self.theme))
+        self.layer_dock.update_legend(apply_theme(layer, self.theme))
         self._draw(layer)
 
     def show_run(self, run: RunView) -> None:
@@ -188,7 +188,7 @@ class InspectorWindow(QMainWindow):
             return
         center = self.run.scene.cameras.centers[self.selected]
         distance = max(float(abs(center[2] - self.subject.ground)), 1e-3)
-        pose = pose_of_camera(self.run.scene.cameras, self.selected, distance)
+        pose = camera_pose(self.run.scene.cameras, self.selected, distance)
         self.view.set_pose(pose)
         self._show_on_map(center)
         self.render_views()
@@ -224,14 +224,14 @@ class InspectorWindow(QMainWindow):
         for canvas in (self.map, self.view):
             canvas.set_theme(self.theme)
         for layer in self.layers:
-            self.layer_dock.update_legend(themed(layer, self.theme))
+            self.layer_dock.update_legend(apply_theme(layer, self.theme))
         if self.docks.gantt is not None:
             self.docks.gantt.follow_theme()
         self._draw_all()
 
     def reset_views(self) -> None:
         """Fit all layers into both views."""
-        drawn = drawn_positions(self.layers)
+        drawn = framing_positions(self.layers)
         for canvas in (self.map, self.view):
             canvas.fit(drawn)
         self.render_views()
