@@ -1,9 +1,9 @@
-"""The edits of a plan as a file beside it: written before an edit is solved, so that closing a window in the middle loses nothing.
+"""The edits of a plan as a file: written before an edit is solved, so that closing the window in between loses nothing.
 
     {"schema": "radiant.edits", "version": 1, "base": key of the plan they were made on, "done": [edit…], "undone": [edit…]}
 
-A plan is a function of its edits, so the edits are kept and not the plans. A file that is broken or was made on another plan is set
-aside under another name, never overwritten. Written once per edit, some milliseconds.
+A plan is a function of its edits, so edits are stored, not plans. A file that is broken or belongs to another plan is renamed,
+never overwritten. Written once per edit, some milliseconds.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from radiant_viewer.editing.plan_edits import EDITS, AdoptPlan, Edit
 
 SCHEMA, VERSION = "radiant.edits", 1
 MAX_LOG_BYTES = 512 * 2**20
-"""As a plan, which an edit may hold."""
+"""That of a plan, which an edit may contain."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EditHistory:
-    """Edits in the order they were made, and those that were undone, the next to redo last."""
+    """Edits in order, and the undone ones, of which the last is the next to redo."""
 
     done: tuple[Edit, ...] = ()
     undone: tuple[Edit, ...] = ()
 
 
 def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
-    """The same for the same plan of the same machines, whatever file it lies in."""
+    """Return a key that depends on the plan and its machines alone, not on its file."""
     return content_key(cloud, tuple(edges))
 
 
 def save_edits(path: Path, base: str, kept: EditHistory) -> None:
-    """Write the edits whole or not at all; BadInput where the folder cannot be written."""
+    """Write the edits atomically; BadInput where the folder cannot be written."""
     record = {"done": [edit_record(edit) for edit in kept.done], "undone": [edit_record(edit) for edit in kept.undone]}
     write_json(path, {"schema": SCHEMA, "version": VERSION, "base": base, **record})
 
 
 def load_edits(path: Path, base: str) -> tuple[EditHistory, str]:
-    """The edits kept for the plan with this key, and one sentence where there were some that cannot be used, which are set aside."""
+    """Return the stored edits of the plan with this key, and a sentence if the file was unusable and renamed."""
     if not path.exists():
         return EditHistory(), ""
     try:
@@ -65,14 +65,14 @@ def load_edits(path: Path, base: str) -> tuple[EditHistory, str]:
 
 
 def edit_record(edit: Edit) -> dict[str, Any]:
-    """An edit as JSON's values, with its kind."""
+    """Return an edit as JSON values, with its kind."""
     if isinstance(edit, AdoptPlan):
         return {"edit": "AdoptPlan", "name": edit.name, **plan_record(edit.cloud, edit.edges)}
     return {"edit": type(edit).__name__, **asdict(edit)}
 
 
 def parse_edit(record: Any) -> Edit:
-    """The edit that `edit_record` wrote; BadInput for anything else."""
+    """Return the edit that `edit_record` wrote; BadInput for anything else."""
     kinds = {kind.__name__: kind for kind in EDITS}
     if not isinstance(record, Mapping) or record.get("edit") not in kinds:
         raise BadInput(f"{record!r:.80} is no edit of a plan: expected one of {', '.join(kinds)}.")
@@ -118,7 +118,7 @@ def _number(value: Any) -> float:
 
 
 def free_path_beside(path: Path) -> Path:
-    """A name beside `path` that nothing has yet."""
+    """Return an unused path beside `path`."""
     number = 1
     while (aside := path.with_name(f"{path.stem}_{number}{path.suffix}")).exists():
         number += 1
@@ -126,7 +126,7 @@ def free_path_beside(path: Path) -> Path:
 
 
 def move_aside(path: Path) -> Path:
-    """Give a file another name, which is returned; BadInput where that cannot be."""
+    """Rename a file to an unused path and return it; BadInput where that fails."""
     aside = free_path_beside(path)
     try:
         path.rename(aside)

@@ -1,11 +1,11 @@
-"""What the mouse does on the map while a plan is edited. Needs the `desktop` extra.
+"""Mouse tools on the map while a plan is edited. Needs the `desktop` extra.
 
-    drag an edge's square              the edge moves
-    drag a border                      the rim of the region it is grabbed from moves; it keeps what lies inside, the rest is dealt anew
-    Shift and drag                     selects the cameras inside the box; with Ctrl as well, adds them
-    Escape while dragging              gives the drag up
+    drag an edge's square              moves the edge
+    drag a border                      moves the rim of the region that was grabbed: it owns what lies inside, the rest is replanned
+    Shift and drag                     selects the cameras inside the box; with Ctrl adds them
+    Escape while dragging              cancels the drag
 
-Everything else goes on to the view, which pans and zooms. Hit tests are pure functions of places on the map.
+All other events go to the view, which pans and zooms. Hit tests are pure functions of places on the map.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from radiant_viewer.editing.plan_actions import PlanActions
 from radiant_viewer.editing.plan_edits import Edit, FixWeight, MoveEdge
 
 EDGE_PX, BORDER_PX = 12, 7
-"""How near a press must be to an edge or a border."""
+"""Largest distance of a press from an edge or a border."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,14 +37,14 @@ class EdgeGrip:
     offset: FloatArray
 
     def edit(self, place: FloatArray, _: CloudPlan) -> Edit:
-        """What a drag to `place` (2,) means."""
+        """Return the edit for a drag to `place` (2,)."""
         x, y = (place + self.offset).tolist()
         return MoveEdge(edge=self.edge, position=(x, y))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderGrip:
-    """The rim of a region that was grabbed at `place` (2,), with the unit vector (2,) out of it and the region behind it."""
+    """The rim of region `edge`, grabbed at `place` (2,); `outward` (2,) is its unit normal towards region `other`."""
 
     edge: str
     other: str
@@ -52,7 +52,7 @@ class BorderGrip:
     outward: FloatArray
 
     def edit(self, place: FloatArray, cloud: CloudPlan) -> Edit:
-        """What a drag to `place` (2,) means for the plan that was there at the press."""
+        """Return the edit for a drag to `place` (2,), applied to the plan at the time of the press."""
         distance = float((place - self.place) @ self.outward)
         return FixWeight(edge=self.edge, weight_m2=border_weight_m2(cloud, self.edge, self.other, distance))
 
@@ -60,7 +60,7 @@ class BorderGrip:
 def grip_at(
     place: FloatArray, cloud: CloudPlan, constraints: PlanConstraints, borders: tuple[Border, ...], meters_per_px: float
 ) -> EdgeGrip | BorderGrip | None:
-    """What lies under a press at `place` (2,): an edge, else a border, else nothing. A locked region's border is its neighbour's rim."""
+    """Return the edge, else the border, under a press at `place` (2,), else None. A locked region's border is its neighbour's rim."""
     away = np.linalg.norm(cloud.sites - place, axis=1)
     nearest = int(away.argmin())
     if away[nearest] <= EDGE_PX * meters_per_px:
@@ -71,7 +71,7 @@ def grip_at(
     border = borders[int(np.argmin(distances))]
     is_in_first = bool((place - border.ends[0]) @ border.toward_first >= 0)
     first, second = cloud.edge_ids[border.first], cloud.edge_ids[border.second]
-    # A region whose border was dragged before goes on being the dragged one, whichever side is grabbed.
+    # A border that was dragged before keeps its region, whichever side is grabbed.
     dragged = [name in constraints.fixed_weights_m2 for name in (first, second)]
     if dragged[0] != dragged[1]:
         is_in_first = dragged[0]
@@ -83,7 +83,7 @@ def grip_at(
 
 
 class MapTools(QObject):
-    """Watches the mouse over the map's view while `is_active`."""
+    """Filters the mouse events of the map while `is_active`."""
 
     def __init__(self, actions: PlanActions) -> None:
         super().__init__(actions)
@@ -106,18 +106,18 @@ class MapTools(QObject):
         return self._grip is not None
 
     def set_active(self, active: bool) -> None:
-        """Take the mouse, or leave it to the view."""
+        """Start or stop using the mouse."""
         self.is_active = active
         self._release()
         self._widget.unsetCursor()
 
     def close(self) -> None:
-        """Stop watching: the view is about to go."""
+        """Remove the filter before the view is destroyed."""
         self.is_active = False
         self._widget.removeEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Qt asks before the view sees an event; True keeps it from the view."""
+        """Handle an event before the view; True consumes it."""
         if not self.is_active or watched is not self._widget:
             return False
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() == Qt.Key.Key_Escape and self._grip:
@@ -135,7 +135,7 @@ class MapTools(QObject):
         return False
 
     def end_drag(self) -> Edit | None:
-        """Let go, and return the edit that the drag so far means, None where nothing was held."""
+        """End the drag and return its edit, None where nothing was dragged."""
         grip, cloud, place = self._grip, self._pressed_on, self._last_place
         self._release()
         if grip is None or cloud is None or place is None:
@@ -214,7 +214,7 @@ class MapTools(QObject):
         return grip_at(self._place(position), state.cloud, state.wishes.constraints, self._borders[1], per_px)
 
     def _place(self, position: QPointF) -> FloatArray:
-        """The place (2,) of the world under a position of the widget, whatever the screen's pixels are."""
+        """Return the place (2,) of the world under a position of the widget, in device-independent pixels."""
         width, height = max(self._widget.width(), 1), max(self._widget.height(), 1)
         camera = self._canvas.plotter.camera
         per_px = 2 * camera.parallel_scale / height

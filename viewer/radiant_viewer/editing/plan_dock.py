@@ -42,11 +42,11 @@ Figures: {figures}
 MAX_COMPARED = 12
 """Rows of two plans' figures."""
 HEADLINE_PX = 14
-"""More than the buttons need, so that the headline keeps to one line."""
+"""Extra width beside the buttons, so that the headline fits on one line."""
 
 
 class PlanDock(QDockWidget):
-    """`region` and `device` are what is chosen in the table or here; all buttons call `actions`."""
+    """`region` and `device` are chosen here or in the table of loads; the buttons call `actions`."""
 
     def __init__(self, actions: PlanActions) -> None:
         super().__init__("Plan")
@@ -58,7 +58,7 @@ class PlanDock(QDockWidget):
         self.working.setMaximumHeight(4)
         self.working.setTextVisible(False)
         keeps = self.working.sizePolicy()
-        # Its place stays when it is hidden: nothing jumps while a plan is solved.
+        # It keeps its place when hidden, so that nothing moves while a plan is solved.
         keeps.setRetainSizeWhenHidden(True)
         self.working.setSizePolicy(keeps)
         self.working.hide()
@@ -91,12 +91,12 @@ class PlanDock(QDockWidget):
             layout.addWidget(widget)
         layout.addLayout(self._history_row())
         layout.addWidget(area, stretch=1)
-        # Below the buttons, which would move with every longer text, and be missed; always in sight, whatever is scrolled above.
+        # Below the scrolled buttons: always visible, and a longer text does not move the buttons.
         layout.addWidget(_Results(self.changes, self.certificate))
         self.setWidget(body)
 
     def choose(self, edge: str, device: str | None) -> None:
-        """Make an edge, and a device of it where one is named, what the buttons are for."""
+        """Choose the edge, and its device if given, that the buttons act on."""
         self.device = device
         self.region.setCurrentText(edge)
         self._update_buttons()
@@ -119,29 +119,29 @@ class PlanDock(QDockWidget):
         self._update_buttons()
 
     def show_conflict(self, sentence: str) -> None:
-        """Say that another window changed the edits, and ask whose count; nothing where the sentence is empty."""
+        """Show the sentence and buttons of a conflict with another window; an empty sentence hides them."""
         self.conflict_text.setText(sentence)
         self.conflict.setVisible(bool(sentence))
 
     def show_figures(self, cloud: CloudPlan, changes: str) -> None:
-        """The lines on top alone, as in a drag."""
+        """Show headline, certificate and changes only, as during a drag."""
         self.headline.setText(headline(cloud))
         self.certificate.setText(certificate_text(cloud))
         self.changes.setText(changes)
 
     def show_comparison(self, other: str, text: str, rows: Sequence[ComparedRow]) -> None:
-        """What differs from another plan, and the figures of both; those of edges beyond `MAX_COMPARED` are left out."""
+        """Show the difference from another plan and the figures of both, at most `MAX_COMPARED` rows."""
         self.changes.setText(_comparison_html(other, text, rows))
 
     def show_selected(self, count: int, target: str | None = None) -> None:
-        """How many cameras are selected, and the edge they would most likely be pinned to."""
+        """Show how many cameras are selected; `target` is the suggested edge to pin them to."""
         self.selected.setText(f"{count} selected" if count else "Shift and drag on the map selects")
         if target is not None:
             self.target.setCurrentText(target)
         self._update_buttons()
 
     def show_reason(self, reason: str) -> None:
-        """Why the plan cannot be changed; takes all that changes it out of use."""
+        """Show why the plan cannot be changed, and disable what would change it."""
         self.changes.setText(reason)
         for name, button in self.buttons.items():
             button.setEnabled(name in ("Compare…", "Regions to GIS…"))
@@ -270,7 +270,7 @@ def _comparison_html(other: str, text: str, rows: Sequence[ComparedRow]) -> str:
 
 
 class _Results(QScrollArea):
-    """Texts below each other, as high as they are, at most half of the panel; more is scrolled."""
+    """Stacked texts at their own height, up to half of the panel, scrolled beyond."""
 
     def __init__(self, *labels: QLabel) -> None:
         super().__init__()
@@ -292,15 +292,15 @@ class _Results(QScrollArea):
         room = 0 if panel is None else panel.height() // 2
         layout = self._body.layout()
         assert layout is not None
-        # Its width is the panel's: it asks for none.
+        # The width is the panel's.
         return QSize(0, min(room, layout.heightForWidth(self.viewport().width())))
 
     def minimumSizeHint(self) -> QSize:
-        """Qt asks for it: what is less would be squeezed out by the tools above."""
+        """The same: a smaller one would let the tools above squeeze the texts."""
         return self.sizeHint()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """A text became longer or shorter."""
+        """Follow texts that become longer or shorter."""
         if watched is self._body and event.type() in (QEvent.Type.LayoutRequest, QEvent.Type.Resize):
             self.updateGeometry()
         return super().eventFilter(watched, event)

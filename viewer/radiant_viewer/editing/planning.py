@@ -79,7 +79,7 @@ class Planning:
         return self.tools.is_dragging or (self.session is not None and self.session.is_busy)
 
     def set_active(self, active: bool) -> None:
-        """Let the mouse change the plan on the map, or only look."""
+        """Let the mouse on the map edit the plan, or only move the view."""
         self.tools.set_active(active)
         if active:
             _raise(self.dock)
@@ -89,7 +89,7 @@ class Planning:
                 self._host.show_status("Drag an edge's square or a border; Shift and drag selects cameras; E ends.")
 
     def end(self) -> None:
-        """The window closes: a drag counts as released, and what is being solved is kept in the file."""
+        """Close the session: a drag counts as released, and an edit that is being solved stays in the file."""
         edit = self.tools.end_drag()
         self.tools.close()
         if self.session is not None:
@@ -123,8 +123,8 @@ class Planning:
         self._was_drawn = True
         self.dock.show_plan(state, changes)
         self.loads.show_rows(load_rows(state.cloud, state.edges, state.wishes.system, state.wishes.constraints))
-        last = editor.changes_since_last_edit.text
-        self._host.show_status(f"{editor.undo_text}: {last}" if editor.edits else "The plan is as it was opened.")
+        status = f"{editor.undo_text}: {editor.changes_since_last_edit.text}" if editor.edits else "The plan is as it was opened."
+        self._host.show_status(status)
         self._show_conflict()
 
     def _look_for_conflict(self) -> None:
