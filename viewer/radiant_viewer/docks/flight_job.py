@@ -48,19 +48,16 @@ class SplatFrames:
         self._process: SplatProcess | None = None
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """See `FrameSource`."""
         self._process = SplatProcess(self._parent, "own", self._ply_path)
         self._process.ready.connect(ready)
         self._process.drawn.connect(lambda frame: drawn(_image(frame)))
         self._process.failed.connect(failed)
 
     def ask(self, pose: ViewPose) -> None:
-        """See `FrameSource`."""
         assert self._process is not None
         self._process.ask(0, pose.camera(self._size_wh), self._theme.view, self._box)
 
     def end(self) -> None:
-        """See `FrameSource`."""
         if self._process is not None:
             self._process.end()
 
@@ -77,12 +74,10 @@ class LayerFrames:
         self._drawn: Drawn = lambda image: None
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """See `FrameSource`."""
         self._drawn = drawn
         QTimer.singleShot(0, ready)
 
     def ask(self, pose: ViewPose) -> None:
-        """See `FrameSource`."""
         camera = self._plotter.camera
         camera.position, camera.focal_point = tuple(pose.position - self._origin), tuple(pose.focal_point - self._origin)
         camera.up, camera.view_angle = tuple(pose.up), pose.angle_deg
@@ -96,7 +91,6 @@ class LayerFrames:
         QTimer.singleShot(0, lambda: self._drawn(image))
 
     def end(self) -> None:
-        """See `FrameSource`."""
         self._drawn = lambda image: None
         self._plotter.close()
 

@@ -287,7 +287,6 @@ class _Results(QScrollArea):
         self._body.installEventFilter(self)
 
     def sizeHint(self) -> QSize:
-        """Qt asks for it."""
         panel = self.parentWidget()
         room = 0 if panel is None else panel.height() // 2
         layout = self._body.layout()

@@ -172,7 +172,7 @@ class PlanEditor:
         return self.conflict
 
     def take_over(self) -> tuple[str, ...]:
-        """Store this window's edits in the file, those of the other one beside it; return sentences about it. BadInput as `EditFile.save`."""
+        """Store this window's edits in the file and the other's beside it; return sentences about it. BadInput as `EditFile.save`."""
         return () if self._file is None else (self._file.take_over(self._kept()),)
 
     def adopt_other(self) -> tuple[str, ...]:

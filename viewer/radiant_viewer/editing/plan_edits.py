@@ -5,7 +5,7 @@
     PinCameras  the cameras belong to one edge, whatever is optimal; without an edge the pins are removed
     MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll, AdoptPlan
 
-Locks and fixed weights refer to the plan at the time of the edit (`PlanWishes.reference`). Every edit gives a new plan or raises
+`text` is the entry of the menu, `wishes` returns the new wishes. Locks and fixed weights refer to the plan at the time of the edit (`PlanWishes.reference`). Every edit gives a new plan or raises
 BadInput with one sentence; nothing is changed in place. Regions once per edit and frame of a drag, strips once per edit.
 """
 
@@ -42,11 +42,9 @@ class FixWeight:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"drag the border of {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         _require_edge(before.wishes.system, self.edge)
         old = before.wishes.constraints
         if self.edge in old.locked:
@@ -63,11 +61,9 @@ class LockRegion:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"lock the region of {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         _require_edge(before.wishes.system, self.edge)
         old = before.wishes.constraints
         if self.edge in old.locked:
@@ -85,11 +81,9 @@ class FreeRegion:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"free the region of {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         _require_edge(before.wishes.system, self.edge)
         old = before.wishes.constraints
         if self.edge not in old.locked and self.edge not in old.fixed_weights_m2:
@@ -106,12 +100,10 @@ class PinCameras:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         what = self.cameras[0] if len(self.cameras) == 1 else f"{len(self.cameras)} cameras"
         return f"unpin {what}" if self.edge is None else f"pin {what} to {self.edge}"
 
     def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         if not self.cameras:
             raise BadInput("no camera is selected: select those to pin in the table or on the map.")
         index_of = {name: index for index, name in enumerate(subject.names)}
@@ -138,11 +130,9 @@ class MoveEdge:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"move edge {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         _require_edge(before.wishes.system, self.edge)
         position = (float(self.position[0]), float(self.position[1]))
         return _replace_edges(
@@ -160,11 +150,9 @@ class AddEdge:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"add edge {self.edge}"
 
     def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         system = before.wishes.system
         like = _require_edge(system, self.like)
         if any(edge.id == self.edge for edge in system.edges):
@@ -184,11 +172,9 @@ class RemoveEdge:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"remove edge {self.edge}"
 
     def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         system = before.wishes.system
         _require_edge(system, self.edge)
         if len(system.edges) == 1:
@@ -212,11 +198,9 @@ class AddDevice:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"add device {self.device} at {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         system = before.wishes.system
         if not _require_edge(system, self.edge).devices:
             raise BadInput(f"edge {self.edge!r} is known by its curve alone: its devices are its own matter.")
@@ -235,11 +219,9 @@ class RemoveDevice:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"remove device {self.device}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         owner = [edge for edge in before.wishes.system.edges if any(device.id == self.device for device in edge.devices)]
         if not owner:
             raise BadInput(f"there is no device {self.device!r}: there are {_some(d.id for d in before.wishes.system.devices)}.")
@@ -260,11 +242,9 @@ class SetSlack:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return "take the slack back" if self.slack is None else f"allow a slack of {self.slack:g}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         return replace(before.wishes, slack=self.slack)
 
 
@@ -274,11 +254,9 @@ class ReleaseAll:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return "free everything"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """Return the new wishes; see the module."""
         return replace(before.wishes, constraints=PlanConstraints(), slack=None)
 
 
@@ -292,7 +270,6 @@ class AdoptPlan:
 
     @property
     def text(self) -> str:
-        """The entry of the menu."""
         return f"load {self.name}"
 
 

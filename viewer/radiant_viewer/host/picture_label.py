@@ -28,7 +28,6 @@ class PictureLabel(QWidget):
         self.message = ""
 
     def sizeHint(self) -> QSize:
-        """Qt asks for it."""
         return QSize(360, 270)
 
     def show_picture(self, left: Image | None, right: Image | None = None, names: tuple[str, str] = ("", ""), message: str = "") -> None:

@@ -36,7 +36,6 @@ class ScaleBar(QWidget):
         return scale_bar_length(LENGTH_PX * self._unit_per_px) if self._unit_per_px > 0 else 0.0
 
     def sizeHint(self) -> QSize:
-        """Qt asks for it."""
         return QSize(LENGTH_PX + TEXT_PX, HEIGHT_PX)
 
     def paintEvent(self, event: QPaintEvent) -> None:

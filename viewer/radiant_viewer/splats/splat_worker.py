@@ -46,7 +46,6 @@ class OwnRenderer:
         self._splats = splats
 
     def draw(self, camera: Cameras, background: tuple[int, int, int]) -> Image:
-        """See `Renderer`."""
         from radiant_core.render.rendered_view import render_views
 
         view = next(render_views(self._splats, camera))

@@ -1,4 +1,4 @@
-"""Which docks a window has and where they stand: layers left, pictures right, tables and tools below, each kind as tabs."""
+"""The docks of a window and their places: layers left, pictures right, tables and tools below, as tabs."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Docks:
 
 
 def make_docks(host: Host, run: RunView | None, splats: Splats | None, feeds: RunFeeds, unit: str) -> Docks:
-    """Make the docks for what a window shows, without placing them."""
+    """Make the docks for what a window shows; `place_docks` places them."""
     splat_dock = None if splats is None else SplatDock(host, splats)
     fly, crop = FlyDock(host, splat_dock), CropDock(host, splats, unit)
     if run is None:

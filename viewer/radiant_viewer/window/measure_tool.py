@@ -1,4 +1,4 @@
-"""Measuring on the map: each click adds a corner; the length of the path and the area of its closure stand in the status bar."""
+"""Measuring on the map: clicks add corners; the status bar shows the length of the path and the area it encloses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MARK = "Measurement"
 
 
 class MeasureTool:
-    """Takes clicks on the map while it is active; `corners` (K,2) are what was clicked."""
+    """Takes the clicks on the map while `is_active`; `corners` (K,2) are the clicked places."""
 
     def __init__(self, host: Host, unit: str, height: float) -> None:
         self._host, self._unit, self._height = host, unit, height
@@ -25,7 +25,7 @@ class MeasureTool:
         host.map.click_takers.insert(0, self._on_click)
 
     def set_active(self, active: bool) -> None:
-        """Begin anew, or end and take the drawing away."""
+        """Start with no corner, or end and remove the mark."""
         self.is_active = active
         self.corners = np.zeros((0, 2))
         self._host.remove_mark(MARK)
@@ -33,7 +33,7 @@ class MeasureTool:
         self._host.show_status("Measure: click corners on the map; Backspace takes the last one back, M ends." if active else "")
 
     def undo(self) -> None:
-        """Take the last corner back."""
+        """Remove the last corner."""
         if self.is_active and len(self.corners):
             self.corners = self.corners[:-1]
             self._draw()
@@ -45,7 +45,7 @@ class MeasureTool:
 
     @property
     def text(self) -> str:
-        """Length, and area from three corners on."""
+        """Length, and from three corners on the area."""
         length = length_text(path_length(self.corners), self._unit)
         if len(self.corners) < 3:
             return f"Distance {length}"

@@ -1,6 +1,6 @@
-"""The docks as panels: a menu that shows, hides and floats each, and a double click on a tab that floats it. Needs the `desktop` extra.
+"""The menu that shows, hides and floats docks; a double click on a tab floats its dock. Needs the `desktop` extra.
 
-A dock among tabs has no title bar, since its tab says the same; one that floats gets it back, to be moved and docked by.
+A dock among tabs has no title bar, since its tab repeats the title; a floating one gets it back, as a handle.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QMenu, QTabBar, QToolButton, QWidget
 
 SIZE_WH = (520, 420)
-"""Of a dock that floats for the first time."""
+"""Least size of a floating dock."""
 
 
 class Panels(QObject):
-    """`button` opens the menu; made once all docks stand."""
+    """`button` opens the menu; make it after all docks are placed."""
 
     def __init__(self, window: QMainWindow, docks: Sequence[QDockWidget]) -> None:
         super().__init__(window)
@@ -42,7 +42,7 @@ class Panels(QObject):
         window.installEventFilter(self)
 
     def set_floating(self, dock: QDockWidget, floating: bool) -> None:
-        """Take a dock out of the window, or put it back where it was."""
+        """Float a dock, or put it back in its place."""
         if dock.isFloating() == floating:
             return
         dock.show()
@@ -53,7 +53,7 @@ class Panels(QObject):
             dock.raise_()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Listen to tab bars, which Qt makes as they are needed."""
+        """Float the dock of a tab on a double click; tab bars are watched as Qt creates them."""
         if event.type() == QEvent.Type.ChildAdded and watched is self._window:
             for bar in self._window.findChildren(QTabBar):
                 bar.installEventFilter(self)

@@ -1,4 +1,4 @@
-"""`Subject`: what a window shows, a run or a PLY from elsewhere, as layers. Built once per window."""
+"""`Subject`: what a window shows, a run, a plan or a PLY, as layers. Built once per window."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """layers from the ground up; splats and run where there are any; unit of the world; ground: height of the regions."""
+    """layers in drawing order; splats and run if there are any; unit of the world; ground: height of the regions."""
 
     path: Path
     layers: tuple[Layer, ...]
@@ -29,12 +29,11 @@ class Subject:
     ground: float
     summary: str
     stamps: FileStamps = ()
-    """Of the files as they were before they were read."""
+    """Stamps of the files before they were read."""
 
 
 def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
-    """A run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged with one sentence when it is
-    none of them or broken."""
+    """Read a run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged where that fails."""
     stamps = file_stamps(path)
     return replace(_load_subject(path, scene), stamps=stamps)
 
@@ -45,7 +44,7 @@ def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
         if not len(splats):
             raise BadInput(f"{path} holds no Gaussian: there is nothing to show.")
         summary = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
-        # Nothing in a PLY says what its unit is.
+        # A PLY has no unit.
         layers = (splat_layer(splats),)
         return Subject(path=path, layers=layers, splats=splats, run=None, unit="units", ground=0.0, summary=summary)
     if path.suffix.lower() == ".json" and not path.is_dir():
@@ -54,7 +53,7 @@ def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
 
 
 def run_subject(run: RunView) -> Subject:
-    """A run with all its layers."""
+    """Return a run with all its layers."""
     roles = run.roles
     model = "no model yet" if run.splats is None else f"{len(run.splats):,} Gaussians"
     dealt = f"{len(roles.edge_ids)} regions, {len(roles.device_ids)} devices"

@@ -1,7 +1,7 @@
 """`InspectorWindow`: the Qt window over a run or a model. Import only after `desktop.require_desktop`.
 
-Map and 3D view hold the same layers; whatever selects a camera (table, click, tour) marks it in both and shows its photograph. Each dock
-and tool is a file of its own that asks the window for what it shares: the views, the selection, the theme, the status bar.
+Map and 3D view show the same layers; a camera selected by table, click or tour is marked in both, and its photograph is
+shown. Docks and tools see the window through the protocols in `host`, which document the shared methods.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from radiant_viewer.window.subject import Subject
 SELECTED = "Selected camera"
 SIZE_WH = (1280, 800)
 PICK_PX = 14
-"""A click this near to a camera selects it."""
+"""Largest distance of a click from the camera that it selects."""
 _Result = TypeVar("_Result")
 
 
 class InspectorWindow(QMainWindow):
-    """The window of one run or model; `wants_reload` asks whoever opened it to open it anew."""
+    """The window of one run or model; `wants_reload` requests a new window for files that changed."""
 
     wants_reload = Signal()
 
@@ -96,27 +96,24 @@ class InspectorWindow(QMainWindow):
             self.show_status(f"{subject.summary}.   {setting.reason}")
 
     def show_status(self, message: str) -> None:
-        """See `StatusHost`."""
         self.statusBar().showMessage(message)
 
     def attempt(self, action: Callable[[], _Result]) -> _Result | None:
-        """Do something a user asked for; what cannot be done is told in the status bar and in a box that can be read at leisure."""
+        """As in `Host`; the sentence is shown in the status bar and in a box."""
         try:
             return action()
         except RadiantError as error:
             self.show_status(str(error))
             box = QMessageBox(QMessageBox.Icon.Warning, "Radiant", str(error), QMessageBox.StandardButton.Ok, self)
-            # Not modal: it must not stop a flight that is being written, or a test.
+            # Not modal: it must not block a film that is being written, or a test.
             box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
             box.open()
             return None
 
     def set_layer_visible(self, name: str, visible: bool) -> None:
-        """Show or hide a layer in both views, as its check box does; BadInput for an unknown one."""
         self.layer_dock.set_visible(name, visible)
 
     def replace_layer(self, layer: Layer, *, map_only: bool = False) -> None:
-        """See `PlanHost`."""
         names = [other.name for other in self.layers]
         if map_only:
             slot = names.index(layer.name) if layer.name in names else len(names)
@@ -130,40 +127,35 @@ class InspectorWindow(QMainWindow):
         self._draw(layer)
 
     def show_run(self, run: RunView) -> None:
-        """See `PlanHost`."""
         self.run = run
         if self.docks.cameras is not None:
             self.docks.cameras.show_run(run)
 
     def visible_layers(self) -> list[Layer]:
-        """Those that are drawn now, from the ground up."""
         return [layer for layer in self.layers if self.layer_dock.is_visible(layer.name)]
 
     def draw_mark(self, layer: Layer) -> None:
-        """Draw what a tool or a selection marks, over all layers."""
         self._marks[layer.name] = layer
         for canvas in (self.map, self.view):
             canvas.draw(layer, TOP_SLOT)
 
     def remove_mark(self, name: str) -> None:
-        """Take a mark away, if it is there."""
         self._marks.pop(name, None)
         for canvas in (self.map, self.view):
             canvas.remove(name)
 
     def select_camera(self, name: str) -> None:
-        """Select a camera everywhere; BadInput for an unknown name."""
         if self.run is None or name not in self.run.photographs:
             raise BadInput(f"there is no camera named {name!r} in this run: check the first column of the table.")
         self.select_index(self.run.photographs.index(name))
 
     def select_index(self, index: int) -> None:
-        """Select photograph `index` of `RunView.photographs`, a camera of the scene or one beyond them, through its row of the table."""
+        """Select photograph `index` of `RunView.photographs` through its row of the table."""
         if self.docks.cameras is not None:
             self.docks.cameras.select(index)
 
     def mark_camera(self, index: int) -> None:
-        """What follows from a selected row: its mark in both views, its photograph, its line in the status bar."""
+        """Show a selected photograph: its mark in both views, its picture, its line in the status bar."""
         if self.run is None:
             return
         is_placed = index < len(self.run.scene.cameras)
@@ -182,7 +174,6 @@ class InspectorWindow(QMainWindow):
         self.render_views()
 
     def fly_to_selected(self) -> None:
-        """See the scene from the selected camera."""
         if self.run is None or self.selected is None:
             self.show_status("No camera with a known place is selected: click one in a view or in the table.")
             return
@@ -196,7 +187,7 @@ class InspectorWindow(QMainWindow):
             self.raise_dock(self.docks.splats)
 
     def _show_on_map(self, place: FloatArray) -> None:
-        """Move the map where a place (3,) lies outside of it."""
+        """Centre the map on a place (3,) that lies outside of it."""
         pixel = self.map.pixels_of(place[None])[0]
         if not ((pixel >= 0) & (pixel <= self.map.size_wh)).all():
             self.map.center_on(place[:2])
@@ -209,11 +200,10 @@ class InspectorWindow(QMainWindow):
 
     @property
     def crop_box(self) -> FloatArray | None:
-        """See `Host`."""
         return self.docks.crop.active_box
 
     def set_theme(self, name: ThemeName) -> None:
-        """Light or dark, views included."""
+        """Use the light or the dark theme, also in the views."""
         self.theme = THEMES[name]
         for button in self._dark_button:
             button.blockSignals(True)
@@ -237,13 +227,12 @@ class InspectorWindow(QMainWindow):
         self.render_views()
 
     def render_views(self, *, map_only: bool = False) -> None:
-        """See `Host`."""
         if self.isVisible():
             for canvas in (self.map,) if map_only else (self.map, self.view):
                 canvas.render()
 
     def screenshot(self) -> Image:
-        """Map and 3D view as they are on screen, side by side (H,W,3)."""
+        """Return map and 3D view side by side (H,W,3)."""
         images = [canvas.screenshot() for canvas in (self.map, self.view)]
         height = min(image.shape[0] for image in images)
         return np.concatenate([image[:height] for image in images], axis=1)
@@ -254,18 +243,17 @@ class InspectorWindow(QMainWindow):
         self.show_status(f"Saved {path}")
 
     def save_window_picture(self, path: Path) -> None:
-        """Write the whole window, docks included, as PNG; BadInput where it cannot be written."""
+        """Write the window with its docks as PNG; BadInput where it cannot be written."""
         # Grabbed from the screen: Qt's own picture of a widget leaves out what OpenGL drew.
         if not self.screen().grabWindow(int(self.winId())).save(str(path), "PNG"):
             raise BadInput(f"cannot write {path}: choose a folder that exists and a name that ends in .png.")
         self.show_status(f"Saved {path}")
 
     def reload(self) -> None:
-        """Read the run anew, in a new window in the place of this one."""
         self.wants_reload.emit()
 
     def all_docks(self) -> list[QDockWidget]:
-        """Every dock, in the order of the menu."""
+        """Return all docks, in the order of the menu."""
         planning = [] if self.planning is None else [self.planning.dock, self.planning.loads]
         return [self.layer_dock, *planning, *self.docks.all()]
 
@@ -275,14 +263,14 @@ class InspectorWindow(QMainWindow):
         QTimer.singleShot(0, self._on_first_shown)
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """End what runs beside the window, then free both views before Qt takes their windows away; VTK would draw into nothing."""
+        """Stop background work, then close both views before Qt destroys their windows under VTK."""
         self.end()
         for canvas in (self.map, self.view):
             canvas.plotter.close()
         super().closeEvent(event)
 
     def end(self) -> None:
-        """End what runs beside the window; edits that are being solved are kept."""
+        """Stop renderers, polling, films and planning; edits that are being solved stay in their file."""
         for dock in (self.docks.splats, self.docks.progress):
             if dock is not None:
                 dock.end()
@@ -303,7 +291,7 @@ class InspectorWindow(QMainWindow):
                 self._restore(self)
 
     def _on_polled(self) -> None:
-        """Read the run anew once one of its stages has written something, unless somebody is in the middle of something."""
+        """Request a reload once the files have changed, unless the user is in the middle of an action."""
         stamps = file_stamps(self.subject.path)
         if stamps == self._tried or self._is_busy():
             return
@@ -324,7 +312,7 @@ class InspectorWindow(QMainWindow):
         photo, seams, fly, crop = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.crop
         planning = self.planning
         actions = None if planning is None else planning.actions
-        # Text, tip, key and what is done; an entry without a text has its button in a dock.
+        # Text, tip, key and action; an entry without a text has its button in a dock.
         entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
             ("Fit", "Fit all layers into both views", "F", self.reset_views),
             ("Fly to", "See the scene from the selected camera", "Return", self.fly_to_selected if self.run else None),
@@ -380,7 +368,7 @@ class InspectorWindow(QMainWindow):
     def _begin_tour(self) -> None:
         if self.docks.seams is not None:
             self.raise_dock(self.docks.seams)
-            # What the model looks like there is what the tour is for.
+            # The tour shows the model at the seams.
             self.raise_dock(self.docks.splats)
             self.docks.seams.go(0)
 
@@ -428,7 +416,7 @@ class InspectorWindow(QMainWindow):
     def _ask_window_picture(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save window", str(Path.cwd() / "window.png"), "PNG (*.png)")
         if path:
-            # The dialog must be off the screen first.
+            # The dialog must have left the screen.
             QTimer.singleShot(300, lambda: self.attempt(lambda: self.save_window_picture(Path(path))))
 
     def _show_shortcuts(self) -> None:

@@ -1,4 +1,4 @@
-"""`WindowState`: how somebody has set up a window, carried over when the run it shows is read anew. Needs the `desktop` extra."""
+"""`WindowState`: the user's arrangement of a window, carried over when its run is read again. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from radiant_viewer.window.window import InspectorWindow
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WindowState:
-    """Where both views stand, which layers are shown, what is selected, and which docks are in front or float where."""
+    """Poses of both views, visible layers, selection, docks in front and floating docks."""
 
     pose: ViewPose
     map_middle: FloatArray
@@ -28,7 +28,7 @@ class WindowState:
 
 
 def read_window_state(window: InspectorWindow) -> WindowState:
-    """What `restore_window` brings back in another window of the same run."""
+    """Return the state that `restore_window` gives to another window of the same run."""
     camera = window.map.plotter.camera
     selected = None if window.run is None or window.selected is None else window.run.scene.cameras.names[window.selected]
     docks = window.all_docks()
@@ -48,7 +48,7 @@ def read_window_state(window: InspectorWindow) -> WindowState:
 
 
 def restore_window(window: InspectorWindow, state: WindowState) -> None:
-    """Set a window up as another one was; what only one of them has stays as it is."""
+    """Arrange a window as another one was, as far as both have the same parts."""
     for dock in window.all_docks():
         if dock.objectName() in state.floating:
             dock.setFloating(True)
