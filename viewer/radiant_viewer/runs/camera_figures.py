@@ -1,6 +1,6 @@
-"""The cameras of a scene as a table of figures: what is known of each, sorted and filtered. Pure; once per plan.
+"""The figures of a scene's cameras as a table that can be sorted and filtered. Pure; once per plan.
 
-psnr < 22 and region = north        conditions of a filter, all of which must hold; = and != take names too, ~ a part of one
+psnr < 22 and region = north        a filter: all conditions must hold; = and != also compare names, ~ finds a part of one
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class CameraFigures:
         return len(next(iter(self.columns.values())))
 
     def column(self, name: str) -> NDArray[Any]:
-        """One column; BadInput for an unknown name."""
+        """Return one column; BadInput for an unknown name."""
         if name not in self.columns:
             raise BadInput(f"cameras have no figure {name!r}: use one of {', '.join(self.columns)}.")
         return self.columns[name]
@@ -47,7 +47,7 @@ def camera_figures(
     psnr_db: Mapping[str, float] | None = None,
     footprints: Footprints | None = None,
 ) -> CameraFigures:
-    """All that is known of the scene's C cameras without opening a photograph."""
+    """Return all figures of the scene's C cameras that need no photograph."""
     cameras, unit = scene.cameras, scene.frame.unit
     count = len(cameras)
     centers = cameras.centers
@@ -86,7 +86,7 @@ def camera_figures(
 
 
 def count_overlaps(footprints: Footprints) -> FloatArray:
-    """How many other footprints hold the middle of each footprint (P,), NaN where it sees no ground."""
+    """Return how many other footprints contain the middle of each footprint (P,), NaN where it has no area."""
     middles = footprints.polygons.mean(axis=1)
     sees = footprints.areas_m2 > 0
     counts = np.full(len(footprints), np.nan)
@@ -98,12 +98,12 @@ def count_overlaps(footprints: Footprints) -> FloatArray:
             side, local = there - here, middles[near] - here
             inside &= side[0] * local[:, 1] - side[1] * local[:, 0] >= 0
         counts[near[inside]] += 1
-    # A thin footprint's middle may fall outside it by a rounding.
+    # Rounding may put the middle of a thin footprint outside of it.
     return np.where(sees, np.maximum(counts, 0), np.nan)
 
 
 def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) -> NDArray[np.int64]:
-    """Rows (C,) in the order of a column, equal ones as they stand; cameras without the figure come last either way."""
+    """Return the rows (C,) in the order of a column, stable; cameras without the figure come last in both directions."""
     values = figures.column(name)
     if values.dtype.kind == "f":
         unknown = np.isnan(values)
@@ -114,9 +114,9 @@ def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) ->
 
 
 def filter_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
-    """Rows (K,) that meet all conditions of a filter, every row for an empty one; a lone word is looked for in names.
+    """Return the rows (K,) that meet all conditions of a filter, all rows for an empty one; a single word is searched in names.
 
-    Raises BadInput, with what is expected, for a condition that cannot be read.
+    Raises BadInput with an example for a condition that cannot be parsed.
     """
     kept = np.ones(len(figures), bool)
     for part in re.split(r"\s+and\s+|,", text.strip()) if text.strip() else []:

@@ -1,6 +1,6 @@
-"""A plan without a run, for the eye: what `radiant plan` wrote, opened as a `RunView` without model and figures. Once per window.
+"""A plan without a run: the file of `radiant plan` as a `RunView` without model and figures. Once per window.
 
-Before capture nobody knows a pose: cameras stand at their waypoints and look where the flight plan says, straight down where it does not.
+Before capture poses are unknown: cameras stand at their waypoints with the flight plan's direction, else straight down.
 """
 
 from __future__ import annotations
@@ -25,13 +25,17 @@ from radiant_viewer.runs.run_view import RunView
 
 IMAGE_WIDTH_PX = 4000
 USUAL_OVERLAP, LARGEST_OVERLAP = 0.8, 0.95
-"""Of an image with the next one: what flights for photogrammetry have, and more than any has."""
+"""Overlap of consecutive images in flights for photogrammetry: the usual one, and more than any flight has."""
 
 
 def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
-    """The plan in a file; `scene`: the cameras it deals, in its order, where it was made from a scene and holds no waypoints.
+    """Read the plan in a file.
 
-    Raises BadInput when it has neither or they do not fit, and as `load_plan`.
+    Args:
+        path: the plan's file.
+        scene: its cameras, in its order; for a plan that was made from a scene and holds no waypoints.
+
+    Raises: BadInput where it has neither or they do not fit, and as `load_plan`.
     """
     found = load_plan_file(path)
     cloud_plan, edge_plans = found.cloud, found.edges
@@ -69,8 +73,8 @@ def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None) ->
 
 
 def estimate_ground_m(waypoints: Waypoints, optics: Optics) -> float:
-    """Where the ground lies in the waypoints' altitudes (m): at 0 where a flight may be that high and its images overlap by at most
-    `LARGEST_OVERLAP` from there, and else so far below the lowest waypoint that they overlap by `USUAL_OVERLAP`."""
+    """Estimate the altitude (m) of the ground in the waypoints' datum: 0 if that gives a plausible flight height and an overlap of
+    at most `LARGEST_OVERLAP`, else so far below the lowest waypoint that the overlap is `USUAL_OVERLAP`."""
     altitudes = waypoints.lat_lon_alt[:, 2]
     low, high = float(altitudes.min()), float(altitudes.max())
     positions = waypoints.positions_m[:, :2]
@@ -87,7 +91,7 @@ def estimate_ground_m(waypoints: Waypoints, optics: Optics) -> float:
 
 
 def _cameras_along(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:
-    """Cameras at positions (P,3) through whose corners, from the left upper one on clockwise, the rays (P,4,3) go."""
+    """Return cameras at positions (P,3) whose corners, clockwise from the upper left, see along the rays (P,4,3)."""
     left_up, right_up, right_down, left_down = (corner_rays[:, corner] for corner in range(4))
     forward = _unit(corner_rays.sum(axis=1))
     right = _unit(right_up + right_down - left_up - left_down)

@@ -1,6 +1,6 @@
-"""`RunView`: what the folder of a run, a training or a scene holds for the eye, read through `radiant_core.io` and checked to fit together.
+"""`RunView`: the contents of a run, a training or a scene, read through `radiant_core.io` and checked to fit together.
 
-Read once per window or screenshot. A run that is broken or not finished gives one sentence: what is missing, what finishes it.
+Read once per window or screenshot. The error for a broken or unfinished run names what is missing and what makes it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from radiant_viewer.runs.unplanned import FolderKind, finish_command, folder_kin
 
 SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
 DELIVERED = "delivered"
-"""Folder of a run whose photographs stayed on their devices: the poses and the plan of what was delivered."""
+"""Folder of a run in the field: poses and plan of the delivered models."""
 FileStamps = tuple[tuple[str, int, int], ...]
 COMPARISON_KINDS = ("photographs", "renders", "differences")
 """Folders below pictures/ with one PNG per held-out photograph, in the order they are shown."""
@@ -36,12 +36,12 @@ COMPARISON_KINDS = ("photographs", "renders", "differences")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunView:
-    """A run as far as it has come: scene and plan always, model and figures once they exist.
+    """The present state of a run: scene and plan always, model and figures once they exist.
 
-    held_out: names of the cameras that nothing was trained on; psnr_db: figures of held-out photographs by name, None before evaluation.
-    Where photographs stayed with their devices (`in_field`), cameras have numbers for names, those of held-out photographs stayed, too
-    (`unplaced`, sorted), and `files` has the names of the files behind numbers as far as the devices' folders lie in the run's.
-    kind: what the folder is; the plan of a training or a scene is one region without land.
+    held_out: names of the held-out cameras; psnr_db: figures of held-out photographs by name, None before evaluation.
+    Where photographs stayed with their devices (`in_field`), cameras are numbered, held-out photographs have no pose here
+    (`unplaced`, sorted), and `files` maps numbers to file names if the devices' folders are inside the run's.
+    kind: what the folder is; the plan of a training or a scene is one region without borders.
     """
 
     folder: Path
@@ -59,7 +59,7 @@ class RunView:
 
     @property
     def photographs(self) -> tuple[str, ...]:
-        """Names of all that can be chosen: the scene's cameras, then the held-out photographs without one."""
+        """Names of the scene's cameras, then of the held-out photographs without a pose."""
         return (*self.scene.cameras.names, *self.unplaced)
 
     @property
@@ -69,7 +69,7 @@ class RunView:
         return {name: value for name, value in (self.psnr_db or {}).items() if name in known}
 
     def owner(self, index: int) -> str:
-        """The device that took photograph `index` of `photographs`; empty where the plan knows none."""
+        """Return the device of photograph `index` of `photographs`; empty where the plan has none."""
         if index < len(self.scene.cameras):
             device = int(self.roles.device_of_camera[index])
             return self.roles.device_ids[device] if device >= 0 else ""
@@ -83,9 +83,13 @@ class RunView:
 
 
 def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
-    """The run, training or scene in `folder`; BadInput when it is none or not planned yet, StoreDamaged when a file is broken.
+    """Read the run, training or scene in `folder`.
 
-    `with_files`: names of files behind numbers, too, for a window, which writes nothing into the run; nobody else reads devices' records.
+    Args:
+        folder: the folder of `radiant run`, `radiant train` or `radiant sfm`.
+        with_files: fill `RunView.files` from the devices' records; for a window, which writes nothing into the run.
+
+    Raises: BadInput where it is none of them or has no plan yet, StoreDamaged where a file is broken.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -93,7 +97,7 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
     if (kind := folder_kind(folder)) != "run":
         return _unplanned_view(folder, kind)
     if (folder / DELIVERED).is_dir():
-        # Devices that place their own photographs send poses for what they trained on, and nothing of what they held out.
+        # Devices in the field send poses of training photographs only.
         _require_file(folder, f"{DELIVERED}/plan.json", "the run is not finished")
         scene, plan_path = load_scene(folder / DELIVERED / "scene.safetensors"), folder / DELIVERED / "plan.json"
         held_out: frozenset[str] = frozenset()
@@ -129,7 +133,7 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
     is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
     psnr_db = _image_psnr_db(folder / METRICS_NAME) if is_scored else None
     names = scene.cameras.names
-    # A scene may hold copies of photographs, which training leaves out before it splits: what it scored is known only from its figures.
+    # Training drops copies of photographs before it splits: only its figures tell which were held out.
     held = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
     held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
     cloud_plan, edge_plans = single_region_plan(scene, int((~held).sum()))
@@ -148,7 +152,7 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
 
 
 def is_planned(folder: Path) -> bool:
-    """Whether a run has come so far that there is a plan to show, or a training that there are cameras."""
+    """Return whether a run has a plan to show, or a training its cameras."""
     if folder_kind(folder) != "run":
         return has_unplanned_scene(folder)
     if (folder / DELIVERED).is_dir():
@@ -157,8 +161,7 @@ def is_planned(folder: Path) -> bool:
 
 
 def file_stamps(path: Path) -> FileStamps:
-    """What tells whether `load_run_view` of a run, or the file itself that `path` is, would read something new: of every file that is
-    there its name, time and length."""
+    """Return name, time and length of the files that `load_run_view` reads, or of the file `path`; equal stamps mean equal content."""
     names = (
         SCENE_NAME,
         "scene.safetensors",
@@ -177,19 +180,19 @@ def file_stamps(path: Path) -> FileStamps:
 
 
 def plan_path(folder: Path) -> Path:
-    """Where a run keeps its plan: beside the rest, or with what devices delivered that keep their photographs."""
+    """Return the path of a run's plan; with `delivered` in a run in the field."""
     return folder / DELIVERED / PLAN_NAME if (folder / DELIVERED).is_dir() else folder / PLAN_NAME
 
 
 def require_splats(run: RunView) -> Splats:
-    """The run's model; BadInput with the command that makes it when there is none yet."""
+    """Return the run's model; BadInput with the command that makes it where there is none."""
     if run.splats is None:
         raise BadInput(no_model_text(run.folder))
     return run.splats
 
 
 def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
-    """Photograph, render and difference of one held-out photograph; BadInput when the run keeps no pictures of it."""
+    """Return the files of photograph, render and difference of a held-out photograph; BadInput where the run has none."""
     paths = tuple(run.folder / "pictures" / kind / f"{name}.png" for kind in COMPARISON_KINDS)
     missing = [path for path in paths if not path.is_file()]
     if missing and run.in_field:
@@ -207,7 +210,7 @@ def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
 
 
 def no_model_text(folder: Path) -> str:
-    """Why a folder holds no model, and what makes one."""
+    """Return why a folder has no model, and what makes one."""
     state = {
         "run": "the run is not finished",
         "training": "the training is not finished",
