@@ -15,7 +15,7 @@ WIDTH, FLATNESS, DROP = 0.13, 0.18, 0.06
 
 
 def load_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """A white bar under every edge near the map; its filled share is the edge's time over the makespan. Empty without regions."""
+    """Return a white bar under every edge near the map, filled by its time over the makespan. Empty without regions."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     shown = np.flatnonzero(is_near_map(cloud_plan)) if len(corners) else np.zeros(0, np.int64)
     side = float(np.ptp(corners, axis=0).max()) if len(corners) else 1.0

@@ -18,10 +18,10 @@ VERMILLION, PURPLE, SKY, YELLOW = (213, 94, 0), (204, 121, 167), (86, 180, 233),
 BLACK, GREY, WHITE, INK = (0, 0, 0), (150, 150, 150), (255, 255, 255), (40, 44, 52)
 
 CATEGORIES = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, YELLOW)
-"""Order in which edges take their colours."""
+"""Colours of edges, in order."""
 
 CURVE_COLORS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, BLACK)
-"""Order in which curves take theirs: yellow is too faint for a thin line on white."""
+"""Colours of curves, in order: yellow is too faint for a thin line on white."""
 DASHES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h", "<", ">")
 
@@ -36,7 +36,7 @@ class CurveStyle:
 
 
 def curve_style(index: int) -> CurveStyle:
-    """Style of the curve `index` ≥ 0: colour, dash and marker together come back after 308 curves, and no two of eleven share a marker."""
+    """Return the style of curve `index` ≥ 0; styles repeat after 308 curves, markers after eleven."""
     dash = DASHES[index // len(CURVE_COLORS) % len(DASHES)]
     return CurveStyle(color=unit_rgb(CURVE_COLORS[index % len(CURVE_COLORS)]), dash=dash, marker=MARKERS[index % len(MARKERS)])
 
@@ -52,20 +52,20 @@ def unit_rgb(color: Sequence[int]) -> tuple[float, float, float]:
 
 
 def tint(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
-    """Colours (…,3) uint8 mixed with `share` (0 to 1) of `toward` (3,)."""
+    """Mix colours (…,3) with `share` (0 to 1) of `toward` (3,); returns uint8."""
     mixed = (1 - share) * np.asarray(color, np.float64) + share * np.asarray(toward, np.float64)
     return np.rint(mixed).astype(np.uint8)
 
 
 def category_colors(count: int) -> ColorArray:
-    """Colours (count,3) for regions: seven hues, then lighter, then darker ones; they repeat from the 22nd on."""
+    """Return colours (count,3) of regions: seven hues, then lighter, then darker ones; they repeat from the 22nd on."""
     hues = np.array(CATEGORIES, np.uint8)
     shades = np.concatenate([hues, tint(hues, WHITE, 0.45), tint(hues, BLACK, 0.4)])
     return shades[np.arange(count) % len(shades)]
 
 
 def shade_colors(color: ArrayLike, count: int) -> ColorArray:
-    """Shades (count,3) of one hue from dark to light: the devices of one edge."""
+    """Return shades (count,3) of one hue from dark to light, for the devices of an edge."""
     if count == 1:
         return np.asarray(color, np.uint8)[None]
     steps = np.linspace(-0.3, 0.5, count)
@@ -73,15 +73,15 @@ def shade_colors(color: ArrayLike, count: int) -> ColorArray:
 
 
 def heat_table(start: float = 0.0) -> ColorArray:
-    """The 256 colours (256,3) of viridis, dark violet to yellow, readable in grey and for every kind of colour vision; of a scale that
-    begins at the share `start` of it."""
+    """Return 256 colours (256,3) of viridis from its share `start` on: dark violet to yellow, readable in grey and for every
+    kind of colour vision."""
     from matplotlib import colormaps
 
     return np.rint(255 * colormaps["viridis"](np.linspace(start, 1, 256))[:, :3]).astype(np.uint8)
 
 
 def trim_heat_colors(colors: ColorArray, start: float) -> ColorArray:
-    """Colours (N,3) of the whole scale as those of one that begins at `start`; others stay."""
+    """Map colours (N,3) of the whole scale to the scale that begins at `start`; other colours stay."""
     packed, whole = (table.astype(np.int64) @ (1 << 16, 1 << 8, 1) for table in (colors, heat_table()))
     order = np.argsort(whole)
     places = order[np.clip(np.searchsorted(whole[order], packed), 0, len(order) - 1)]
@@ -89,7 +89,7 @@ def trim_heat_colors(colors: ColorArray, start: float) -> ColorArray:
 
 
 def heat_colors(values: ArrayLike, low: float, high: float) -> ColorArray:
-    """Colours (N,3) of finite values (N,), clipped to low … high."""
+    """Return the colours (N,3) of finite values (N,), clipped to low … high."""
     span = high - low if high > low else 1.0
     shares = (np.clip(np.asarray(values, np.float64), low, low + span) - low) / span
     return heat_table()[np.rint(255 * shares).astype(np.int64)]

@@ -15,20 +15,20 @@ from radiant_viewer.layers.layer import Label, Layer, LegendEntry, at_height, ou
 from radiant_viewer.layers.palette import INK, WHITE, category_colors, rgb, shade_colors, tint
 
 FILL_TINT = 0.62
-"""Share of white in a region's fill, so that points and cameras over it stay readable."""
+"""Share of white in a region's fill."""
 MAX_FULL_LABELS = 8
-"""With more edges their labels are names only, so that they do not bury the map; the legend has the figures."""
+"""With more edges labels are names only; the legend has the figures."""
 
 
 def duration_text(seconds: float) -> str:
-    """Seconds in the unit a reader would choose: "42 s", "3.2 min", "1.5 h"."""
+    """Return seconds in a readable unit: "42 s", "3.2 min", "1.5 h"."""
     if seconds < 100:
         return f"{seconds:.3g} s"
     return f"{seconds / 60:.3g} min" if seconds < 6000 else f"{seconds / 3600:.3g} h"
 
 
 def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Each edge's region, tinted in its colour, with its border."""
+    """Return each edge's region in a tint of its colour, with its border."""
     shown = [index for index, border in enumerate(cloud_plan.borders) if len(border) >= 3]
     polygons = tuple(at_height(cloud_plan.borders[index], height) for index in shown)
     colors = category_colors(len(cloud_plan.edge_ids))
@@ -46,7 +46,7 @@ def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 
 def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: float = 0.0) -> Layer:
-    """Each device's strip in a shade of its edge's colour, with its id; devices without cameras appear in the legend only."""
+    """Return each device's strip in a shade of its edge's colour; devices without cameras are in the legend only."""
     edge_colors = category_colors(len(cloud_plan.edge_ids))
     polygons, fills, labels, legend = [], [], [], []
     for plan in (plan for plan in edge_plans if plan.device_ids):
@@ -72,7 +72,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
 
 
 def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Only the lines of the regions' borders, to lie over strips or points."""
+    """Return the lines of the regions' borders alone, to draw over strips or points."""
     sides = outline_segments([at_height(border, height) for border in cloud_plan.borders])
     return Layer(
         name="Borders",
@@ -85,7 +85,7 @@ def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 
 def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Where each edge stands, with its id, number of cameras and predicted time; sites far outside the map are only counted."""
+    """Return the site of each edge with its id, number of cameras and predicted time; sites far outside the map are only counted."""
     near = is_near_map(cloud_plan)
     sites = at_height(cloud_plan.sites, height)
     labels = [Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near).tolist()]
@@ -104,7 +104,7 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 
 def is_near_map(cloud_plan: CloudPlan) -> np.ndarray:
-    """Whether each site (E,) lies within half a diagonal of the regions: one 10 km off would shrink the map to a dot."""
+    """Return whether each site (E,) lies within half a diagonal of the regions: one 10 km off would shrink the map to a dot."""
     corners: FloatArray = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if not len(corners):
         return np.ones(len(cloud_plan.edge_ids), bool)

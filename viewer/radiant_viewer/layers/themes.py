@@ -1,4 +1,4 @@
-"""The light and the dark look of the window: one table of colours for Qt, for both views, and for what layers draw in ink.
+"""The light and the dark theme of the window: one table of colours for Qt, both views, and layers.
 
 Pure: a `Theme` is plain colours; `apply_theme` recolours a layer. Once per change of theme.
 """
@@ -17,12 +17,12 @@ ThemeName = Literal["light", "dark"]
 DARK_HEAT_START = 0.4
 """Of viridis: its blue-green stands out from a dark view by 3.5 : 1 in luminance, its violet by 1.1 : 1."""
 FILL_SHARE = 0.62
-"""How far fills of regions go towards the background of a dark view: as far as they go towards white in a light one."""
+"""Share of the background in fills of regions in a dark view, as that of white in a light one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Theme:
-    """Colours (3,) 0 to 255: of panels, of lists and fields, of text, of what is selected, and of the views' background and ink."""
+    """Colours (3,) 0 to 255 of panels, fields, text, selection, and the background and ink of the views."""
 
     name: ThemeName
     panel: tuple[int, int, int]
@@ -61,11 +61,11 @@ THEMES: dict[ThemeName, Theme] = {"light": LIGHT, "dark": DARK}
 
 
 def apply_theme(layer: Layer, theme: Theme) -> Layer:
-    """The layer as it is drawn under a theme, its legend too: ink becomes the theme's, pale fills become dark ones, what is left white
-    the theme's field, and a heat scale begins where it can be seen; other colours of data stay."""
+    """Return the layer and its legend in a theme's colours: ink, pale fills, and white become the theme's, and a heat scale begins
+    where it is visible; other colours of data stay."""
     is_plain = not (len(layer.segments) or layer.polygons or layer.heat or any(entry.marker == "line" for entry in layer.legend))
     if theme.name == "light" or is_plain:
-        # The same object: both views then share what they keep of a cloud.
+        # The same object, so that both views share the cached cloud.
         return layer
     strokes = np.array([entry.color for entry in layer.legend if entry.marker == "line"], np.uint8).reshape(-1, 3)
     inked = iter(_recolor_ink(strokes, theme).tolist())
@@ -81,12 +81,12 @@ def apply_theme(layer: Layer, theme: Theme) -> Layer:
 
 
 def hex_color(color: tuple[int, int, int]) -> str:
-    """A colour as "#rrggbb"."""
+    """Return a colour as "#rrggbb"."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def style_sheet(theme: Theme) -> str:
-    """What Qt's palette cannot say of a theme."""
+    """Return the style sheet of a theme, for what Qt's palette lacks."""
     panel, field, line, text, soft, accent = (
         hex_color(color) for color in (theme.panel, theme.field, theme.line, theme.text, theme.soft_text, theme.accent)
     )
@@ -119,14 +119,14 @@ QScrollArea {{ border: none; }}
 
 
 def _recolor_ink(colors: ColorArray, theme: Theme) -> ColorArray:
-    """Segment colours (S,3) with ink, and the greys between ink and white, turned to the theme's ink."""
+    """Return segment colours (S,3) with ink, and greys between ink and white, in the theme's ink."""
     spread = colors.max(axis=1, initial=0).astype(int) - colors.min(axis=1, initial=255).astype(int) if len(colors) else np.zeros(0, int)
     is_ink = (spread < 20) & (colors.mean(axis=1) < 130) if len(colors) else np.zeros(0, bool)
     return np.where(is_ink[:, None], np.array(theme.ink, np.uint8), colors)
 
 
 def _trim_dark_end(layer: Layer, heat: HeatScale) -> Layer:
-    """A layer of a heat scale with the scale's dark end cut off."""
+    """Return a layer whose heat scale has no dark end."""
     return replace(
         layer,
         point_colors=trim_heat_colors(layer.point_colors, DARK_HEAT_START),
@@ -137,6 +137,6 @@ def _trim_dark_end(layer: Layer, heat: HeatScale) -> Layer:
 
 
 def _darken_fills(colors: ColorArray, theme: Theme) -> ColorArray:
-    """Fills (R,3) of which 62 % are white, with the view's background in its place."""
+    """Return fills (R,3) with the view's background in place of their 62 % of white."""
     pure = (colors.astype(np.float64) - FILL_SHARE * 255) / (1 - FILL_SHARE)
     return np.rint((1 - FILL_SHARE) * np.clip(pure, 0, 255) + FILL_SHARE * np.array(theme.view)).astype(np.uint8)

@@ -58,7 +58,7 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
 
 def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None) -> SfmScene:
     """The cameras that waypoints will become, without points, in metres about the waypoints' origin; z counts from the ground, at
-    `ground_m` of the waypoints' altitudes, and where nobody gave it at `estimate_ground_m`."""
+    `ground_m` of the waypoints' altitudes, or at `estimate_ground_m`."""
     optics = Optics()
     positions = waypoints.positions_m.copy()
     positions[:, 2] += waypoints.origin[2] - (estimate_ground_m(waypoints, optics) if ground_m is None else ground_m)
