@@ -1,4 +1,4 @@
-"""Pictures that are no maps: the timeline of devices and edges, and photograph, render and difference side by side.
+"""The timeline of devices and edges, and photograph, render and difference side by side.
 
 Once per report or screenshot, with matplotlib's own rasteriser.
 """
@@ -20,13 +20,13 @@ from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, new_f
 
 ROW_PX, TOP_PX, FOOT_PX, LABEL_PX, RIGHT_PX = 26, 92, 52, 150, 96
 STAGE_COLORS = {"initialise": SKY, "train": BLUE, "send": ORANGE, "aggregate": GREEN, "merge": PURPLE, "evaluate": YELLOW, "whole": GREY}
-"""Colour of the stages that every run has; others take the remaining colours in the order they come."""
+"""Colours of the stages of every run; other stages take the remaining colours in order."""
 OTHER_COLORS = (VERMILLION, GREY, tint(BLUE, WHITE, 0.55), tint(GREEN, WHITE, 0.55), tint(PURPLE, WHITE, 0.55))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimelineSpan:
-    """One stage of one device, edge or the cloud. Raises BadInput when it ends before it begins or is not finite."""
+    """One stage of a device, an edge or the cloud. Raises BadInput where it ends before it begins or is not finite."""
 
     stage: str
     start_s: float
@@ -39,7 +39,7 @@ class TimelineSpan:
 
 @dataclass(frozen=True, kw_only=True)
 class TimelineRow:
-    """One line of the timeline: who, and what it did when."""
+    """One line of the timeline: a name and its spans."""
 
     name: str
     spans: tuple[TimelineSpan, ...]
@@ -48,7 +48,7 @@ class TimelineRow:
 
 
 def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width_px: int = 1280) -> Image:
-    """Bars (H,width_px,3) of what each device and edge did when, with the moment each finished; BadInput without any span."""
+    """Return the timeline (H,width_px,3): a bar per span, and the total of each row; BadInput without any span."""
     if not any(row.spans for row in rows):
         raise BadInput("there is no timeline to draw: no device or edge has a stage with a time.")
     if width_px < 640:
@@ -68,9 +68,10 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
 
 
 def comparison_picture(photo: Image, render: Image, difference: Image | None = None, title: str = "", width_px: int | None = None) -> Image:
-    """Photograph, render and difference (each (H,W,3)) side by side with captions, each 380 to 560 px wide, or `width_px` for all three.
+    """Return photograph, render and difference, each (H,W,3), side by side with captions.
 
-    Without `difference` it is |photo − render| × 3. Raises BadInput when sizes differ.
+    Each is 380 to 560 px wide, or all three `width_px`; without `difference` it is |photo − render| × 3. Raises BadInput where
+    sizes differ.
     """
     if difference is None:
         _require_same_size(photo, render)
@@ -113,12 +114,12 @@ def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: d
 
 
 def time_unit(end_s: float) -> tuple[float, str]:
-    """Seconds of the unit in which an axis up to `end_s` is labelled, and its name."""
+    """Return the unit of an axis up to `end_s`: its seconds and its name."""
     return (1.0, "s") if end_s < 100 else (60.0, "min") if end_s < 6000 else (3600.0, "h")
 
 
 def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, label: str, theme: Theme = LIGHT) -> None:
-    """Rows, each a name and whether it is bold, from the top down; time from 0 to `end` along the bottom."""
+    """Style a time axis from 0 to `end` with rows from the top down, each a name and whether it is bold."""
     ink, soft = hex_color(theme.ink), hex_color(theme.soft_text)
     axes.set(xlim=(0, end * 1.01), ylim=(len(rows) - 0.4, -0.6))
     axes.set_facecolor("none")
@@ -146,12 +147,12 @@ def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[floa
 
 
 def key_width_px(text: str) -> float:
-    """Room of one entry of the key."""
+    """Return the width of one entry of the key."""
     return 22 + 7.4 * len(text) + 26
 
 
 def stage_colors(found: Iterable[str]) -> dict[str, tuple[float, float, float]]:
-    """Colour of each of the stages found, in the order of the key."""
+    """Return the colour of each stage found, in the order of the key."""
     found = list(found)
     stages = [stage for stage in STAGE_COLORS if stage in found] + [stage for stage in found if stage not in STAGE_COLORS]
     others = [stage for stage in stages if stage not in STAGE_COLORS]

@@ -1,4 +1,4 @@
-"""What quality costs: PSNR against CPU seconds and against Gaussians, one line per variant. Drawn once per benchmark."""
+"""The cost of quality: PSNR against CPU seconds and against Gaussians, one line per variant. Once per benchmark."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class CurvePoint:
 def curve_picture(
     curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str, time_label: str = "CPU time of training (s)"
 ) -> Image:
-    """Lines through the mean of the points with about equal seconds; every point is drawn. BadInput without points."""
+    """Return all points (H,W,3), with lines through the means of points of about equal seconds. BadInput without points."""
     if not any(curves.values()):
         raise BadInput("there is no curve to draw: give at least one point.")
     figure = titled_figure((WIDTH_PX, HEIGHT_PX), title, detail)
@@ -56,7 +56,7 @@ def curve_picture(
 
 
 def _spread_labels(values: Sequence[float]) -> list[float]:
-    """Round values to label on a logarithmic axis, the smallest and others that leave room for the labels between them."""
+    """Return rounded values to label on a logarithmic axis, the smallest first, with space for their labels."""
     rounded = sorted({float(f"{value:.2g}") for value in values})
     kept = rounded[:1]
     for value in rounded[1:]:

@@ -17,7 +17,7 @@ Row = tuple[float, ...]
 
 
 def fleet_picture(panels: Mapping[str, Mapping[str, Sequence[Row]]]) -> Image:
-    """Panel → method → rows (clients, seconds, low, high) on logarithmic axes; BadInput without rows or where one is not positive."""
+    """Draw panel → method → rows (clients, seconds, low, high) on logarithmic axes; BadInput without rows or for one not positive."""
     rows = [row for lines in panels.values() for line in lines.values() for row in line]
     if not rows:
         raise BadInput("there is no fleet to draw: give at least one row.")

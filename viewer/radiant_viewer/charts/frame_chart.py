@@ -1,4 +1,4 @@
-"""A device's frame at a glance: where GPS says that its photographs were taken, and where its own structure from motion puts them.
+"""The frame of a device: GPS positions of its photographs beside the camera centres of its own structure from motion.
 
 From above and from the south, on one scale. Drawn once per device, beside its photographs.
 """
@@ -16,11 +16,11 @@ from radiant_viewer.pictures.page import SOFT_COLOR, axes_at, figure_image, styl
 
 WIDTH_PX, HEIGHT_PX, TOP_PX, LEFT_PX, FOOT_PX = 1100, 560, 76, 72, 52
 FAR_SHARE = 0.1
-"""A line longer than this share of the GPS positions' extent is drawn in the colour of warnings."""
+"""Lines longer than this share of the GPS positions' extent are red."""
 
 
 def frame_picture(gps_m: FloatArray, cameras_m: FloatArray, title: str, detail: str) -> Image:
-    """GPS positions (P,3) m east, north, up and camera centres (P,3) after the fit, joined by lines; BadInput without any."""
+    """Draw GPS positions (P,3) m east, north, up, joined to camera centres (P,3) after the fit; BadInput without any."""
     gps_m = checked_array("gps_m", gps_m, (None, 3))
     cameras_m = checked_array("cameras_m", cameras_m, (len(gps_m), 3))
     if not len(gps_m):

@@ -1,4 +1,4 @@
-"""A plan as bars in time, and beside each what was measured: one line per device and edge, predicted above, measured below.
+"""A plan as bars over time, one line per device and edge, the predicted bars above the measured ones.
 
 Predicted bars are pale with an outline, measured ones full; colours are the timeline's. Once per plan and once per report.
 """
@@ -20,35 +20,35 @@ from radiant_viewer.pictures.page import axes_at, figure_image, new_figure
 
 ROW_PX, TOP_PX, FOOT_PX = 34, 108, 52
 TITLE_PX = 34
-"""How much of the top a title takes."""
+"""Height of a title."""
 MAX_ROWS = 300
-"""A picture of more lines would be taller than 10,000 px; what is slowest is shown."""
+"""Most lines, the slowest machines; more would make a picture taller than 10,000 px."""
 PALE = 0.28
-"""Opacity of what is predicted."""
+"""Opacity of predicted bars."""
 Color = tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class GanttRow:
-    """One machine: its stages as predicted and, after a run, as measured; strong: an edge or the cloud, in bold."""
+    """One machine: its predicted stages and, after a run, the measured ones; strong: an edge or the cloud, in bold."""
 
     name: str
     predicted: tuple[TimelineSpan, ...] = ()
     measured: tuple[TimelineSpan, ...] = ()
     strong: bool = False
     note: str = ""
-    """What stands behind its bars; the ends of both where it is empty."""
+    """Text after its bars; the end times where empty."""
 
     @property
     def stop_s(self) -> float:
-        """When its last bar ends."""
+        """End of its last bar."""
         return max((span.stop_s for span in (*self.predicted, *self.measured)), default=0.0)
 
 
 def gantt_picture(rows: Sequence[GanttRow], title: str, detail: str = "", width_px: int = 1280, theme: Theme = LIGHT) -> Image:
-    """Bars (H,width_px,3) of what each machine is to do when, and did; the slowest `MAX_ROWS` lines. BadInput without any span.
+    """Return the Gantt chart (H,width_px,3) of the slowest `MAX_ROWS` machines.
 
-    An empty title, as where a tab says the same, takes no room.
+    An empty title takes no space. Raises BadInput without any span.
     """
     spans = [span for row in rows for span in (*row.predicted, *row.measured)]
     if not spans:

@@ -1,6 +1,6 @@
-"""How long each device works under one plan and under another, side by side. Once per comparison of plans.
+"""Training time of each device under one plan and another, side by side. Once per comparison of plans.
 
-Solid bars are measured, outlined ones predicted, one pair per device; the vertical line is the device that everybody waits for.
+Solid bars are measured, outlined ones predicted, one pair per device; the vertical line is the slowest device.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_
 
 PANEL_PX, LABEL_PX, RIGHT_PX, ROW_PX, TOP_PX, HEAD_PX, FOOT_PX = 420, 176, 20, 40, 70, 46, 78
 COLORS = tuple(map(unit_rgb, (ORANGE, BLUE)))
-"""Of the plans, in turn."""
+"""Colours of the plans, in turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class DeviceLatency:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanLatency:
-    """A plan's devices from the top down, and what is said beside its name."""
+    """A plan's devices from the top down, and a note below its name."""
 
     name: str
     note: str
@@ -49,7 +49,7 @@ class PlanLatency:
 
 
 def latency_picture(plans: Sequence[PlanLatency], title: str, detail: str) -> Image:
-    """One panel of bars per plan (H,W,3), all over the same seconds; BadInput without plans or devices."""
+    """Return one panel of bars per plan (H,W,3), on the same time axis; BadInput without plans or devices."""
     if not plans or not all(plan.devices for plan in plans):
         raise BadInput("there is no latency to draw: give at least one plan, each with at least one device.")
     rows = max(len(plan.devices) for plan in plans)

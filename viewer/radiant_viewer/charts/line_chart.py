@@ -19,7 +19,7 @@ PANEL_WH, LEFT_PX, FOOT_PX, TOP_PX, GAP_PX = (520, 400), 76, 58, 76, 30
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """x, y (K,) finite; dots without a line where `dotted`, dots on the line where `marked`; `style` where a name keeps its own."""
+    """x, y (K,) finite; `dotted`: dots without a line; `marked`: dots on the line; `style`: a fixed style."""
 
     name: str
     x: FloatArray
@@ -27,7 +27,7 @@ class Line:
     dotted: bool = False
     marked: bool = False
     style: int | None = None
-    """Number of the curve's style; by the order of names where nothing is given."""
+    """Index for `curve_style`; by the order of names where None."""
 
     def __post_init__(self) -> None:
         x = checked_array(f"x of {self.name}", self.x, (None,))
@@ -45,11 +45,11 @@ class Panel:
     y_range: tuple[float, float] | None = None
     """None: from 0 to a little above the highest value."""
     x_ticks: tuple[float, ...] = ()
-    """Where the horizontal axis is labelled; chosen by itself where nothing is given."""
+    """Labels of the horizontal axis; automatic where empty."""
 
 
 def line_picture(panels: Sequence[Panel], title: str, detail: str = "", panel_wh: tuple[int, int] = PANEL_WH) -> Image:
-    """Panels side by side (H,W,3), each `panel_wh` px; BadInput without any value."""
+    """Return panels side by side (H,W,3), each `panel_wh` px; BadInput without any value."""
     if not any(len(line.x) for panel in panels for line in panel.lines):
         raise BadInput("there is no line to draw: give at least one value.")
     width = len(panels) * (LEFT_PX + panel_wh[0] + GAP_PX)
@@ -65,7 +65,7 @@ def _draw_panel(axes: Axes, panel: Panel, styles: dict[str, CurveStyle]) -> None
     for number, line in enumerate(panel.lines):
         style = styles[line.name] if line.style is None else curve_style(line.style)
         dots = line.dotted or len(line.x) == 1
-        # Wider below, so that lines which run together all show.
+        # Wider below, so that overlapping lines stay visible.
         width = 1.8 + 1.6 * (len(panel.lines) - 1 - number) if not line.marked else 1.8
         marker, dash = (style.marker if dots or line.marked else ""), ("none" if dots else style.dash)
         axes.plot(line.x, line.y, color=style.color, label=line.name, marker=marker, linestyle=dash, linewidth=width)

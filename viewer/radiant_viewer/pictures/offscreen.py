@@ -23,12 +23,12 @@ from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
 
 OVERSAMPLING = 2
 MARGIN = 0.06
-"""Empty share of the map on each side of what is drawn."""
+"""Empty share of the map on each side."""
 MAX_SIDE_PX = 4096
 
 
 def render_map(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), text: PageText | None = None) -> Image:
-    """A finished map (H,W,3) with title, axes, scale bar, legend and labels; BadInput when there is nothing to draw."""
+    """Return a finished map (H,W,3) with title, axes, scale bar, legend and labels; BadInput without anything to draw."""
     page = text or PageText()
     return compose_page(draw_map(layers, drawing_size_wh(size_wh, is_map=True)), layers, size_wh, page)
 
@@ -38,13 +38,13 @@ def render_view(
     size_wh: tuple[int, int] = (1280, 900),
     text: PageText | None = None,
 ) -> Image:
-    """A finished view (H,W,3) in perspective from (azimuth from north, elevation); BadInput when there is nothing to draw."""
+    """Return a finished view (H,W,3) in perspective; BadInput without anything to draw."""
     page = text or PageText()
     return compose_page(draw_view(layers, drawing_size_wh(size_wh, is_map=False)), layers, size_wh, page)
 
 
 def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
-    """Layers seen from straight above, each over the one before it whatever its height."""
+    """Draw layers from straight above; later layers cover earlier ones, whatever their heights."""
     _require_size(size_wh)
     drawn = framing_positions(layers)[:, :2]
     extent = _fit_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
@@ -65,7 +65,7 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
 
 
 def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: tuple[float, float] = (205, 42)) -> Drawing:
-    """Layers in perspective, all of what is drawn inside the picture."""
+    """Draw layers in perspective, all inside the picture, from (azimuth from north, elevation)."""
     _require_size(size_wh)
     drawn = framing_positions(layers)
     origin = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
@@ -128,7 +128,7 @@ def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
 
 @contextmanager
 def egl_rendering() -> Iterator[None]:
-    """VTK reads this variable when it makes a window; without it, it first tries an X server and complains on stderr."""
+    """Let VTK render by EGL: it reads this variable when it makes a window, and otherwise tries an X server first."""
     name = "VTK_DEFAULT_OPENGL_WINDOW"
     before = os.environ.get(name)
     os.environ[name] = before or "vtkEGLRenderWindow"
@@ -148,7 +148,7 @@ def _screenshot(plotter: pv.Plotter) -> Image:
 
 
 def _fit_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
-    """The smallest extent with the picture's proportions around a box, with a margin."""
+    """Return the smallest extent with the picture's proportions around a box, with a margin."""
     center, spans = (low + high) / 2, np.maximum(high - low, 1e-9)
     per_px = float((spans / (np.array(size_wh) * (1 - 2 * MARGIN))).max())
     # A single point has no extent: show a square metre around it.
@@ -157,7 +157,7 @@ def _fit_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> 
 
 
 def _marks(layers: Sequence[Layer]) -> FloatArray:
-    """Points (M,3) that a label should not cover."""
+    """Return the points (M,3) that labels should not cover."""
     return np.concatenate([np.zeros((0, 3)), *(layer.points for layer in layers if layer.point_rim)])
 
 
@@ -171,7 +171,7 @@ def _label_places(layers: Sequence[Layer]) -> FloatArray:
 
 
 def _project(plotter: pv.Plotter, places: FloatArray) -> FloatArray:
-    """Shares (L,2) of width and height from the top left where places (L,3) fall; NaN behind the camera."""
+    """Project places (L,3) to shares (L,2) of width and height from the top left; NaN behind the camera."""
     width, height = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)
     projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])

@@ -1,4 +1,4 @@
-"""Lays out a finished picture: title, drawing with labels, axes and scale bar in the frame's unit, legend with units.
+"""The page around a drawing: title, labels, axes and scale bar in the frame's unit, legend with units.
 
 Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels that would cover each
 other or leave the drawing are moved, and the less important ones dropped.
@@ -30,7 +30,7 @@ MIN_SIZE_WH = (640, 420)
 LINE_PX = 21
 """Height of one line of the legend."""
 LABEL_STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0.6, 1), (-0.6, 1), (0.6, -1), (-0.6, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
-"""Where a label may stand about its point, in half widths and half heights, best first."""
+"""Positions of a label about its point, in half widths and half heights, best first."""
 MARK_RADIUS_PX = 8
 INK_COLOR = "#282c34"
 SOFT_COLOR = "#6b7280"
@@ -38,7 +38,7 @@ SOFT_COLOR = "#6b7280"
 
 @dataclass(frozen=True, kw_only=True)
 class PageText:
-    """What stands around a drawing."""
+    """The texts around a drawing."""
 
     title: str = ""
     subtitle: str = ""
@@ -47,7 +47,7 @@ class PageText:
 
 
 def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
-    """The room in px that a page of `size_wh` leaves for the drawing; BadInput for a page too small to be read."""
+    """Return the size in px that a page of `size_wh` leaves for the drawing; BadInput for a page too small to read."""
     if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
         raise BadInput(f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}.")
     left, bottom = (LEFT_PX, BOTTOM_PX) if is_map else (GAP_PX, GAP_PX)
@@ -55,7 +55,7 @@ def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int
 
 
 def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, int], text: PageText) -> Image:
-    """The finished page (H,W,3) of `size_wh` around a drawing of the size that `drawing_size_wh` gave."""
+    """Return the page (H,W,3) of `size_wh` around a drawing of the size from `drawing_size_wh`."""
     figure = new_figure(size_wh)
     height, width = drawing.image.shape[:2]
     left, bottom = (LEFT_PX, BOTTOM_PX) if drawing.extent is not None else (GAP_PX, GAP_PX)
@@ -75,7 +75,7 @@ def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, 
 
 
 def new_figure(size_wh: tuple[int, int]) -> Figure:
-    """An empty white figure of `size_wh` px that belongs to no window."""
+    """Return an empty white figure of `size_wh` px without a window."""
     figure = Figure(figsize=(size_wh[0] / DPI, size_wh[1] / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
@@ -100,13 +100,13 @@ def style_axes(axes: Axes, x_label: str, y_label: str, *, grid: bool = True) -> 
 
 
 def axes_at(figure: Figure, box_px: tuple[float, float, float, float]) -> Axes:
-    """Axes at (left, bottom, width, height) in px of the figure."""
+    """Return axes at (left, bottom, width, height) in px of the figure."""
     width, height = figure.get_size_inches() * DPI
     return figure.add_axes((box_px[0] / width, box_px[1] / height, box_px[2] / width, box_px[3] / height))
 
 
 def figure_image(figure: Figure) -> Image:
-    """The figure as pixels (H,W,3)."""
+    """Return the figure as pixels (H,W,3)."""
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
     canvas.draw()
@@ -148,7 +148,7 @@ def _label_axes(axes: Axes, extent: tuple[float, float, float, float], unit: str
 
 
 def _axis_base(low: float, high: float) -> float:
-    """What is taken off the numbers of an axis: UTM eastings would fill it with equal digits."""
+    """Return the offset of an axis' numbers: UTM eastings would fill it with equal digits."""
     if max(abs(low), abs(high)) < max(1e5, 20 * (high - low)):
         return 0.0
     step = 10.0 ** np.ceil(np.log10(high - low))
@@ -174,7 +174,7 @@ def _add_scale_bar(axes: Axes, extent: tuple[float, float, float, float], unit: 
 
 
 def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: list[Bbox]) -> None:
-    """Place labels, strong ones first, each where it covers neither another label nor, if possible, a marker."""
+    """Place labels, strong ones first, off other labels and, if possible, off markers."""
     labels = [label for layer in layers for label in layer.labels]
     order = sorted(range(len(labels)), key=lambda index: not labels[index].strong)
     height, width = drawing.image.shape[:2]
@@ -199,7 +199,7 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
 def _find_free_place(
     at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], taken: Sequence[Bbox], marks: NDArray[np.float64]
 ) -> Bbox | None:
-    """The box near a point that covers the fewest markers among those that are free of labels; the nearest of equals."""
+    """Return the box near a point that covers no label and the fewest markers, the nearest of equals."""
     best, fewest = None, np.inf
     for distance in (8, 20, 34):
         for step_x, step_y in LABEL_STEPS:
@@ -215,7 +215,7 @@ def _find_free_place(
 
 
 def _add_legend(figure: Figure, layers: Sequence[Layer], top_px: float) -> None:
-    """The legend at the right: a heading per layer, its entries and colour bar; what finds no room is counted."""
+    """Draw the legend at the right: a heading per layer, its entries and colour bar; entries beyond the space are counted."""
     width, _ = figure.get_size_inches() * DPI
     axes = axes_at(figure, (width - PANEL_PX, 0, PANEL_PX, top_px))
     axes.set(xlim=(0, PANEL_PX), ylim=(top_px, 0))

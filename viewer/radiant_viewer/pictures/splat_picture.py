@@ -1,4 +1,4 @@
-"""The model itself in a picture, by our own rasterizer over white: from above under a map, or in perspective with lines over it.
+"""Pictures of the model by our own rasterizer over white: from above below a map, or in perspective below lines.
 
 From above a pinhole `ALTITUDE` map widths away stands for the orthographic camera that the rasterizer lacks: rays are off the vertical by
 at most 1 / (2 · `ALTITUDE`). Gaussians are moved to the middle of the picture in float64 first. One render per picture.
@@ -25,14 +25,14 @@ ALTITUDE = 100.0
 DIRECTION_DEG = (205, 42)
 """Azimuth from north and elevation from which a whole model is seen."""
 KEPT_WHITE_PX = 7.5
-"""White within this distance of a marker is the marker's own."""
+"""White within this distance of a marker belongs to the marker."""
 NEAR_SHARE = 1e-3
 _FINE = 4
 """OpenCV draws lines at 1/16 pixels: coordinates are given in 2⁻⁴."""
 
 
 def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int, int]) -> Drawing:
-    """The map of `layers` as `draw_map` draws it, with the model from straight above wherever nothing is drawn."""
+    """Draw the map of `layers` as `draw_map` does, with the model from straight above where nothing is drawn."""
     drawing = draw_map(layers, size_wh)
     assert drawing.extent is not None
     ground = _render_from_above(splats, drawing.extent, size_wh)
@@ -44,7 +44,7 @@ def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int,
 
 
 def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) -> Drawing:
-    """The model as one camera sees it, with the segments and labels of `layers` in front; BadInput for another number of cameras."""
+    """Draw the model for one camera, with the segments and labels of `layers` in front; BadInput for another number of cameras."""
     if len(camera) != 1:
         raise BadInput(f"{len(camera)} cameras came, expected one: choose it with Cameras.named.")
     width, height = (int(side) for side in camera.sizes_wh[0])
@@ -79,7 +79,7 @@ def _render_from_above(splats: Splats, extent: tuple[float, float, float, float]
     middle = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0])
     half = np.array([x_max - x_min, y_max - y_min]) / 2
     inside = np.asarray((np.abs(splats.means[:, :2] - middle[:2]) <= half).all(axis=1))
-    # Sky and haze that training left in the air would hide the ground from above.
+    # Sky and haze above the scene would hide the ground.
     low = splats.select(low_gaussians(splats, inside))
     ground = float(np.median(low.means[:, 2])) if len(low) else 0.0
     altitude = ALTITUDE * 2 * float(half.max())
@@ -92,12 +92,12 @@ def _render_from_above(splats: Splats, extent: tuple[float, float, float, float]
 
 
 def _render_over_white(splats: Splats, camera: Cameras) -> Image:
-    """The render (H,W,3), seen from near the origin whatever the world's."""
+    """Render (H,W,3) over white, in coordinates near the camera."""
     center = np.round(camera.centers[0])
     pose = camera.cam_from_world.copy()
     pose[:, :3, 3] += pose[:, :3, :3] @ center
     moved = replace(splats, means=(splats.means.astype(np.float64) - center).astype(np.float32))
-    # It brings torch, two seconds that no window has to wait for.
+    # It imports torch, two seconds that a window need not wait.
     from radiant_core.render.rendered_view import render_views
 
     (view,) = render_views(moved, replace(camera, cam_from_world=pose))
@@ -105,7 +105,7 @@ def _render_over_white(splats: Splats, camera: Cameras) -> Image:
 
 
 def _draw_segments(image: Image, layer: Layer, camera: Cameras) -> None:
-    """Lines of one layer that lie in front of the camera, cut where they pass behind it."""
+    """Draw the lines of one layer, clipped where they pass behind the camera."""
     ends = _to_camera_frame(layer.segments.reshape(-1, 3), camera).reshape(-1, 2, 3)
     near = NEAR_SHARE * max(float(np.abs(ends[..., 2]).max(initial=0.0)), 1e-9)
     limit = 8 * max(image.shape)

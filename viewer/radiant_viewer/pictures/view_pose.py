@@ -1,4 +1,4 @@
-"""A view as VTK keeps it (position, focal point, up, angle) and the pinhole camera that sees the same, both ways. Once per frame.
+"""A view as in VTK (position, focal point, up, angle), converted to and from a pinhole camera. Once per frame.
 
 fy = H / (2 tan(angle / 2)), square pixels, middle of the picture at its centre; z forward, y down
 """
@@ -36,7 +36,7 @@ class ViewPose:
 
     @property
     def distance(self) -> float:
-        """From the position to the focal point."""
+        """Distance from the position to the focal point."""
         return float(np.linalg.norm(self.focal_point - self.position))
 
     @property
@@ -48,7 +48,7 @@ class ViewPose:
         return np.stack([right, np.cross(forward, right), forward])
 
     def camera(self, size_wh: tuple[int, int]) -> Cameras:
-        """The camera that sees the same in a picture of this size."""
+        """Return the pinhole camera of the view for a picture of this size."""
         width, height = size_wh
         focal_px = height / (2 * np.tan(np.radians(self.angle_deg) / 2))
         pose = np.eye(4)
@@ -59,7 +59,7 @@ class ViewPose:
 
 
 def camera_pose(cameras: Cameras, index: int, distance: float) -> ViewPose:
-    """Where camera `index` stood, looking at a point `distance` ahead, all of its picture's height in view."""
+    """Return the view of camera `index` with its focal point `distance` ahead and its picture's full height in view."""
     rotation = cameras.cam_from_world[index, :3, :3]
     position = cameras.centers[index]
     height = float(cameras.sizes_wh[index, 1])

@@ -1,5 +1,4 @@
-"""The map of a changed plan: regions, strips and positions as they are now, those that moved and those that are lost marked. Once per
-re-plan."""
+"""The map of a re-plan: regions, strips and positions, with marks on moved and lost ones. Once per re-plan."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ MAX_MARKS = 20_000
 
 
 def replan_picture(positions: FloatArray, new: Replan) -> Image:
-    """The map (H,W,3) of positions (P,3) and the plan after the change; what moved has a ring, what is lost a square."""
+    """Return the map (H,W,3) of positions (P,3) and the new plan; moved positions have a ring, lost ones a square."""
     cloud, edges = new.cloud, new.edges
     layers = [
         region_layer(cloud),

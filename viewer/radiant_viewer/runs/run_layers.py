@@ -54,7 +54,7 @@ def hidden_at_first(layers: Sequence[Layer]) -> frozenset[str]:
 
 
 def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], roles: CameraRoles) -> list[Layer]:
-    """Regions, strips, cameras by region, edges, from the ground up."""
+    """Return regions, strips, borders, cameras by region and edges, in drawing order."""
     ground = ground_height(scene)
     return [
         region_layer(cloud_plan, ground),
@@ -66,7 +66,7 @@ def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[Edg
 
 
 def color_step_layer(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
-    """The layer of the borders' colour steps; BadInput when the plan has one region only."""
+    """Return the layer of the borders' colour steps; BadInput where the plan has one region only."""
     return figures_layer(scene, cloud_plan, border_figures(scene, cloud_plan, splats))
 
 
@@ -82,5 +82,5 @@ def figures_layer(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[Bord
 
 
 def ground_height(scene: SfmScene) -> float:
-    """Height at which regions are drawn in 3D: that of the lowest tenth of the sparse points, 0 without points."""
+    """Return the height at which regions are drawn in 3D: the lowest tenth of the sparse points, 0 without points."""
     return float(np.quantile(scene.points[:, 2], 0.1)) if len(scene.points) else 0.0

@@ -1,6 +1,6 @@
-"""The named views of a run as finished pictures: what `radiant inspect --view … --screenshot` and the report show.
+"""The named views of a run as finished pictures, for `radiant inspect --view … --screenshot` and the report.
 
-Each view is a list of layers and a page; window and pictures take the layers from here. Once per picture, 0.5 to 2 s.
+Each view is a list of layers and a page. Once per picture, 0.5 to 2 s.
 """
 
 from __future__ import annotations
@@ -51,11 +51,15 @@ USUAL_VIEW: dict[FolderKind, View] = {"run": "regions", "training": "splats", "s
 
 
 def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None) -> Image:
-    """One view of a run, a training or a scene (H,W,3), without `view` the usual one; BadInput for an unknown view or one it is not
-    ready for, StoreDamaged for broken files.
+    """Return one view of a run, a training or a scene, (H,W,3).
 
-    `camera`, the name of a photograph, is where splats are seen from and what "compare" shows alone; BadInput for another view or name.
-    The height of "compare" is that of its rows.
+    Args:
+        run_folder: as in `load_run_view`.
+        view: one of `View`; None for the usual one.
+        size_wh: of the picture, px; the height of "compare" follows from its rows.
+        camera: name of a photograph: the viewpoint of "splats", or the only row of "compare".
+
+    Raises: BadInput for an unknown view or camera, or where the run lacks its files; StoreDamaged for broken files.
     """
     if view is not None and view not in get_args(View):
         raise BadInput(f"view {view!r} is unknown: use one of {', '.join(get_args(View))}.")
@@ -95,7 +99,7 @@ def plan_picture(  # noqa: PLR0913
     forecasts: Sequence[BorderForecast] = (),
     buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """The map of a plan: regions, strips, cameras and edges with counts and predicted times, borders by forecast where there is one."""
+    """Return the map of a plan: regions, strips, cameras, edges with counts and times, and borders by forecast if given."""
     roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
     subtitle = f"{len(scene.cameras)} cameras, {_plan_text(cloud_plan, len(roles.device_ids))}"
     ground = ground_height(scene)
@@ -119,7 +123,7 @@ def waypoint_plan_picture(
     forecasts: Sequence[BorderForecast] = (),
     buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """The map of a plan made from waypoints (P,3) m before anything was captured, borders by forecast where there is one."""
+    """Return the map of a plan of waypoints (P,3) m before capture, with borders by forecast if given."""
     num_devices = sum(len(plan.device_ids) for plan in edge_plans)
     layers = [
         region_layer(cloud_plan),
@@ -144,7 +148,7 @@ def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
 def cameras_picture(
     scene: SfmScene, roles: CameraRoles, psnr_db: Mapping[str, float] | None = None, size_wh: tuple[int, int] = SIZE_WH
 ) -> Image:
-    """All cameras over the sparse points in 3D, coloured by PSNR once there are figures, by split before."""
+    """Return all cameras over the sparse points in 3D, coloured by PSNR if there are figures, else by split."""
     unplaced = len(set(psnr_db or ()) - set(scene.cameras.names))
     placed = psnr_db and len(psnr_db) > unplaced
     cameras = camera_layer(scene.cameras, roles, "psnr" if placed else "split", psnr_db)
@@ -160,11 +164,11 @@ def cameras_picture(
 
 
 def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
-    """The map of the model with its borders coloured by the colour step across them."""
+    """Return the map of the model with its borders coloured by their colour steps."""
     findings = seam_findings(scene, cloud_plan, splats)
     ground, unit = ground_height(scene), scene.frame.unit
     labels = tuple(_finding_label(finding, ground) for finding in findings if finding.found)
-    # The found seams' labels find room before those of the edges.
+    # Labels of seams are placed before those of edges.
     seams = replace(figures_layer(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
     layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
     drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
@@ -172,8 +176,10 @@ def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_w
 
 
 def worst_border(run: RunView) -> Border:
-    """What was observed of the border with the largest colour step of a run's model, the longest border where there is no verdict;
-    BadInput without any border."""
+    """Return the observed part of the border with the largest colour step of a run's model, without a verdict the longest border.
+
+    Raises: BadInput without any border.
+    """
     figures = border_figures(run.scene, run.cloud_plan, require_splats(run))
     worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)
     return replace(worst.border, ends=worst.observed_ends)
@@ -183,7 +189,7 @@ def _finding_label(finding: SeamFinding, ground: float) -> Label:
     border = finding.figures.border
     what = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.has_step else []
     text = f"{finding.figures.title}\nseam: {', '.join([*what, *finding.quantities])}"
-    # Beside the line, which it must not hide.
+    # Beside the line, so that it does not hide it.
     beside = border.ends.mean(axis=0) + 0.15 * border.length_m * border.toward_first
     return Label(text=text, position=np.append(beside, ground), strong=True)
 
@@ -191,7 +197,7 @@ def _finding_label(finding: SeamFinding, ground: float) -> Label:
 def splats_picture(
     scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None
 ) -> Image:
-    """The model as our renderer draws it, from all above or from one of its cameras, with the borders of the regions on the ground."""
+    """Return the model by our renderer, from obliquely above or from one of its cameras, with the regions' borders on the ground."""
     ground = ground_height(scene)
     has_regions = any(len(border) for border in cloud_plan.borders)
     layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)] if has_regions else []
@@ -207,8 +213,8 @@ def splats_picture(
 
 
 def _framed_positions(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
-    """Places (K,3) that a picture of the whole model holds: all regions and a tenth of their width above them, without regions what cameras
-    and points span; far haze and sky do not make them small."""
+    """Return places (K,3) that frame the whole model: the regions up to a tenth of their width, or the box of cameras and points;
+    haze and sky do not count."""
     corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
     if not len(corners):
         return box_corners(scene_box(scene))
@@ -223,7 +229,7 @@ def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:
 
 
 def _fit_to_page(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
-    """The same camera with a picture as large as there is room: all it sees, and more at two sides."""
+    """Return the camera with a picture of `room_wh`: all it sees, and more at two sides."""
     old_wh = camera.sizes_wh[0]
     scale = float(np.min(np.array(room_wh) / old_wh))
     K = camera.Ks[0].copy()
@@ -233,8 +239,10 @@ def _fit_to_page(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
 
 
 def comparisons_picture(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
-    """Photograph, render and difference of the held-out photographs with the lowest, the middle and the highest PSNR, or of `camera`, one
-    below the other; BadInput before evaluation, or where `camera` was trained on."""
+    """Return photograph, render and difference of the held-out photographs with lowest, median and highest PSNR, or of `camera`.
+
+    Raises: BadInput before evaluation, or where `camera` was trained on.
+    """
     if not run.psnr_db:
         raise BadInput(f"{run.folder} has no figures of held-out photographs: {finish_command(run.folder)}.")
     psnr_db = run.psnr_db

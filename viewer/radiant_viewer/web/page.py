@@ -1,7 +1,7 @@
-"""`WebPage`: what the page shows and what happens when somebody clicks. Import only after `web.require_web`.
+"""`WebPage`: the state of the page and its actions. Import only after `web.require_web`.
 
-The browser holds the lists and asks; this machine draws. Everybody who has the page open sees the same view and the same choice.
-Nothing of the run is changed. What crosses the line: lists once, a picture per choice, frames of two views as JPEG.
+The browser holds the lists; this machine renders. All open pages share one view and one selection. The run is not changed.
+Traffic: the lists once, pictures per selection, frames of two views as JPEG.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MAX_MESSAGE_BYTES = 64 * 2**20
 
 
 class WebPage:
-    """The page of one run; make and serve it inside a running event loop."""
+    """The page of one run; create and serve it inside a running event loop."""
 
     def __init__(self, run: RunView) -> None:
         self.run = run
@@ -58,7 +58,7 @@ class WebPage:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def serve(self, host: str, port: int, secret: str, ready: Callable[[int], None]) -> None:
-        """Serve until cancelled; `ready` gets the port once it is bound."""
+        """Serve until cancelled; `ready` receives the port once it is bound."""
         self.server.cli.set_defaults(authKey=secret, host=host, trame_args="")
         for name, value in HEADERS.items():
             self.server.http_headers.set_header(name, value)
@@ -77,12 +77,12 @@ class WebPage:
             self.scene.close()
 
     def push(self) -> None:
-        """Send both views anew."""
+        """Send a frame of both views."""
         for image in self.images:
             image.update()
 
     def select_camera(self, index: int) -> None:
-        """Mark a camera, stand where it stood, and show its pictures."""
+        """Mark a camera and show its pictures."""
         cameras = self.run.scene.cameras
         if not 0 <= index < len(cameras):
             raise BadInput(f"there is no camera {index}: this run has {len(cameras)}.")
@@ -98,7 +98,7 @@ class WebPage:
         self.push()
 
     def fly_to_camera(self) -> None:
-        """Look from where the chosen camera stood."""
+        """Move the 3D view to the selected camera."""
         index = self.server.state.selected
         if index is None:
             return
@@ -110,7 +110,7 @@ class WebPage:
         self.push()
 
     def go_to_seam(self, index: int) -> None:
-        """Stand at a stop of the seam tour; beyond either end it goes round."""
+        """Move both views to a stop of the seam tour, round at either end."""
         if not self.stops:
             return
         place = index % len(self.stops)
@@ -124,7 +124,7 @@ class WebPage:
         self.push()
 
     def toggle_solo(self, name: str) -> None:
-        """Show one layer alone; a second time brings back what was shown before."""
+        """Show one layer alone; a second call restores the layers shown before."""
         state = self.server.state
         if state.solo == name:
             state.solo, state.visible = "", self.before_solo or []
@@ -134,7 +134,7 @@ class WebPage:
         state.solo, state.visible = name, [name]
 
     def fit(self) -> None:
-        """All layers into both views."""
+        """Fit all layers into both views."""
         self.scene.fit()
         self.push()
 
@@ -180,7 +180,7 @@ class WebPage:
             self.server.state.order = sort_rows(self.figures, key, descending=order == "desc").tolist()
 
     def _on_panes(self, **_: object) -> None:
-        # The browser says the new size first; a map keeps its scale, so that nothing jumps.
+        # The browser sends the new size first; the map keeps its scale.
         self._later(0.3, self.push)
 
     async def _find_seams(self) -> None:
@@ -192,7 +192,7 @@ class WebPage:
                 state.seams_note = "The plan has one region only: there is no border and no seam."
             if run.splats is None or len(run.cloud_plan.edge_ids) < 2:
                 return
-        # Seconds for millions of Gaussians, while the page is in use already.
+        # It takes seconds for millions of Gaussians, while the page is in use.
         self.stops = await asyncio.to_thread(seam_stops, run.scene, run.cloud_plan, run.splats)
         layer = await asyncio.to_thread(color_step_layer, run.scene, run.cloud_plan, run.splats)
         with state:

@@ -1,6 +1,6 @@
-"""What the web page lists, as plain values for JSON: layers with legends, cameras with figures, borders, and pictures as data addresses.
+"""The lists of the web page as JSON values: layers with legends, cameras with figures, borders, and pictures as data URLs.
 
-Pure but for reading a photograph. Lists once per run, pictures once per camera that is looked at.
+Pure but for reading photographs. Lists once per run, pictures once per selected camera.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from radiant_viewer.runs.seam_findings import observed_text
 from radiant_viewer.runs.seam_tour import SeamStop
 
 SHOWN_PX = 1000
-"""Long side of a picture as it is sent; a photograph of 20 megapixels is 8 MB, and the page shows it 400 px wide."""
+"""Long side of a picture as sent; a photograph of 20 megapixels is 8 MB, and the page shows it 400 px wide."""
 JPEG_QUALITY = 88
 Row = dict[str, Any]
 
 
 def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:
-    """Name, legend entries and colour bar of one layer under a theme."""
+    """Return name, legend entries and colour bar of a layer under a theme."""
     shown = apply_theme(layer, theme)
     legend, scale = shown.legend, shown.heat
     entries = [{"text": entry.text, "color": hex_color(entry.color), "marker": entry.marker} for entry in legend]
@@ -43,13 +43,13 @@ def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:
 
 
 def _gradient(start: float) -> str:
-    """The heat scale from left to right as CSS."""
+    """Return the heat scale from left to right as CSS."""
     colors = heat_table(start)[np.linspace(0, 255, 9).astype(int)]
     return f"linear-gradient(to right, {', '.join(hex_color(tuple(color)) for color in colors.tolist())})"
 
 
 def run_camera_figures(run: RunView) -> CameraFigures:
-    """Every figure of every camera: of the plan, the reconstruction, and of the pictures where they were scored."""
+    """Return all figures of all cameras: of plan and reconstruction, and of the scored pictures."""
     base = camera_figures(run.scene, run.roles, run.cloud_plan, run.psnr_db)
     scored = image_figures(run.folder)
     columns, headings = dict(base.columns), dict(base.headings)
@@ -59,7 +59,7 @@ def run_camera_figures(run: RunView) -> CameraFigures:
         if np.isfinite(values).any():
             measured[figure.key] = values
             headings[figure.key] = figure.heading
-    # The plan's own column of it would be the same figure twice.
+    # The table has it already as psnr_db.
     del columns["psnr"], headings["psnr"]
     order = ["name", "region", "device", "use", *measured]
     whole = columns | measured
@@ -67,7 +67,7 @@ def run_camera_figures(run: RunView) -> CameraFigures:
 
 
 def camera_rows(figures: CameraFigures) -> list[Row]:
-    """One row per camera, in the scene's order, numbers as they are shown; its `index` is the camera's."""
+    """Return one row per camera in the scene's order, with numbers as shown; `index` is the camera's."""
     decimals = {figure.key: figure.decimals for figure in FIGURES} | {"points": 0}
     columns = {
         key: [_shown(value, decimals.get(key, 2)) for value in values.tolist()] if values.dtype.kind == "f" else values.tolist()
@@ -77,7 +77,7 @@ def camera_rows(figures: CameraFigures) -> list[Row]:
 
 
 def camera_headers(figures: CameraFigures) -> list[Row]:
-    """Headings of the table in the order of its columns; figures stand to the right."""
+    """Return the headings of the table in the order of its columns; figures are right-aligned."""
     return [
         {"key": key, "title": figures.headings[key], "align": "end" if values.dtype.kind == "f" else "start", "nowrap": True}
         for key, values in figures.columns.items()
@@ -85,7 +85,7 @@ def camera_headers(figures: CameraFigures) -> list[Row]:
 
 
 def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
-    """One row per border in the order of the tour."""
+    """Return one row per border in the order of the tour."""
     return [
         {
             "index": index,
@@ -101,7 +101,7 @@ def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
 
 
 def camera_pictures(run: RunView, index: int) -> Row:
-    """Photograph, render and difference of a camera as data addresses, "" with a reason where this machine may not see one."""
+    """Return photograph, render and difference of a camera as data URLs, "" with a reason where a picture is not here."""
     name = run.scene.cameras.names[index]
     shown = {"photograph": "", "render": "", "difference": "", "reason": ""}
     if run.roles.held_out[index]:
@@ -123,12 +123,12 @@ def camera_pictures(run: RunView, index: int) -> Row:
 
 
 def picture_url(path: Path) -> str:
-    """A PNG of the run as a data address, "" where there is none."""
+    """Return a PNG of the run as a data URL, "" where there is none."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode() if path.is_file() else ""
 
 
 def data_url(image: Image) -> str:
-    """A picture (H,W,3) of at most 1,000 px a side as a JPEG in an address."""
+    """Return a picture (H,W,3), at most 1,000 px a side, as a JPEG in a data URL."""
     share = min(1.0, SHOWN_PX / max(image.shape[:2]))
     size_wh = (max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share)))
     small = cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA) if share < 1 else image
