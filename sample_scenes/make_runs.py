@@ -20,7 +20,7 @@ from radiant_app.run.pipeline import run
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.plan.power_diagram import assign
+from radiant_core.plan.regions.power_diagram import assign
 from radiant_core.splats import SH_C0, Splats
 from radiant_core.train.needs import Overrides
 

@@ -21,14 +21,14 @@ import open3d as o3d
 
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.geometry.surface import Surface, extract_surface, sharpened, surface_grid, trusted_depth
-from radiant_core.io.colmap import read_model
-from radiant_core.io.geotiff import HeightGrid
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.export.geotiff import HeightGrid
 from radiant_core.map_projection import utm_from_geodetic
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.align import fit_sim3
-from radiant_core.sfm.world import cameras_of
+from radiant_core.sfm.world_frame.align import fit_sim3
+from radiant_core.sfm.world_frame.world import cameras_of
 from radiant_core.splats import Splats
 from radiant_viewer.runs.run_view import load_run_view, required_splats
 from scenegen.config import SceneConfig

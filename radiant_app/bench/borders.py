@@ -26,15 +26,15 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import psnr_db_of_mse
 from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.photos import load_photograph
+from radiant_core.io.photos.listing import load_photograph
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.border_forecast import BorderForecast, forecast_borders
-from radiant_core.plan.borders import Border, shared_borders
-from radiant_core.plan.footprints import ground_footprints, views_of_cameras
+from radiant_core.plan.borders.borders import Border, shared_borders
+from radiant_core.plan.borders.footprints import ground_footprints, views_of_cameras
+from radiant_core.plan.borders.forecast import BorderForecast, forecast_borders
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.power_diagram import assign
+from radiant_core.plan.regions.power_diagram import assign
 from radiant_core.render.rendered_view import RenderedView, render_views
 
 MIN_BORDER_PIXELS = 2000

@@ -24,14 +24,14 @@ from radiant_app.bench.plan_scale import replace_aggregation, varied
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import tracked
 from radiant_core.evaluate.metric import Metric
-from radiant_core.plan.deadline import edge_table
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.counts.deadline import edge_table
+from radiant_core.plan.counts.wide_deadline import fastest_edge_counts
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
-from radiant_core.plan.simulate import fleet_of, merged_s, simulate
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Edge, System
-from radiant_core.plan.wide_deadline import fastest_edge_counts
+from radiant_core.plan.timeline.simulate import fleet_of, merged_s, simulate
 
 IMAGES_PER_CLIENT = 150
 MERGE_CONSTANT_S, MERGE_S_PER_IMAGE = 5.0, 0.6

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.errors import BadInput
-from radiant_core.sfm.colmap_calls import pycolmap
+from radiant_core.sfm.colmap.calls import pycolmap
 from radiant_core.sfm.config import SfmConfig
 
 MAX_IMAGES = 2**31 - 1

@@ -25,11 +25,11 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import PlanInfeasible, PlanMethod, plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import PlanInfeasible, PlanMethod, plan_regions
 from radiant_core.plan.system import Device, Edge, System
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats

@@ -26,7 +26,7 @@ from radiant_app.report.progress import tracked
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.seam_error import MIN_IMAGES
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.borders import shared_borders
+from radiant_core.plan.borders.borders import shared_borders
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
 if TYPE_CHECKING:

@@ -16,10 +16,10 @@ import numpy as np
 from radiant_app.report.progress import tracked
 from radiant_core.evaluate.metric import Metric
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import PlanMethod, plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import PlanMethod, plan_regions
 from radiant_core.plan.system import Device, Edge, System
 
 LayoutKind = Literal["uniform", "clustered", "lawnmower", "street"]

@@ -32,8 +32,8 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
 from radiant_core.io.run_store import read_json, write_atomic, write_json
 from radiant_core.plan.comparators import Compared, compare
-from radiant_core.plan.curve_fit import FittedCurve, fit_curve
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.profiles.curve_fit import FittedCurve, fit_curve
+from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.system import Device, Edge, System
 from radiant_core.render.contract import resolve_backend
 from radiant_core.scene import SfmScene

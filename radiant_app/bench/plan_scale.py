@@ -19,16 +19,16 @@ from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import tracked
 from radiant_core.evaluate.metric import Metric
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.constraints import PlanConstraints
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import device_time_s, edge_table
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.counts.deadline import device_time_s, edge_table
+from radiant_core.plan.counts.wide_deadline import fastest_edge_counts
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
-from radiant_core.plan.simulate import fleet_of, merged_s, simulate
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.constraints import PlanConstraints
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
-from radiant_core.plan.wide_deadline import fastest_edge_counts
+from radiant_core.plan.timeline.simulate import fleet_of, merged_s, simulate
 
 _SIZES: tuple[tuple[int, int, LayoutKind], ...] = (
     (1700, 4, "uniform"),

@@ -15,13 +15,13 @@ import numpy as np
 
 from radiant_app.bench.plan import camera_layout, unequal_system
 from radiant_app.files.system_file import even_system
-from radiant_core.io.colmap import read_model
-from radiant_core.io.waypoints import exif_waypoints
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.waypoints.reader import exif_waypoints
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.count_raster import count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.counts.count_raster import count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
 
 CELLS_M = (0.001, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

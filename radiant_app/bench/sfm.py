@@ -20,7 +20,7 @@ from radiant_app.report.progress import tracked
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
-from radiant_core.io.colmap import read_model
+from radiant_core.io.colmap.model import read_model
 from radiant_core.numerics import FloatArray
 
 MatchingKind = Literal["spatial", "exhaustive"]
@@ -46,7 +46,7 @@ def bench_sfm(scene_folder: Path, quick: bool) -> list[Metric]:
 
     `scene_folder` holds images/ with GPS and known/ (a COLMAP model). Raises BadInput when either is missing.
     """
-    from radiant_core.sfm.world import cameras_of
+    from radiant_core.sfm.world_frame.world import cameras_of
 
     if not (scene_folder / "known").is_dir():
         raise BadInput(f"{scene_folder} has no known/ cameras: give a scene of the generator, sample_scenes/town for example.")
@@ -59,8 +59,8 @@ def bench_sfm(scene_folder: Path, quick: bool) -> list[Metric]:
 
 
 def _run(images: Path, matching: MatchingKind, known: Cameras, num_features: int | None) -> SfmRun:
-    from radiant_core.sfm.align import compare_centers
     from radiant_core.sfm.reconstruct import SfmConfig, reconstruct
+    from radiant_core.sfm.world_frame.align import compare_centers
 
     config = SfmConfig(matching=matching)
     if num_features is not None:

@@ -108,10 +108,10 @@ def simulated_latency_s(arrival_s: ArrayLike, counts: Sequence[int], views: View
 def _dealer(run: Path, edge: EdgeOfRun, quick: bool) -> SharedDealer:
     """One edge with equal devices on the training photographs of `run`; its folder is to be replaced."""
     from radiant_app.files.system_file import even_system
-    from radiant_core.plan.device_split import split_edges
-    from radiant_core.plan.edge_sites import place_edges
+    from radiant_core.plan.devices.device_split import split_edges
     from radiant_core.plan.plans import CloudPlan
-    from radiant_core.plan.region_plan import plan_regions
+    from radiant_core.plan.regions.edge_sites import place_edges
+    from radiant_core.plan.regions.region_plan import plan_regions
 
     scene = training_part(load_scene(run / "sfm" / "scene.safetensors"))
     positions = scene.cameras.centers[:, :2]

@@ -36,7 +36,7 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.metric import Metric
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.masks import pixel_weights, used_pixels
+from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import resolve_backend

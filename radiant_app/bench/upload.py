@@ -25,7 +25,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.metric import Metric
 from radiant_core.io.records import load_cameras, load_plan, load_splats
 from radiant_core.io.run_store import read_json
-from radiant_core.io.upload import UploadFormat, load_upload, save_upload
+from radiant_core.io.transport.upload import UploadFormat, load_upload, save_upload
 from radiant_core.splats import Splats
 
 _REPEATS = 3

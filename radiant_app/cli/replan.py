@@ -28,7 +28,7 @@ def replan_plan(
 
     from radiant_app.commands.replan import ReplanRequest, parsed_values, replan_files, replan_table
     from radiant_app.report.progress import ProgressDisplay
-    from radiant_core.plan.replan import Situation
+    from radiant_core.plan.revision.replan import Situation
 
     situation = Situation(
         dead=frozenset(dead or ()),

@@ -25,11 +25,11 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.lpips import Lpips, LpipsNetwork, load_lpips
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.photos import list_photographs, load_photograph
+from radiant_core.io.photos.listing import list_photographs, load_photograph
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_splats
 from radiant_core.io.run_store import write_json
-from radiant_core.io.upload import load_upload
+from radiant_core.io.transport.upload import load_upload
 from radiant_core.splats import Splats
 
 DEFAULT_LONG_SIDE_PX = 1_600
@@ -138,10 +138,10 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
 
 def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Cameras, tuple[str, ...]]:
     """The cameras of a project without copies, and what is told of those: the split is that of `radiant train` on the same project."""
-    from radiant_core.io.colmap import read_model
+    from radiant_core.io.colmap.model import read_model
     from radiant_core.sfm.copies import cameras_without_repeats
     from radiant_core.sfm.known_poses import without_copies
-    from radiant_core.sfm.world import cameras_of
+    from radiant_core.sfm.world_frame.world import cameras_of
 
     model = read_model(model_folder)
     if not all(model.cameras[image.camera_id].is_pinhole for image in model.images):

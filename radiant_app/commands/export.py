@@ -111,8 +111,8 @@ def _ply(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
+    from radiant_core.io.export.scene import save_spz
     from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
-    from radiant_core.io.scene_export import save_spz
 
     splats = _splats_of(request.model)
     cuts = save_spz(request.out, splats)
@@ -120,14 +120,14 @@ def _spz(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 
 def _sog(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.sog import save_sog
+    from radiant_core.io.export.sog import save_sog
 
     splats = _splats_of(request.model)
     return {"gaussians": len(splats), **{name: float(f"{value:.3g}") for name, value in asdict(save_sog(request.out, splats)).items()}}
 
 
 def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.scene_export import save_scene_geojson
+    from radiant_core.io.export.scene import save_scene_geojson
 
     run = _run_of(request)
     roles, psnr_db = run.roles, run.psnr_db or {}
@@ -147,7 +147,7 @@ def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]
 
 def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_app.files.run_folder import new_folder
-    from radiant_core.io.scene_export import save_colmap
+    from radiant_core.io.export.scene import save_colmap
 
     scene = _unrepeated_scene(_run_of(request), display)
     with new_folder(request.out):
@@ -170,7 +170,7 @@ def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
 
 
 def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_core.io.mesh_ply import save_mesh
+    from radiant_core.io.export.mesh_ply import save_mesh
 
     surface, run = _surface(request, display)
     if surface.most_covered < MIN_KNOWN:
@@ -188,7 +188,7 @@ def _mesh(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 
 def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
     from radiant_core.geometry.surface import surface_grid
-    from radiant_core.io.geotiff import NO_DATA, save_geotiff
+    from radiant_core.io.export.geotiff import NO_DATA, save_geotiff
 
     surface, run = _surface(request, display)
     grid = surface_grid(surface, run.scene.frame)

@@ -17,12 +17,12 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Sim3, enu_change
-from radiant_core.io.geojson_region import load_region
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan_waypoints
 from radiant_core.io.run_store import read_json
+from radiant_core.io.waypoints.region import load_region
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.power_diagram import polygon_area_m2
+from radiant_core.plan.regions.power_diagram import polygon_area_m2
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
 

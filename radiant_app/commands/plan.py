@@ -41,16 +41,16 @@ from radiant_app.run.predictions import depends_on_training, planned_training, p
 from radiant_app.run.sources import load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.plan_export import ABSOLUTE, save_device_waypoints, save_regions_geojson
+from radiant_core.io.export.plan import ABSOLUTE, save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import write_atomic
-from radiant_core.io.waypoints import FoundWaypoints, exif_waypoints, read_waypoints
+from radiant_core.io.waypoints.reader import FoundWaypoints, exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.comparators import Compared, compare
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.counts.slack_curve import SlackPoint, slack_curve
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
-from radiant_core.plan.slack_curve import SlackPoint, slack_curve
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene

@@ -16,9 +16,9 @@ import numpy as np
 from radiant_core.errors import BadInput
 from radiant_core.io.plan_content import content_record
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.border_forecast import BorderForecast, forecast_borders
-from radiant_core.plan.buffers import BufferRule, EdgeBuffer, plan_buffers
-from radiant_core.plan.footprints import Optics, Views, ground_footprints, region_shares, views_before_capture, views_of_cameras
+from radiant_core.plan.borders.buffers import BufferRule, EdgeBuffer, plan_buffers
+from radiant_core.plan.borders.footprints import Optics, Views, ground_footprints, region_shares, views_before_capture, views_of_cameras
+from radiant_core.plan.borders.forecast import BorderForecast, forecast_borders
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from radiant_app.run.prediction_error import curves_note, gantt_rows
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.comparators import Compared
+from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.slack_curve import SlackPoint
 from radiant_core.plan.system import System
 
 if TYPE_CHECKING:

@@ -30,8 +30,8 @@ from radiant_app.run.sources import detect_source, has_scene, images_of_scene, l
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.plan.curve_fit import FittedCurve, falls, fit_curve
-from radiant_core.plan.profiles import Profile, ProfileKey
+from radiant_core.plan.profiles.curve_fit import FittedCurve, falls, fit_curve
+from radiant_core.plan.profiles.profile import Profile, ProfileKey
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides

@@ -33,7 +33,7 @@ from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.plan.device_split import long_axis
+from radiant_core.plan.devices.device_split import long_axis
 from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig

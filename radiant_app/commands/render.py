@@ -24,7 +24,7 @@ from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.borders import Border, shared_borders
+from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.render.trajectories import Lens, along_border, looking_at, middle_box, orbit, through_keyframes
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter

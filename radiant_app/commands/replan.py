@@ -30,17 +30,17 @@ from radiant_app.run.sources import DELIVERED, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.csv_cells import cell_of_text
-from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
+from radiant_core.io.export.plan import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
-from radiant_core.io.waypoints import exif_waypoints, read_waypoints
+from radiant_core.io.waypoints.reader import exif_waypoints, read_waypoints
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.captured import nearest_planned, require_same_system
-from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
-from radiant_core.plan.prediction import corrected_system, planned_stages
-from radiant_core.plan.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.revision.captured import nearest_planned, require_same_system
+from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
 from radiant_core.plan.system import System
+from radiant_core.plan.timeline.prediction import corrected_system, planned_stages
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.needs import Overrides

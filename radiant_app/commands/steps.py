@@ -23,7 +23,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_cameras, load_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.io.upload import load_upload
+from radiant_core.io.transport.upload import load_upload
 from radiant_core.scene import SfmScene
 
 
@@ -39,7 +39,7 @@ def sfm(  # noqa: PLR0913
 ) -> dict[str, Any]:
     """Structure from motion of `source` into the new folder `out`, or with `resume` on with one that was interrupted there.
 
-    `placement` has fields of `radiant_core.sfm.placement.Placement`.
+    `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`.
     """
     from radiant_app.run.sources import reconstruct_source, sfm_task
 

@@ -41,13 +41,13 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask, validation_mask
-from radiant_core.io.photos import DECODED_BYTES_PER_PX, load_photograph
+from radiant_core.io.photos.listing import DECODED_BYTES_PER_PX, load_photograph
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.run_store import is_sealed, read_json, seal, write_json
 from radiant_core.render.contract import resolve_backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.placement import AUTO, Placement
+from radiant_core.sfm.world_frame.placement import AUTO, Placement
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import CheckpointFolder, training_key
 from radiant_core.train.config import Preset, TrainConfig, train_preset
@@ -79,9 +79,10 @@ class TrainRequest:
     time_s: float | None = None
     """Seconds of training, loading and scoring apart; None: as many steps as the preset says."""
     masks: Path | None = None
-    """Folder of masks of the photographs, see `radiant_core.io.masks`; not with a scene, which has its own."""
+    """Folder of masks of the photographs, see `radiant_core.io.photos.masks`; not with a scene, which has its own."""
     up: str | None = None
-    """Which way is up, as distance and height see `radiant_core.sfm.placement.Placement`; not with a scene, which has its frame."""
+    """Which way is up, as distance and height see `radiant_core.sfm.world_frame.placement.Placement`; not
+    with a scene, which has its frame."""
     distance: str | None = None
     height_m: float | None = None
     memory_bytes: int | None = None

@@ -22,8 +22,8 @@ from pydantic import Field, ValidationError
 from radiant_app.files.toml_file import Strict, load_toml, sentence
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
-from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.regions.constraints import PlanConstraints
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -34,9 +34,9 @@ from pydantic import Field, ValidationError
 from radiant_app.files.toml_file import MAX_FILE_BYTES, Strict, load_toml, sentence
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import parse_json, write_atomic
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.curve_fit import FittedCurve
-from radiant_core.plan.profiles import Profile, ProfileKey
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.profiles.curve_fit import FittedCurve
+from radiant_core.plan.profiles.profile import Profile, ProfileKey
 
 KIND = "curve file"
 SUFFIXES = (".toml", ".json")

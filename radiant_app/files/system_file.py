@@ -48,8 +48,8 @@ from pydantic import Field, ValidationError
 from radiant_app.files.profile_file import find_profile
 from radiant_app.files.toml_file import Strict, load_toml, sentence
 from radiant_core.errors import BadInput
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.profiles import Profile
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.profiles.profile import Profile
 from radiant_core.plan.system import Cloud, Device, Edge, System
 
 _BYTES_PER_S_PER_MBIT = 1e6 / 8

@@ -22,11 +22,11 @@ from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.count_raster import CountRaster, count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.counts.count_raster import CountRaster, count_raster, followed_by_edges, known_to_the_cloud, regions_of_raster
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import PlanInfeasible
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import PlanInfeasible
 from radiant_core.plan.system import Edge, System
 
 STAGE = "planning"

@@ -11,9 +11,9 @@ from typing import Any, Literal, get_args
 from radiant_core.aggregate.config import AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import LpipsNetwork
-from radiant_core.io.upload import UploadFormat
-from radiant_core.plan.count_raster import DEFAULT_CELL_M
-from radiant_core.sfm.placement import Placement
+from radiant_core.io.transport.upload import UploadFormat
+from radiant_core.plan.counts.count_raster import DEFAULT_CELL_M
+from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
@@ -68,9 +68,9 @@ class RunConfig:
     poses: Path | None = None
     """For frames "known": a COLMAP model with the poses of the photographs; None where the source brings its own."""
     masks: Path | None = None
-    """Folder of masks, see `radiant_core.io.masks`; None: photographs are used whole."""
+    """Folder of masks, see `radiant_core.io.photos.masks`; None: photographs are used whole."""
     up: str | None = None
-    """Which way is up, see `radiant_core.sfm.placement.Placement`; None: auto."""
+    """Which way is up, see `radiant_core.sfm.world_frame.placement.Placement`; None: auto."""
     distance: str | None = None
     """How far apart two photographs were taken: PHOTO,PHOTO,METRES."""
     height_m: float | None = None

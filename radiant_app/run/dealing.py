@@ -23,11 +23,11 @@ from radiant_core import __version__
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
 from radiant_core.cameras import Cameras
-from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
-from radiant_core.io.masks import mask_name
+from radiant_core.io.photos.masks import mask_name
 from radiant_core.io.records import save_cameras, save_scene
 from radiant_core.io.run_store import content_key, is_sealed, read_json, write_json
-from radiant_core.io.upload import UploadFormat
+from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
+from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene

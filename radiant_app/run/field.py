@@ -49,15 +49,15 @@ from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import MAX_REACH_M, enu_from_geodetic
-from radiant_core.io.copies import copies_warning, file_copies
-from radiant_core.io.photos import SUFFIXES
+from radiant_core.io.photos.copies import copies_warning, file_copies
+from radiant_core.io.photos.listing import SUFFIXES
 from radiant_core.io.records import save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.assigned import assigned_plan, device_indices
-from radiant_core.plan.captured import plan_of_owners, taken_for_others
-from radiant_core.plan.count_raster import middles_of_cells
+from radiant_core.plan.counts.count_raster import middles_of_cells
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.revision.assigned import assigned_plan, device_indices
+from radiant_core.plan.revision.captured import plan_of_owners, taken_for_others
 from radiant_core.plan.system import System
 from radiant_core.sfm.given_poses import GivenPoses, given_poses
 

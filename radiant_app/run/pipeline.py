@@ -52,7 +52,7 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, save_splats
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.io.signing import keeps_modes
+from radiant_core.io.transport.signing import keeps_modes
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.system import System
 from radiant_core.scene import SfmScene

@@ -19,7 +19,8 @@ from radiant_app.files.run_folder import Manifest
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_core.io.run_store import read_json, write_atomic
 from radiant_core.plan.plans import EdgePlan
-from radiant_core.plan.prediction import (
+from radiant_core.plan.system import Device, System
+from radiant_core.plan.timeline.prediction import (
     PlannedStage,
     StageError,
     corrected_system,
@@ -28,7 +29,6 @@ from radiant_core.plan.prediction import (
     planned_stages,
     stage_errors,
 )
-from radiant_core.plan.system import Device, System
 
 MAX_NAMES = 6
 """How many machines a sentence names."""

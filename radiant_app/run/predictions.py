@@ -10,11 +10,11 @@ from dataclasses import replace
 
 from radiant_core.aggregate.config import AggregatePreset
 from radiant_core.decisions import Decision
+from radiant_core.plan.counts.wide_deadline import system_capacity
 from radiant_core.plan.plans import EdgePlan
-from radiant_core.plan.profile_warnings import profile_warnings
-from radiant_core.plan.profiles import ProfileKey
+from radiant_core.plan.profiles.profile import ProfileKey
+from radiant_core.plan.profiles.profile_warnings import profile_warnings
 from radiant_core.plan.system import Device, Edge, System
-from radiant_core.plan.wide_deadline import system_capacity
 from radiant_core.splats import SH_BASES
 from radiant_core.train.config import Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend

@@ -21,7 +21,7 @@ from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.replan import ReplanInfeasible, Situation, replan
+from radiant_core.plan.revision.replan import ReplanInfeasible, Situation, replan
 
 FOLDER, RECORD = "replanned", "made_from.json"
 

@@ -20,10 +20,10 @@ from radiant_app.run.config import RunConfig
 from radiant_app.run.sources import all_files, detect_source
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StoreDamaged
-from radiant_core.io.colmap import image_names, model_files
-from radiant_core.io.colmap_records import is_image_name
-from radiant_core.io.masks import find_masks
-from radiant_core.io.photos import SUFFIXES
+from radiant_core.io.colmap.model import image_names, model_files
+from radiant_core.io.colmap.records import is_image_name
+from radiant_core.io.photos.listing import SUFFIXES
+from radiant_core.io.photos.masks import find_masks
 from radiant_core.io.run_store import SEAL_NAME, content_key, file_sha256, is_sealed, read_json, seal, write_json
 
 RECORD_NAME = "source.json"

@@ -43,7 +43,7 @@ def all_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
 def sfm_task(source: Path, sfm: dict[str, Any], masks: Path | None, placement: dict[str, Any]) -> dict[str, Any]:
     """What structure from motion is told: the source, fields of `SfmConfig`, a folder of masks, fields of `Placement` that differ from its
     own. Raises BadInput for a placement that makes no sense."""
-    from radiant_core.sfm.placement import Placement
+    from radiant_core.sfm.world_frame.placement import Placement
 
     chosen, usual = asdict(Placement(**placement)), asdict(Placement())
     told = {name: value for name, value in chosen.items() if value != usual[name]}

@@ -24,12 +24,12 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
-from radiant_core.io.upload import BYTES_FACTORS, UploadFormat
+from radiant_core.io.transport.upload import BYTES_FACTORS, UploadFormat
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.captured import plan_of_captured, require_same_system
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.revision.captured import plan_of_captured, require_same_system
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.render.contract import resolve_backend

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 from radiant_app.events import UPLINK, Event, Listener, StageDone, StageSkipped, StageStarted, TimeLeft
 from radiant_core.plan.plans import EdgePlan
-from radiant_core.plan.prediction import PlannedStage, corrected_system, left_s, planned_stages
 from radiant_core.plan.system import System
+from radiant_core.plan.timeline.prediction import PlannedStage, corrected_system, left_s, planned_stages
 
 LATE_FACTOR = 4.0
 """A node that takes so many times its time is late: times of equal photographs differ by less than 2 (docs/experiments/emulation.md)."""

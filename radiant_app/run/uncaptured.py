@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_core.io.plan_export import save_device_waypoints
+from radiant_core.io.export.plan import save_device_waypoints
 from radiant_core.io.records import save_plan
-from radiant_core.plan.captured import device_of_planned, require_same_system
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.replan import ReplanInfeasible, Situation, replan
+from radiant_core.plan.revision.captured import device_of_planned, require_same_system
+from radiant_core.plan.revision.replan import ReplanInfeasible, Situation, replan
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 

@@ -24,8 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from radiant_core.errors import BadInput
-from radiant_core.io.acceptance import Acceptance, LastTask, Offer
-from radiant_core.io.delivery import (
+from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
+from radiant_core.io.transport.acceptance import Acceptance, LastTask, Offer
+from radiant_core.io.transport.delivery import (
     MAX_RECORD_BYTES,
     RECORD_NAME,
     SIGNATURE_NAME,
@@ -37,8 +38,7 @@ from radiant_core.io.delivery import (
     save_delivery,
     sent_files,
 )
-from radiant_core.io.run_store import content_key, read_json, write_atomic, write_json
-from radiant_core.io.signing import PUBLIC_NAME, load_public_key, make_signing_key
+from radiant_core.io.transport.signing import PUBLIC_NAME, load_public_key, make_signing_key
 
 IDENTITY, SENDERS, DELIVERIES, GIVEN, POST_NAME = "identity", "senders", "deliveries", "given", "post.json"
 ABOVE_NAME, TAKEN_NAME = "above.pub", "taken.json"

@@ -31,8 +31,8 @@ from radiant_core.evaluate.image_error import (
 from radiant_core.evaluate.image_pair import Used
 from radiant_core.evaluate.lpips import Lpips, load_lpips
 from radiant_core.evaluate.seam_error import band_and_interior_psnr_db, seam_masks
-from radiant_core.io.masks import pixel_weights, used_pixels
-from radiant_core.io.photos import load_photograph
+from radiant_core.io.photos.listing import load_photograph
+from radiant_core.io.photos.masks import pixel_weights, used_pixels
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_splats
 from radiant_core.io.run_store import read_json, write_atomic, write_json

@@ -31,11 +31,11 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.frames import WGS84_SEMI_MAJOR_M
-from radiant_core.io.copies import copies_count, file_copies
-from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
-from radiant_core.io.photos import photograph_positions
+from radiant_core.io.photos.copies import copies_count, file_copies
+from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import SEAL_NAME, content_key, is_sealed, read_json, seal, write_json
+from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 
@@ -205,8 +205,8 @@ def _placed(folder: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Plac
 
 def _placed_by_gps(folder: Path, photos: Path, task: dict[str, Any], stage: str, emit: Emit) -> _Placed:
     from radiant_core.sfm.config import SfmConfig
-    from radiant_core.sfm.device_frame import RefusedFrame, device_frame
     from radiant_core.sfm.reconstruct import reconstruct
+    from radiant_core.sfm.world_frame.device_frame import RefusedFrame, device_frame
 
     result = reconstruct(photos, folder / "sfm", SfmConfig(**task["sfm"]), lambda progress: emit(sfm_progress(stage, progress)))
     for message in _told(result, own_names("field", folder)):

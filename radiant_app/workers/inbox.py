@@ -135,7 +135,7 @@ def _arrived(place: Path, num_dealt: int | None) -> tuple[Splats, Cameras] | str
 
 def _uncertainty_in(place: Path) -> dict[str, float] | None:
     """How sure a sender's frame is; None where it says that it is exact, or nothing. BadInput where it says anything else."""
-    from radiant_core.sfm.device_frame import FrameUncertainty
+    from radiant_core.sfm.world_frame.device_frame import FrameUncertainty
 
     if not (place / "frame.json").is_file():
         return None
@@ -162,7 +162,7 @@ def _joined(folder: Path, arrived: dict[str, tuple[Splats, Cameras]], stage: str
     if len(known) < len(senders) or not senders:
         return _together(senders, models, cameras, [_UNMOVED] * len(senders), None)
     from radiant_core.geometry.frame_refinement import PlacedModel, refine_frames
-    from radiant_core.sfm.device_frame import FrameUncertainty
+    from radiant_core.sfm.world_frame.device_frame import FrameUncertainty
 
     placed = [
         PlacedModel(splats=model, cameras=own, uncertainty=FrameUncertainty(**uncertainty), name=name)

@@ -49,12 +49,12 @@ from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
-from radiant_core.io.masks import pixel_weights
-from radiant_core.io.photos import load_photograph
+from radiant_core.io.photos.listing import load_photograph
+from radiant_core.io.photos.masks import pixel_weights
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
-from radiant_core.io.upload import UploadFormat, save_upload, upload_problem
+from radiant_core.io.transport.upload import UploadFormat, save_upload, upload_problem
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats, morton_order
 

@@ -23,9 +23,9 @@ from radiant_app.workers.delivering import IDENTITY, POST_NAME, take_task
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import LpipsNetwork
-from radiant_core.io.delivery import Kind
 from radiant_core.io.run_store import MAX_JSON_BYTES, parse_json, read_bounded
-from radiant_core.io.upload import UploadFormat
+from radiant_core.io.transport.delivery import Kind
+from radiant_core.io.transport.upload import UploadFormat
 from radiant_core.plan.system import Cloud
 from radiant_core.sfm.config import Matching
 from radiant_core.train.config import TrainConfig

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from radiant_core.cameras import Cameras
-from radiant_core.io.photos import load_photograph, photograph_positions
+from radiant_core.io.photos.listing import load_photograph, photograph_positions
 
 TEXT = b"%s canary of %s"
 """What `watermark` writes: where, and into which photograph."""

@@ -17,9 +17,9 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
-from radiant_core.plan.edge_sites import place_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 
 
 @pytest.fixture(scope="module")

@@ -18,11 +18,11 @@ import pytest
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_core.aggregate.virtual_cameras import virtual_cameras
 from radiant_core.cameras import Cameras
-from radiant_core.io.colmap import read_model
-from radiant_core.io.photos import photograph_positions
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.records import save_cameras
 from radiant_core.io.view_file import save_view
-from radiant_core.sfm.world import cameras_of
+from radiant_core.sfm.world_frame.world import cameras_of
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, Canaries, Search, canaries_of, files_with, watermark
 
 SIZE_PX = 96

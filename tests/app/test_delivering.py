@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from radiant_app.workers.delivering import deliver, introduce, introduce_teacher, refusals, run_number, signed_upload
-from radiant_core.io.delivery import MAX_ATTEMPT
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.io.signing import KEY_NAME, PUBLIC_NAME
+from radiant_core.io.transport.delivery import MAX_ATTEMPT
+from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME
 
 EDGE = "edges/north"
 

@@ -23,11 +23,11 @@ from radiant_core.evaluate.image_error import psnr_db, ssim
 from radiant_core.evaluate.lpips import load_lpips
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
-from radiant_core.io.photos import load_photograph
+from radiant_core.io.photos.listing import load_photograph
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import write_json
-from radiant_core.io.upload import save_upload
+from radiant_core.io.transport.upload import save_upload
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats

@@ -25,12 +25,12 @@ from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.frames import Frame, geodetic_from_enu
 from radiant_core.io.records import load_plan, save_plan
-from radiant_core.io.waypoints import read_waypoints
+from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset

@@ -34,11 +34,11 @@ from radiant_app.workers.own_names import HIDDEN, NOTES_NAME, OwnNames, own_name
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.photos import photograph_positions
+from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene
 from radiant_core.io.run_store import write_json
-from radiant_core.plan.replan import Situation
+from radiant_core.plan.revision.replan import Situation
 from radiant_core.sfm.given_poses import given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.train.needs import Overrides

@@ -19,7 +19,7 @@ from radiant_core.geometry import frame_refinement
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.io.upload import save_upload
+from radiant_core.io.transport.upload import save_upload
 from radiant_core.splats import Splats
 from tests.core.scenes import cameras_above, ground_splats
 

@@ -19,7 +19,7 @@ from radiant_app.workers import cloud_task
 from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
-from radiant_core.io.upload import load_upload
+from radiant_core.io.transport.upload import load_upload
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.needs import Overrides
 from tests.joined_again import held_out_db, joined_again

@@ -17,7 +17,7 @@ from radiant_app.run.dealing import deal_masks, received
 from radiant_app.run.sources import masks_of_scene
 from radiant_app.workers.evaluation import scored_part
 from radiant_core.errors import BadInput
-from radiant_core.io.masks import mask_name, save_mask
+from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import write_json
 from radiant_core.train.needs import Overrides
 from tests.core.scenes import cameras_above

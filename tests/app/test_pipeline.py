@@ -36,13 +36,13 @@ from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
-from radiant_core.io.colmap import read_model
-from radiant_core.io.geojson_region import load_region
+from radiant_core.io.colmap.model import read_model
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras
 from radiant_core.io.run_store import content_key, read_json, write_json
-from radiant_core.io.upload import load_upload, save_upload
-from radiant_core.sfm.world import cameras_of
+from radiant_core.io.transport.upload import load_upload, save_upload
+from radiant_core.io.waypoints.region import load_region
+from radiant_core.sfm.world_frame.world import cameras_of
 from radiant_core.train.needs import Overrides
 from tests.app.alex_weights import write_alex_weights
 

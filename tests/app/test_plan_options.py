@@ -20,7 +20,7 @@ from radiant_app.run.prediction_error import curves_note
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json
-from radiant_core.plan.slack_curve import SlackPoint
+from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_viewer.charts.slack_chart import slack_picture
 from tests.app.test_plan_command import grid_csv
 from tests.app.test_replan_command import display

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from radiant_app.run.predictions import depends_on_training, with_camera_limits
-from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
 from radiant_core.train.config import TrainConfig
 from radiant_core.train.memory import BASE_BYTES, IMAGE_BYTES_PER_PX, PROCESS_BYTES, STEP_BYTES_PER_PX, bytes_per_splat, most_cameras

@@ -30,8 +30,8 @@ from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset

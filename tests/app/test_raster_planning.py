@@ -19,7 +19,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import write_json
-from radiant_core.plan.count_raster import DEFAULT_CELL_M, count_raster
+from radiant_core.plan.counts.count_raster import DEFAULT_CELL_M, count_raster
 
 ORIGIN = np.array([47.35, 8.51, 420.0])
 

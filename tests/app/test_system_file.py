@@ -11,9 +11,9 @@ from radiant_app.files import system_file
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.files.toml_file import MAX_FILE_BYTES
 from radiant_core.errors import BadInput
-from radiant_core.plan.cost_curves import CostCurve
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import Cloud, System
 
 ROOT = Path(__file__).parents[2]

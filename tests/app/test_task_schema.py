@@ -18,9 +18,9 @@ from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NA
 from radiant_app.workers.task_schema import SCHEMAS, require_schema, require_task
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
-from radiant_core.io.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.run_store import write_json
-from radiant_core.io.signing import KEY_NAME, PUBLIC_NAME
+from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
+from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME
 from radiant_core.train.config import train_preset
 from tests.memory_folder import memory_folder
 

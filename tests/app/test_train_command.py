@@ -25,7 +25,7 @@ from radiant_app.workers.nodes import run_node
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
-from radiant_core.io.colmap import read_model, write_model
+from radiant_core.io.colmap.model import read_model, write_model
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
 from radiant_core.io.run_store import read_json, write_json

@@ -18,7 +18,7 @@ from radiant_app.files.run_folder import Manifest
 from radiant_app.run.sources import scored_scene_of
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import read_model
+from radiant_core.io.colmap.model import read_model
 from radiant_core.io.ply import save_ply
 from radiant_core.io.records import save_scene
 from radiant_core.io.run_store import write_json

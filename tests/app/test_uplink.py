@@ -24,12 +24,12 @@ from radiant_core.frames import Frame
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_splats
 from radiant_core.io.run_store import is_sealed, read_json, seal
-from radiant_core.io.upload import BYTES_FACTORS, UploadFormat, load_upload
-from radiant_core.plan.deadline import device_time_s
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.io.transport.upload import BYTES_FACTORS, UploadFormat, load_upload
+from radiant_core.plan.counts.deadline import device_time_s
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset

@@ -28,14 +28,14 @@ from radiant_app.files.system_file import load_system
 from radiant_app.workers.memory import peak_bytes, reset_peak_bytes
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.io.colmap import read_model
-from radiant_core.io.jpeg import read_jpeg_facts
+from radiant_core.io.colmap.model import read_model
 from radiant_core.io.open3d_formats import splats_from_spz, spz_bytes
-from radiant_core.io.photos import decoded_image, list_photographs, load_photograph, photograph_positions, promised_size_wh
+from radiant_core.io.photos.jpeg import read_jpeg_facts
+from radiant_core.io.photos.listing import decoded_image, list_photographs, load_photograph, photograph_positions, promised_size_wh
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, save_cameras, save_scene, save_splats
-from radiant_core.io.upload import load_upload, save_upload
-from radiant_core.io.waypoints import read_waypoints
+from radiant_core.io.transport.upload import load_upload, save_upload
+from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.scene import SfmScene
 from tests.core.scenes import cameras_above, ground_splats
 

@@ -20,7 +20,7 @@ import pytest
 from radiant_app.bench.leakage import sent_pictures
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.workers.inbox import VIRTUAL_CAMERAS
-from radiant_core.io.colmap import read_model, write_model
+from radiant_core.io.colmap.model import read_model, write_model
 from radiant_core.io.records import load_cameras
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, Canaries, Search, add_broken, canaries_of, files_with, watermark
 from tests.app.test_field import assert_models_and_little_else_were_sent

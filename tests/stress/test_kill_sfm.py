@@ -25,7 +25,7 @@ KILLS_PER_STORY = 4
 SCRIPT = """
 import os, signal, sys, threading, time
 from pathlib import Path
-from radiant_core.sfm import database
+from radiant_core.sfm.colmap import database
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.reconstruct import reconstruct
 

@@ -17,7 +17,7 @@ from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import received
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.errors import BadInput
-from radiant_core.io.masks import mask_name, save_mask
+from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import read_json
 from tests.app.test_masks import HELD_OUT, TINY, USED, masked_hamlet
 

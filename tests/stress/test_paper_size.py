@@ -22,12 +22,12 @@ from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import tree_of_plan
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import device_time_s
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.counts.deadline import device_time_s
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import train_preset

@@ -10,11 +10,11 @@ from scipy.optimize import linprog
 
 from radiant_app.bench.plan import camera_layout
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.deadline import edge_tables
+from radiant_core.plan.counts.deadline import edge_tables
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.region_plan import plan_regions
+from radiant_core.plan.regions.transport import deal_with_counts
 from radiant_core.plan.system import System
-from radiant_core.plan.transport import deal_with_counts
 from tests.core.plan.instances import LAYOUTS, random_system
 
 KINDS = ("uniform", "clustered", "lawnmower", "street", "collinear", "duplicates", "one spot", "lattice")

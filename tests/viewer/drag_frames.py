@@ -22,11 +22,11 @@ from PySide6.QtWidgets import QApplication
 from shapely.geometry import Polygon
 
 from radiant_app.files.system_file import dump_system, even_system
-from radiant_core.plan.borders import shared_borders
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.borders.borders import shared_borders
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_viewer.editing.edited_plan import EditedPlan
 from radiant_viewer.window.window import InspectorWindow
 from tests.viewer.made_up_run import made_up_town, save_run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.border_forecast import BorderForecast, Risk
+from radiant_core.plan.borders.forecast import BorderForecast, Risk
 from radiant_viewer.charts.line_chart import Line, Panel, line_picture
 from radiant_viewer.charts.partition_chart import Partition, partitions_picture
 from radiant_viewer.layers.forecast_layer import RISK_COLORS, forecast_layers

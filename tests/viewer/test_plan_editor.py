@@ -10,10 +10,10 @@ from shapely.geometry import Polygon
 
 from radiant_app.files.system_file import even_system
 from radiant_core.errors import BadInput
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
 from radiant_viewer.editing.edit_log import EditHistory, edit_record, load_edits, parse_edit, plan_key, save_edits
 from radiant_viewer.editing.edited_plan import PlanSubject, border_weight_m2

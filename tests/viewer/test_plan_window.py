@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_core.plan.borders import shared_borders
-from radiant_core.plan.constraints import PlanConstraints
+from radiant_core.plan.borders.borders import shared_borders
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import FixWeight, MoveEdge, PinCameras
 from radiant_viewer.editing.plan_files import plan_subject
@@ -26,7 +26,7 @@ from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 from radiant_app.commands.inspect import run_setting
-from radiant_core.plan.borders import shared_borders
+from radiant_core.plan.borders.borders import shared_borders
 from radiant_viewer.editing import plan_session
 from radiant_viewer.editing.plan_edits import FixWeight, MoveEdge
 from radiant_viewer.window.inspector import open_window

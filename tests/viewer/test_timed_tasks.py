@@ -19,9 +19,9 @@ from shapely.geometry import Point, Polygon, shape
 from radiant_app.files.system_file import load_system
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan, load_scene, save_plan
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import PlanMethod, plan_regions
+from radiant_core.plan.regions.region_plan import PlanMethod, plan_regions
 from radiant_core.splats import SH_C0
 from tests.viewer.made_up_run import EDGE_IDS, SITES, Town, made_up_town, save_run
 from tests.viewer.test_window import display, run_python  # noqa: F401 (a fixture)

@@ -11,7 +11,7 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.upload import load_upload, num_uploaded
+from radiant_core.io.transport.upload import load_upload, num_uploaded
 from radiant_core.splats import Splats
 
 MAX_SPLATS = 5_000_000

@@ -13,7 +13,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.geometry.coverage import coverage
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.power_diagram import assign
+from radiant_core.plan.regions.power_diagram import assign
 
 KEPT_COVERAGE = 0.8
 """A region's owner speaks for a place that its cameras cover at least this well, compared with those that cover it best."""

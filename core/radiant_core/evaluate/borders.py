@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.power_diagram import polygon_area_m2
+from radiant_core.plan.regions.power_diagram import polygon_area_m2
 
 BLOCK_NUMBERS = 4_000_000
 

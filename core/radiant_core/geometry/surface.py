@@ -22,7 +22,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic, geodetic_from_enu
 from radiant_core.geometry.fusion import FusionSettings, blocks_within, fuse_apart
 from radiant_core.geometry.open3d_ops import MAX_BLOCKS, DepthView, Mesh, heights_from_above
-from radiant_core.io.geotiff import HeightGrid
+from radiant_core.io.export.geotiff import HeightGrid
 from radiant_core.map_projection import geodetic_from_utm, utm_epsg, utm_from_geodetic
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import RenderedView, render_views

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from radiant_core.plan.border_forecast import BorderForecast
-from radiant_core.plan.buffers import EdgeBuffer
+from radiant_core.plan.borders.buffers import EdgeBuffer
+from radiant_core.plan.borders.forecast import BorderForecast
 
 GROUND_KEY = "ground_m"
 """Altitude of the ground in the waypoints' own heights, where somebody gave it."""

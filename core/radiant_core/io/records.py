@@ -18,12 +18,12 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.array_file import VERSION, load_arrays, naming, require_schema, save_arrays
-from radiant_core.io.colmap_records import is_image_name
+from radiant_core.io.colmap.records import is_image_name
 from radiant_core.io.plan_content import GROUND_KEY
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.numerics import checked_array
+from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
-from radiant_core.plan.slack_curve import SlackPoint
 from radiant_core.plan.system import require_id
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.array_file import load_arrays, naming, save_arrays
-from radiant_core.io.photos import decoded_image, promised_size_wh
+from radiant_core.io.photos.listing import decoded_image, promised_size_wh
 
 SCHEMA, VIEWS_SCHEMA = "radiant.view", "radiant.views"
 JPEG_QUALITY, WEIGHT_STEP = 90, 17

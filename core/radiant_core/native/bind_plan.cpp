@@ -1,5 +1,5 @@
 // Cameras dealt to cells with given counts at the least sum of squared distances: tree, smoothed Newton, augmenting paths.
-// The arrays were checked in Python (radiant_core.plan.transport); here only shapes are, since they decide what is read.
+// The arrays were checked in Python (radiant_core.plan.regions.transport); here only shapes are, since they decide what is read.
 #include "bind_plan.h"
 
 #include <nanobind/ndarray.h>

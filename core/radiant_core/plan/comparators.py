@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.deadline import EdgeTable, edge_tables, fastest_counts
-from radiant_core.plan.paper_arp import estimated_times_s
+from radiant_core.plan.counts.deadline import EdgeTable, edge_tables, fastest_counts
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.power_diagram import assign
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.paper_arp import estimated_times_s
+from radiant_core.plan.regions.power_diagram import assign
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
 
 Indices = NDArray[np.int64]

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.profiles import Profile
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.profiles.profile import Profile
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 

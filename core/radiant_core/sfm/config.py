@@ -102,4 +102,4 @@ class SfmResult:
     unnamed_warnings: tuple[str, ...] = ()
     """Of `reconstruct`: the same with numbers of photographs in place of their names, for those who are not to know them."""
     masks_folder: Path | None = None
-    """Masks of the undistorted photographs, see `radiant_core.io.masks`; None without any."""
+    """Masks of the undistorted photographs, see `radiant_core.io.photos.masks`; None without any."""

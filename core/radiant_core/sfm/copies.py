@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
-from radiant_core.io.copies import copies_warning, in_order_of_worth
-from radiant_core.io.photos import load_thumbnail
+from radiant_core.io.photos.copies import copies_warning, in_order_of_worth
+from radiant_core.io.photos.listing import load_thumbnail
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 

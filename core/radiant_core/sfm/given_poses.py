@@ -14,11 +14,11 @@ import numpy as np
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import ColmapModel, checked_model, read_model, write_model
+from radiant_core.io.colmap.model import ColmapModel, checked_model, read_model, write_model
 from radiant_core.io.mill19 import read_mill19
 from radiant_core.io.records import save_cameras
 from radiant_core.sfm.known_poses import NO_POINTS
-from radiant_core.sfm.up import roll_deg
+from radiant_core.sfm.world_frame.up import roll_deg
 
 NO_POINTS_2D, NO_IDS = np.zeros((0, 2)), np.zeros(0, np.int64)
 MAX_ROLL_DEG = 30.0

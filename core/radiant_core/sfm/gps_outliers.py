@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from radiant_core.io.photos import Photograph
+from radiant_core.io.photos.listing import Photograph
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.pairs import gps_about
+from radiant_core.sfm.colmap.pairs import gps_about
 
 MAX_NAMED = 5
 OUTLIER_FACTOR = 10.0

@@ -16,23 +16,23 @@ from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.io.colmap import ColmapCamera, ColmapImage, ColmapPoints, checked_model, read_model, write_model
-from radiant_core.io.copies import copies_warning, file_copies
+from radiant_core.io.colmap.model import ColmapCamera, ColmapImage, ColmapPoints, checked_model, read_model, write_model
 from radiant_core.io.mill19 import read_mill19
-from radiant_core.io.photos import CameraKey, Photograph
+from radiant_core.io.photos.copies import copies_warning, file_copies
+from radiant_core.io.photos.listing import CameraKey, Photograph
 from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.database import extract_features, match_pairs
+from radiant_core.sfm.colmap.kept_database import database_key, kept_database
+from radiant_core.sfm.colmap.pairs import neighbor_pairs
+from radiant_core.sfm.colmap.undistort import undistort
+from radiant_core.sfm.colmap.workspace import listed
 from radiant_core.sfm.config import Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
 from radiant_core.sfm.copies import without_repeats
-from radiant_core.sfm.database import extract_features, match_pairs
-from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.masks import FINAL, keep_masks, masks_decision, take_masks
 from radiant_core.sfm.memory import within_memory
-from radiant_core.sfm.pairs import neighbor_pairs
-from radiant_core.sfm.undistort import undistort
-from radiant_core.sfm.workspace import listed
-from radiant_core.sfm.world import cameras_of
+from radiant_core.sfm.world_frame.world import cameras_of
 
 DEFAULT_CONFIG = SfmConfig()
 NO_POINTS = ColmapPoints(

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.decisions import Decision
-from radiant_core.io.masks import alpha_mask, find_masks, load_mask, mask_name, pixel_weights, save_mask, used_pixels
-from radiant_core.io.photos import Photograph
+from radiant_core.io.photos.listing import Photograph
+from radiant_core.io.photos.masks import alpha_mask, find_masks, load_mask, mask_name, pixel_weights, save_mask, used_pixels
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.colmap_calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
 
 GIVEN, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
 

@@ -9,25 +9,25 @@ from __future__ import annotations
 from pathlib import Path
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import ColmapModel, read_model
-from radiant_core.io.copies import copies_count
-from radiant_core.io.photos import Photograph, PhotoListing
+from radiant_core.io.colmap.model import ColmapModel, read_model
+from radiant_core.io.photos.copies import copies_count
+from radiant_core.io.photos.listing import Photograph, PhotoListing
+from radiant_core.sfm.colmap.database import extract_features, match_pairs
+from radiant_core.sfm.colmap.kept_database import database_key, kept_database
+from radiant_core.sfm.colmap.mapping import MappingJob, map_photographs
+from radiant_core.sfm.colmap.pairs import choose_pairs
+from radiant_core.sfm.colmap.refine import refine
+from radiant_core.sfm.colmap.spaced_names import write_for_colmap
+from radiant_core.sfm.colmap.undistort import fit_model, remove_images, undistort
+from radiant_core.sfm.colmap.workspace import listed, listing_warnings, start_clean
 from radiant_core.sfm.config import Mapper, Matching, Phase, Report, SfmConfig, SfmProgress, SfmResult, numbered_steps
 from radiant_core.sfm.copies import without_repeats
-from radiant_core.sfm.database import extract_features, match_pairs
 from radiant_core.sfm.gps_outliers import gps_outliers
-from radiant_core.sfm.kept_database import database_key, kept_database
 from radiant_core.sfm.known_poses import scene_from_mill19, triangulate
-from radiant_core.sfm.mapping import MappingJob, map_photographs
 from radiant_core.sfm.masks import keep_masks, masks_decision, take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.memory import undistorting_threads, within_memory
-from radiant_core.sfm.pairs import choose_pairs
-from radiant_core.sfm.placement import Placement
-from radiant_core.sfm.refine import refine
-from radiant_core.sfm.spaced_names import write_for_colmap
-from radiant_core.sfm.undistort import fit_model, remove_images, undistort
-from radiant_core.sfm.workspace import listed, listing_warnings, start_clean
-from radiant_core.sfm.world import UNPLACED, scene_in_world
+from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.sfm.world_frame.world import UNPLACED, scene_in_world
 
 __all__ = [
     "Mapper",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.evaluate.image_error import psnr_db
-from radiant_core.io.masks import used_pixels
+from radiant_core.io.photos.masks import used_pixels
 from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats

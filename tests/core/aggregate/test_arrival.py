@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from radiant_core.aggregate.arrival import MAX_SPLATS, check_splats, load_arrived
 from radiant_core.io.array_file import save_arrays
 from radiant_core.io.records import save_cameras
-from radiant_core.io.upload import num_uploaded, save_upload
+from radiant_core.io.transport.upload import num_uploaded, save_upload
 from radiant_core.splats import Splats
 from tests.core.scenes import cameras_above, ground_splats
 

@@ -9,7 +9,7 @@ import shapely
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.power_diagram import clip_polygon
+from radiant_core.plan.regions.power_diagram import clip_polygon
 
 
 def plan_of(sites: np.ndarray, weights: np.ndarray | None = None) -> CloudPlan:

@@ -14,7 +14,7 @@ from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.geometry.frame_matches import without_background
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame, refine_frames
 from radiant_core.geometry.pair_fit import compose
-from radiant_core.sfm.align import fit_sim3
+from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.splats import concatenate_splats
 from tests.core.geometry.patchy_ground import cameras_over, gps_like_move, ground_model, move_about, moved_model
 

@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
-from radiant_core.io.acceptance import Acceptance, Offer, acceptance_of
+from radiant_core.io.transport.acceptance import Acceptance, Offer, acceptance_of
 
 RECEIVER = "edges/north"
 RETRY_S, DEADLINE_S, HORIZON_S = 5.0, 60.0, 3000.0

@@ -10,7 +10,7 @@ from itertools import combinations
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.acceptance import Acceptance, LastTask, Offer, Region, acceptance_of
+from radiant_core.io.transport.acceptance import Acceptance, LastTask, Offer, Region, acceptance_of
 from tests.core.io.protocol_world import REASONS, played
 
 RUN, EDGE = "1" * 32, "edges/north"

@@ -13,9 +13,11 @@ import pycolmap
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io import colmap, colmap_binary, colmap_text
-from radiant_core.io.colmap import ColmapCamera, ColmapModel, ColmapPoints, checked_model, find_model, read_model, write_model
-from radiant_core.io.colmap_records import PARAM_COUNTS
+from radiant_core.io.colmap import binary as colmap_binary
+from radiant_core.io.colmap import model as colmap
+from radiant_core.io.colmap import text as colmap_text
+from radiant_core.io.colmap.model import ColmapCamera, ColmapModel, ColmapPoints, checked_model, find_model, read_model, write_model
+from radiant_core.io.colmap.records import PARAM_COUNTS
 
 STEMS = ("cameras", "images", "points3D")
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "known"

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.acceptance import Acceptance, Offer
-from radiant_core.io.delivery import (
+from radiant_core.io.transport.acceptance import Acceptance, Offer
+from radiant_core.io.transport.delivery import (
     MAX_ATTEMPT,
     MAX_RECORD_BYTES,
     RECORD_NAME,
@@ -28,7 +28,7 @@ from radiant_core.io.delivery import (
     sent_files,
     verified_delivery,
 )
-from radiant_core.io.signing import KEY_NAME, PUBLIC_NAME, keeps_modes, load_public_key, load_signing_key, make_signing_key
+from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME, keeps_modes, load_public_key, load_signing_key, make_signing_key
 from tests.app.no_modes import without_modes
 from tests.memory_folder import memory_folder
 
@@ -108,7 +108,7 @@ def test_a_key_is_made_once_and_only_its_owner_reads_it(tmp_path: Path) -> None:
 SIGNS = """
 import sys
 from pathlib import Path
-from radiant_core.io.signing import load_signing_key, make_signing_key
+from radiant_core.io.transport.signing import load_signing_key, make_signing_key
 folder = Path(sys.argv[1])
 print(make_signing_key(folder), make_signing_key(folder), len(load_signing_key(folder).sign(b"x")), len(list(folder.iterdir())))
 """

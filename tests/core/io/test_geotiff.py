@@ -10,8 +10,8 @@ import pytest
 import tifffile
 
 from radiant_core.errors import BadInput
-from radiant_core.io.geotiff import NO_DATA, HeightGrid, hillshade, save_geotiff
-from radiant_core.io.mesh_ply import save_mesh
+from radiant_core.io.export.geotiff import NO_DATA, HeightGrid, hillshade, save_geotiff
+from radiant_core.io.export.mesh_ply import save_mesh
 
 
 def grid(epsg: int | None = 32632) -> HeightGrid:

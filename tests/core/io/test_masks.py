@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.masks import find_masks, load_mask, mask_name, pixel_weights, save_mask, used_pixels
+from radiant_core.io.photos.masks import find_masks, load_mask, mask_name, pixel_weights, save_mask, used_pixels
 from tests.core.scenes import cameras_above
 
 USED = np.tile([[False, True, True, True]], (3, 1))

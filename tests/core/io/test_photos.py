@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io import photos
-from radiant_core.io.jpeg import ExifFacts, read_exif, read_jpeg_facts
-from radiant_core.io.photos import list_photographs, load_photograph
+from radiant_core.io.photos import listing as photos
+from radiant_core.io.photos.jpeg import ExifFacts, read_exif, read_jpeg_facts
+from radiant_core.io.photos.listing import list_photographs, load_photograph
 
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "images"
 

@@ -7,8 +7,8 @@ import json
 import numpy as np
 
 from radiant_core.io.plan_content import content_record
-from radiant_core.plan.border_forecast import BorderForecast
-from radiant_core.plan.buffers import EdgeBuffer
+from radiant_core.plan.borders.buffers import EdgeBuffer
+from radiant_core.plan.borders.forecast import BorderForecast
 
 FORECAST = BorderForecast(
     edge_ids=("north", "south"),

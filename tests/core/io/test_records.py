@@ -29,8 +29,8 @@ from radiant_core.io.records import (
     save_splats,
 )
 from radiant_core.numerics import rotmats_from_quats
+from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.slack_curve import SlackPoint
 from radiant_core.plan.waypoints import Waypoints
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats

@@ -14,9 +14,9 @@ from shapely.geometry import Point, shape
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, enu_from_geodetic
+from radiant_core.io.export.scene import colmap_model, save_colmap, save_scene_geojson, save_spz
 from radiant_core.io.open3d_formats import SPZ_MEAN_STEP
 from radiant_core.io.ply import save_ply
-from radiant_core.io.scene_export import colmap_model, save_colmap, save_scene_geojson, save_spz
 from radiant_core.scene import SfmScene
 from tests.core.io.test_sog import model
 from tests.viewer.made_up_run import made_up_town

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io import sog
-from radiant_core.io.sog import save_sog
+from radiant_core.io.export import sog
+from radiant_core.io.export.sog import save_sog
 from radiant_core.splats import Splats, morton_order
 
 

@@ -17,7 +17,7 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.io.array_file import header_of, save_arrays
 from radiant_core.io.open3d_formats import splats_from_spz
 from radiant_core.io.records import save_cameras
-from radiant_core.io.upload import BYTES_FACTORS, UploadFormat, load_upload, save_upload, upload_problem
+from radiant_core.io.transport.upload import BYTES_FACTORS, UploadFormat, load_upload, save_upload, upload_problem
 from radiant_core.numerics import rotmats_from_quats
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import SH_BASES, Splats

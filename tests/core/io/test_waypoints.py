@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io import waypoints
-from radiant_core.io.photos import list_photographs
-from radiant_core.io.waypoints import MAX_FILE_BYTES, exif_waypoints, read_waypoints
+from radiant_core.io.photos.listing import list_photographs
+from radiant_core.io.waypoints import reader as waypoints
+from radiant_core.io.waypoints.reader import MAX_FILE_BYTES, exif_waypoints, read_waypoints
 
 HAMLET = Path(__file__).parents[3] / "sample_scenes" / "hamlet" / "images"
 ROWS = [("A 1", 47.37, 8.54, 430.0), ("Zürich ✈", 47.3701, 8.5402, 431.5), ('b,"c"', 47.3702, 8.5399, -2.25)]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.cost_curves import CostCurve
+from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Device, Edge, System
 
 

@@ -10,25 +10,25 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.assigned import assigned_plan
-from radiant_core.plan.border_forecast import forecast_borders
-from radiant_core.plan.buffers import BufferRule, plan_buffers
-from radiant_core.plan.capped_transport import deal_within
-from radiant_core.plan.captured import plan_of_captured, plan_of_owners, taken_for_others
-from radiant_core.plan.count_raster import CountRaster, count_raster, followed_by_edges, middles_of_cells
-from radiant_core.plan.curve_fit import fit_curve
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.edge_sites import place_edges
-from radiant_core.plan.footprints import Footprints, RegionShares, Views, region_shares
+from radiant_core.plan.borders.buffers import BufferRule, plan_buffers
+from radiant_core.plan.borders.footprints import Footprints, RegionShares, Views, region_shares
+from radiant_core.plan.borders.forecast import forecast_borders
+from radiant_core.plan.counts.count_raster import CountRaster, count_raster, followed_by_edges, middles_of_cells
+from radiant_core.plan.counts.slack_curve import slack_curve
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.power_diagram import cell_polygons
-from radiant_core.plan.profile_warnings import profile_warnings
-from radiant_core.plan.profiles import ProfileKey
-from radiant_core.plan.region_plan import plan_regions, regions_around, regions_with_counts
-from radiant_core.plan.replan import Situation, replan
-from radiant_core.plan.simulate import BandwidthTrace, fleet_of, merged_s, simulate
-from radiant_core.plan.slack_curve import slack_curve
-from radiant_core.plan.transport import deal_with_counts
+from radiant_core.plan.profiles.curve_fit import fit_curve
+from radiant_core.plan.profiles.profile import ProfileKey
+from radiant_core.plan.profiles.profile_warnings import profile_warnings
+from radiant_core.plan.regions.capped_transport import deal_within
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.power_diagram import cell_polygons
+from radiant_core.plan.regions.region_plan import plan_regions, regions_around, regions_with_counts
+from radiant_core.plan.regions.transport import deal_with_counts
+from radiant_core.plan.revision.assigned import assigned_plan
+from radiant_core.plan.revision.captured import plan_of_captured, plan_of_owners, taken_for_others
+from radiant_core.plan.revision.replan import Situation, replan
+from radiant_core.plan.timeline.simulate import BandwidthTrace, fleet_of, merged_s, simulate
 from radiant_core.plan.waypoints import Waypoints
 
 from .instances import linear_system

@@ -9,11 +9,11 @@ import pytest
 
 from radiant_app.files.system_file import even_system
 from radiant_core.errors import BadInput
-from radiant_core.plan.assigned import assigned_plan
-from radiant_core.plan.power_diagram import assign
-from radiant_core.plan.region_plan import regions_around
+from radiant_core.plan.counts.wide_deadline import fastest_edge_counts
+from radiant_core.plan.regions.power_diagram import assign
+from radiant_core.plan.regions.region_plan import regions_around
+from radiant_core.plan.revision.assigned import assigned_plan
 from radiant_core.plan.system import System
-from radiant_core.plan.wide_deadline import fastest_edge_counts
 
 SYSTEM = even_system(2, 2)
 OWNERS = [device.id for device in SYSTEM.devices]

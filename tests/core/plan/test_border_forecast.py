@@ -9,14 +9,14 @@ import pytest
 import shapely
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.border_forecast import BorderForecast, RiskModel, _band_spots, _evenly, _Seen, band_of, forecast_borders
-from radiant_core.plan.borders import Border, neighbours_across, outside_by_m, shared_borders
-from radiant_core.plan.buffers import BufferRule, plan_buffers
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.footprints import Optics, ground_footprints, region_shares, views_before_capture
+from radiant_core.plan.borders.borders import Border, neighbours_across, outside_by_m, shared_borders
+from radiant_core.plan.borders.buffers import BufferRule, plan_buffers
+from radiant_core.plan.borders.footprints import Optics, ground_footprints, region_shares, views_before_capture
+from radiant_core.plan.borders.forecast import BorderForecast, RiskModel, _band_spots, _evenly, _Seen, band_of, forecast_borders
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
 
 OPTICS = Optics(field_of_view_deg=90, aspect=1.0)

@@ -10,8 +10,8 @@ from scipy.special import logsumexp
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.capped_transport import _Boxes, _boxes, _guess, _within, deal_within
-from radiant_core.plan.transport import Dealt
+from radiant_core.plan.regions.capped_transport import _Boxes, _boxes, _guess, _within, deal_within
+from radiant_core.plan.regions.transport import Dealt
 
 from .instances import LAYOUTS
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.captured import nearest_planned, plan_of_captured, taken_for_others
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import device_time_s
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.counts.deadline import device_time_s
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.region_plan import plan_regions
+from radiant_core.plan.revision.captured import nearest_planned, plan_of_captured, taken_for_others
 from radiant_core.plan.system import System
 from tests.core.plan.instances import linear_system, random_system
 

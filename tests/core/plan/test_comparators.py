@@ -7,10 +7,10 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.comparators import compare, kd_split
-from radiant_core.plan.deadline import edge_tables, fastest_counts
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.counts.deadline import edge_tables, fastest_counts
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system, random_system

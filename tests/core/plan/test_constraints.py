@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.constraints import PlanConstraints, counts_at_least
-from radiant_core.plan.deadline import edge_tables
+from radiant_core.plan.counts.deadline import edge_tables
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.power_diagram import assign
-from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.regions.constraints import PlanConstraints, counts_at_least
+from radiant_core.plan.regions.power_diagram import assign
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system, random_system

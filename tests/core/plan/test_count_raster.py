@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.count_raster import (
+from radiant_core.plan.counts.count_raster import (
     CountRaster,
     _hand_over,
     count_raster,
@@ -19,8 +19,8 @@ from radiant_core.plan.count_raster import (
     regions_of_raster,
 )
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.power_diagram import assign
-from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.regions.power_diagram import assign
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system

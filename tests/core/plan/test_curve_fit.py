@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import nnls
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.curve_fit import FittedCurve, corrected, falls, fit_curve
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.profiles.curve_fit import FittedCurve, corrected, falls, fit_curve
 
 COUNTS = np.array([10, 20, 50, 100, 200, 400])
 

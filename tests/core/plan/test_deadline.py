@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan import deadline
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import device_time_s, edge_table, edge_tables, fastest_counts
+from radiant_core.plan.counts import deadline
+from radiant_core.plan.counts.deadline import device_time_s, edge_table, edge_tables, fastest_counts
+from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Edge, System
 
 from .instances import linear_system, random_curve, random_edge, random_system

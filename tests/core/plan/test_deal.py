@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.transport import deal_with_counts
+from radiant_core.plan.regions.transport import deal_with_counts
 
 from .instances import LAYOUTS
 from .transport_twin import assign_with_counts

@@ -11,11 +11,11 @@ import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.device_split import long_axis, split_edge, split_edges
+from radiant_core.plan.devices.device_split import long_axis, split_edge, split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.power_diagram import polygon_area_m2, rectangle
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.power_diagram import polygon_area_m2, rectangle
+from radiant_core.plan.regions.region_plan import plan_regions
 
 from .instances import LAYOUTS, random_edge, random_system
 

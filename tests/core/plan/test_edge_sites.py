@@ -9,7 +9,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.edge_sites import place_edges, separated_sites
+from radiant_core.plan.regions.edge_sites import place_edges, separated_sites
 from radiant_core.plan.system import System
 
 from .instances import LAYOUTS, linear_system

@@ -10,7 +10,7 @@ import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
-from radiant_core.plan.footprints import (
+from radiant_core.plan.borders.footprints import (
     Optics,
     RegionShares,
     Views,
@@ -23,8 +23,8 @@ from radiant_core.plan.footprints import (
     views_of_cameras,
 )
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.power_diagram import cell_polygons, rectangle
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.regions.power_diagram import cell_polygons, rectangle
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.scene import SfmScene
 from tests.core.scenes import cameras_above
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.deadline import edge_tables
-from radiant_core.plan.paper_arp import PaperConfig, PaperRegions, estimated_times_s, paper_regions
-from radiant_core.plan.power_diagram import assign
+from radiant_core.plan.counts.deadline import edge_tables
+from radiant_core.plan.regions.paper_arp import PaperConfig, PaperRegions, estimated_times_s, paper_regions
+from radiant_core.plan.regions.power_diagram import assign
 
 from .instances import linear_system
 

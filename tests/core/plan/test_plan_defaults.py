@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.border_forecast import RiskModel
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.edge_sites import separated_sites
-from radiant_core.plan.footprints import Optics
-from radiant_core.plan.paper_arp import PaperConfig, estimated_times_s
-from radiant_core.plan.profiles import ProfileKey
-from radiant_core.plan.slack_curve import SLACKS
+from radiant_core.plan.borders.footprints import Optics
+from radiant_core.plan.borders.forecast import RiskModel
+from radiant_core.plan.counts.slack_curve import SLACKS
+from radiant_core.plan.counts.wide_deadline import FastestCounts
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.profiles.profile import ProfileKey
+from radiant_core.plan.regions.edge_sites import separated_sites
+from radiant_core.plan.regions.paper_arp import PaperConfig, estimated_times_s
 from radiant_core.plan.system import Cloud, Device, Edge, System
-from radiant_core.plan.wide_deadline import FastestCounts
 
 from .instances import linear_system
 
@@ -73,7 +73,7 @@ def test_sites_at_one_spot_step_aside_by_the_golden_angle() -> None:
 
 
 def test_beyond_an_edges_capacity_times_grow_in_proportion() -> None:
-    from radiant_core.plan.deadline import edge_tables
+    from radiant_core.plan.counts.deadline import edge_tables
 
     tables = edge_tables(linear_system(np.eye(3, 2), np.array([1.0, 2.0, 1.0]), 4), 10)
     np.testing.assert_allclose(estimated_times_s(tables, np.array([3, 4, 6])), [3, 8, 6])

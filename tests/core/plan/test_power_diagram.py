@@ -8,7 +8,7 @@ import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.power_diagram import assign, bounds, cell_polygons, clip_polygon, polygon_area_m2, rectangle
+from radiant_core.plan.regions.power_diagram import assign, bounds, cell_polygons, clip_polygon, polygon_area_m2, rectangle
 
 OUTLINE = rectangle(np.array([0.0, 0.0]), np.array([500.0, 250.0]))
 # Clipping rounds corners by about 1e-13 m; times 500 m of border and a few borders.

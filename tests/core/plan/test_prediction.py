@@ -8,12 +8,20 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.prediction import PlannedStage, corrected_system, curve_shape, left_s, makespan_error, planned_stages, stage_errors
-from radiant_core.plan.region_plan import plan_regions
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import Device, Edge, System
+from radiant_core.plan.timeline.prediction import (
+    PlannedStage,
+    corrected_system,
+    curve_shape,
+    left_s,
+    makespan_error,
+    planned_stages,
+    stage_errors,
+)
 
 
 def device(name: str, speed: float = 1.0, constant: float = 20.0) -> Device:

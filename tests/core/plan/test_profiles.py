@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.curve_fit import FittedCurve, fit_curve
-from radiant_core.plan.profile_warnings import profile_warnings
-from radiant_core.plan.profiles import Profile, ProfileKey
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.profiles.curve_fit import FittedCurve, fit_curve
+from radiant_core.plan.profiles.profile import Profile, ProfileKey
+from radiant_core.plan.profiles.profile_warnings import profile_warnings
 from radiant_core.plan.system import Device, Edge, System
 
 KEY = ProfileKey(preset="default", num_steps=1500, long_side_px=576, max_num_splats=200_000)

@@ -11,15 +11,15 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan import region_plan
-from radiant_core.plan.constraints import PlanConstraints
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import device_time_s, edge_tables
-from radiant_core.plan.device_split import split_edges
-from radiant_core.plan.even_shares import even_edge_counts, even_quotas
+from radiant_core.plan.counts.deadline import device_time_s, edge_tables
+from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.devices.even_shares import even_edge_counts, even_quotas
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.power_diagram import assign, polygon_area_m2
-from radiant_core.plan.region_plan import (
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions import region_plan
+from radiant_core.plan.regions.constraints import PlanConstraints
+from radiant_core.plan.regions.power_diagram import assign, polygon_area_m2
+from radiant_core.plan.regions.region_plan import (
     MARGIN,
     PlanInfeasible,
     PlanMethod,

@@ -12,15 +12,15 @@ import shapely
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan import replan as replan_module
-from radiant_core.plan.assigned import hull_of
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import device_time_s
-from radiant_core.plan.device_split import long_axis, split_edges
+from radiant_core.plan.counts.deadline import device_time_s
+from radiant_core.plan.devices.device_split import long_axis, split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
-from radiant_core.plan.power_diagram import assign
-from radiant_core.plan.region_plan import plan_regions
-from radiant_core.plan.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.regions.power_diagram import assign
+from radiant_core.plan.regions.region_plan import plan_regions
+from radiant_core.plan.revision import replan as replan_module
+from radiant_core.plan.revision.assigned import hull_of
+from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, joined_system, replan
 from radiant_core.plan.system import Device, Edge, System
 
 

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from radiant_core.plan import replan_counts
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.replan_counts import EdgeLoad, MachineLoad, new_counts
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.revision import replan_counts
+from radiant_core.plan.revision.replan_counts import EdgeLoad, MachineLoad, new_counts
 from radiant_core.plan.system import Device, Edge
 
 

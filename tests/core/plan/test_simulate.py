@@ -11,8 +11,8 @@ import pytest
 import simpy
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.deadline import edge_tables, fastest_counts
-from radiant_core.plan.simulate import BandwidthTrace, Fleet, fleet_of, merged_s, simulate
+from radiant_core.plan.counts.deadline import edge_tables, fastest_counts
+from radiant_core.plan.timeline.simulate import BandwidthTrace, Fleet, fleet_of, merged_s, simulate
 
 from .instances import random_system
 

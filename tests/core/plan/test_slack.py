@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan import slack as slack_module
-from radiant_core.plan.borders import shared_borders
-from radiant_core.plan.deadline import edge_tables
+from radiant_core.plan.borders.borders import shared_borders
+from radiant_core.plan.counts import slack as slack_module
+from radiant_core.plan.counts.deadline import edge_tables
+from radiant_core.plan.counts.slack import capacities_within
+from radiant_core.plan.counts.slack_curve import border_length_m, slack_curve
 from radiant_core.plan.plans import CloudPlan
-from radiant_core.plan.power_diagram import rectangle
-from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
-from radiant_core.plan.slack import capacities_within
-from radiant_core.plan.slack_curve import border_length_m, slack_curve
+from radiant_core.plan.regions.power_diagram import rectangle
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
 
 from .instances import LAYOUTS, linear_system, random_system
 

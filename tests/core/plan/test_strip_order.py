@@ -9,10 +9,10 @@ import pytest
 import shapely
 
 from radiant_core.numerics import FloatArray
-from radiant_core.plan import strip_order
-from radiant_core.plan.device_split import long_axis, split_edge
-from radiant_core.plan.power_diagram import polygon_area_m2
-from radiant_core.plan.strip_order import MAX_EXCHANGED, chords_across, seams_m, shortest_order
+from radiant_core.plan.devices import strip_order
+from radiant_core.plan.devices.device_split import long_axis, split_edge
+from radiant_core.plan.devices.strip_order import MAX_EXCHANGED, chords_across, seams_m, shortest_order
+from radiant_core.plan.regions.power_diagram import polygon_area_m2
 
 from .instances import random_edge
 

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.plan import wide_deadline
-from radiant_core.plan.cost_curves import CostCurve
-from radiant_core.plan.deadline import device_time_s, edge_table, edge_tables, fastest_counts
-from radiant_core.plan.system import System
-from radiant_core.plan.wide_deadline import (
+from radiant_core.plan.counts import wide_deadline
+from radiant_core.plan.counts.deadline import device_time_s, edge_table, edge_tables, fastest_counts
+from radiant_core.plan.counts.wide_deadline import (
     _Fleet,
     _interpolated,
     _num_alone,
@@ -22,6 +20,8 @@ from radiant_core.plan.wide_deadline import (
     system_capacity,
     times_of_counts,
 )
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.system import System
 
 from .instances import linear_system, random_curve, random_device, random_edge, random_system
 

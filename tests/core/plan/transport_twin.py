@@ -1,4 +1,4 @@
-"""The slow, plain twin of `radiant_core.plan.transport`, for any costs: the cheapest dealing for given counts, and its weights.
+"""The slow, plain twin of `radiant_core.plan.regions.transport`, for any costs: the cheapest dealing for given counts, and its weights.
 
     minimise Σ_c cost[c, edge_of_camera[c]]   with exactly counts[e] cameras at edge e
 

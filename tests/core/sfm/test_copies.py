@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from radiant_core.cameras import Cameras
-from radiant_core.io.colmap import read_model, write_model
+from radiant_core.io.colmap.model import read_model, write_model
 from radiant_core.sfm.copies import repeated_cameras
 from radiant_core.sfm.reconstruct import SfmConfig, SfmProgress, reconstruct, scene_from_colmap
 from tests.core.scenes import cameras_above

@@ -12,7 +12,7 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame, Sim3, enu_from_geodetic
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.device_frame import DeviceFrame, RefusedFrame, device_frame
+from radiant_core.sfm.world_frame.device_frame import DeviceFrame, RefusedFrame, device_frame
 from tests.core.sfm.test_world import ORIGIN, flight, grid, ground, photographs_at
 
 

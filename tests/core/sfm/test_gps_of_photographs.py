@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from radiant_core.frames import enu_change
-from radiant_core.io.colmap import read_model
-from radiant_core.io.jpeg import ALTITUDE, GPS_POINTER, LATITUDE, read_jpeg_facts
-from radiant_core.io.photos import list_photographs
-from radiant_core.io.waypoints import exif_waypoints
-from radiant_core.sfm.align import compare_centers
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.photos.jpeg import ALTITUDE, GPS_POINTER, LATITUDE, read_jpeg_facts
+from radiant_core.io.photos.listing import list_photographs
+from radiant_core.io.waypoints.reader import exif_waypoints
+from radiant_core.sfm.colmap.pairs import choose_pairs
 from radiant_core.sfm.config import SfmConfig, SfmResult
-from radiant_core.sfm.pairs import choose_pairs
 from radiant_core.sfm.reconstruct import scene_from_colmap
-from radiant_core.sfm.world import cameras_of
+from radiant_core.sfm.world_frame.align import compare_centers
+from radiant_core.sfm.world_frame.world import cameras_of
 
 UNUSED_TAG = 0xEEEE
 Change = Callable[[bytearray, int, int], None]

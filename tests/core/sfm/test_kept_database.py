@@ -15,20 +15,20 @@ import pytest
 
 from radiant_core.errors import CannotWrite, StageFailed
 from radiant_core.io.run_store import read_json, write_json
-from radiant_core.sfm import database as sfm_database
-from radiant_core.sfm import undistort as sfm_undistort
-from radiant_core.sfm.colmap_calls import pycolmap
+from radiant_core.sfm.colmap import database as sfm_database
+from radiant_core.sfm.colmap import undistort as sfm_undistort
+from radiant_core.sfm.colmap.calls import pycolmap
+from radiant_core.sfm.colmap.kept_database import RECORD_NAME, database_key, kept_database
+from radiant_core.sfm.colmap.workspace import listed
 from radiant_core.sfm.config import SfmConfig, SfmProgress
-from radiant_core.sfm.kept_database import RECORD_NAME, database_key, kept_database
 from radiant_core.sfm.reconstruct import reconstruct
-from radiant_core.sfm.workspace import listed
 
 SMALL = SfmConfig(max_image_size_px=320, max_num_features=600, num_threads=1)
 PHOTOS_PER_CALL, PAIRS_PER_CALL = 2, 10
 KILLED = f"""
 import os, signal, sys
 from pathlib import Path
-from radiant_core.sfm import database
+from radiant_core.sfm.colmap import database
 from radiant_core.sfm.config import SfmConfig
 from radiant_core.sfm.reconstruct import reconstruct
 

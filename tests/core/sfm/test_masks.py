@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.masks import find_masks, load_mask, mask_name, save_mask
-from radiant_core.io.photos import list_photographs
-from radiant_core.sfm.colmap_calls import pycolmap
+from radiant_core.io.photos.listing import list_photographs
+from radiant_core.io.photos.masks import find_masks, load_mask, mask_name, save_mask
+from radiant_core.sfm.colmap.calls import pycolmap
+from radiant_core.sfm.colmap.database import extract_features
+from radiant_core.sfm.colmap.undistort import undistort
 from radiant_core.sfm.config import SfmConfig, SfmProgress
-from radiant_core.sfm.database import extract_features
 from radiant_core.sfm.masks import take_masks, undistort_masks, without_masked_points
 from radiant_core.sfm.reconstruct import scene_from_colmap
-from radiant_core.sfm.undistort import undistort
 
 SIZE_WH = (320, 240)
 USED = np.ones(SIZE_WH[::-1], bool)

@@ -16,12 +16,12 @@ import pytest
 import tifffile
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import read_model, write_model
-from radiant_core.io.masks import alpha_mask, pixel_weights
-from radiant_core.io.photos import list_photographs, load_photograph, photograph_positions
-from radiant_core.io.waypoints import exif_waypoints
+from radiant_core.io.colmap.model import read_model, write_model
+from radiant_core.io.photos.listing import list_photographs, load_photograph, photograph_positions
+from radiant_core.io.photos.masks import alpha_mask, pixel_weights
+from radiant_core.io.waypoints.reader import exif_waypoints
+from radiant_core.sfm.colmap.workspace import listing_warnings
 from radiant_core.sfm.reconstruct import scene_from_colmap
-from radiant_core.sfm.workspace import listing_warnings
 
 
 def test_a_strip_is_skipped_by_name(hamlet: Path, tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ from radiant_core.errors import BadInput
 mapped = int(pathlib.Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (mapped + 50_000_000, mapped + 50_000_000))
 try:
-    import radiant_core.sfm.colmap_calls
+    import radiant_core.sfm.colmap.calls
 except BadInput as error:
     print(error)
 """

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_core.io.photos import CameraKey, Photograph
+from radiant_core.io.photos.listing import CameraKey, Photograph
+from radiant_core.sfm.colmap.pairs import choose_pairs, gps_positions, neighbor_pairs, pairs_with
 from radiant_core.sfm.config import SfmConfig
-from radiant_core.sfm.pairs import choose_pairs, gps_positions, neighbor_pairs, pairs_with
 
 
 def photos(count: int, with_gps: int) -> tuple[Photograph, ...]:

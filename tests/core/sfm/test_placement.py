@@ -12,9 +12,9 @@ from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.sfm.config import SfmConfig
-from radiant_core.sfm.placement import Placement
 from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
-from radiant_core.sfm.world import scene_in_world
+from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.sfm.world_frame.world import scene_in_world
 from tests.core.sfm.test_world import flight, grid, ground, in_any_frame, in_world, metres_of, photographs_at
 
 NAMES = ("000.jpg", "001.jpg")

@@ -13,14 +13,14 @@ import torch
 from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
-from radiant_core.io.colmap import read_model, write_model
-from radiant_core.io.photos import Photograph, list_photographs
+from radiant_core.io.colmap.model import read_model, write_model
+from radiant_core.io.photos.listing import Photograph, list_photographs
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.align import compare_centers
-from radiant_core.sfm.colmap_calls import pycolmap
-from radiant_core.sfm.mapping import MappingJob, without_strays
+from radiant_core.sfm.colmap.calls import pycolmap
+from radiant_core.sfm.colmap.mapping import MappingJob, without_strays
 from radiant_core.sfm.reconstruct import SfmConfig, SfmProgress, SfmResult, reconstruct, scene_from_colmap, scene_from_mill19
-from radiant_core.sfm.world import cameras_of
+from radiant_core.sfm.world_frame.align import compare_centers
+from radiant_core.sfm.world_frame.world import cameras_of
 
 QUICK = SfmConfig(max_image_size_px=640, max_num_features=1500, num_threads=2)
 REFERENCE_ERROR_PERCENT = 0.5

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 HEARS = "import signal, sys\nsignal.signal(signal.SIGTERM, lambda *_: sys.exit('heard'))\n"
-END = "import os, time, radiant_core.sfm.colmap_calls\nos.kill(os.getpid(), 15)\ntime.sleep(20)\n"
+END = "import os, time, radiant_core.sfm.colmap.calls\nos.kill(os.getpid(), 15)\ntime.sleep(20)\n"
 
 
 @pytest.mark.parametrize(("before", "code", "said"), [(HEARS, 1, "heard\n"), ("", -signal.SIGTERM, "")])

@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.frames import Sim3, enu_from_geodetic
-from radiant_core.io.colmap import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from radiant_core.io.photos import CameraKey, Photograph
+from radiant_core.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from radiant_core.io.photos.listing import CameraKey, Photograph
 from radiant_core.scene import SfmScene
-from radiant_core.sfm.orient import MEDIAN_DEPTH_UNITS, level_fit, level_rotation
-from radiant_core.sfm.placement import Placement
-from radiant_core.sfm.up import estimate_up
-from radiant_core.sfm.world import cameras_of, scene_in_world
+from radiant_core.sfm.world_frame.orient import MEDIAN_DEPTH_UNITS, level_fit, level_rotation
+from radiant_core.sfm.world_frame.placement import Placement
+from radiant_core.sfm.world_frame.up import estimate_up
+from radiant_core.sfm.world_frame.world import cameras_of, scene_in_world
 
 ORIGIN = np.array([46.8, -91.9, 200.0])
 DEGREES_PER_M = np.array([1 / 111_170.0, 1 / 76_300.0])

@@ -14,7 +14,7 @@ from radiant_core.frames import Sim3
 from radiant_core.geometry.similarity import move_splats
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_splats, save_splats
-from radiant_core.io.upload import load_upload, save_upload
+from radiant_core.io.transport.upload import load_upload, save_upload
 from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats

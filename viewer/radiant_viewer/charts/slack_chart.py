@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.slack_curve import SlackPoint
+from radiant_core.plan.counts.slack_curve import SlackPoint
 from radiant_viewer.layers.palette import BLUE, ORANGE, unit_rgb
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, style_axes, titled_figure

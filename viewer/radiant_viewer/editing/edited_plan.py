@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.captured import require_same_system
-from radiant_core.plan.constraints import PlanConstraints
-from radiant_core.plan.device_split import split_edges
+from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
-from radiant_core.plan.power_diagram import assign
-from radiant_core.plan.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.regions.constraints import PlanConstraints
+from radiant_core.plan.regions.power_diagram import assign
+from radiant_core.plan.regions.region_plan import PlanInfeasible, plan_regions
+from radiant_core.plan.revision.captured import require_same_system
 from radiant_core.plan.system import System
 
 

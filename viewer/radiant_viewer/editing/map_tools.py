@@ -18,9 +18,9 @@ from PySide6.QtGui import QKeyEvent, QMouseEvent
 from PySide6.QtWidgets import QRubberBand
 
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.borders import Border, shared_borders
-from radiant_core.plan.constraints import PlanConstraints
+from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_viewer.editing.edited_plan import border_weight_m2
 from radiant_viewer.editing.plan_actions import PlanActions
 from radiant_viewer.editing.plan_edits import Edit, FixWeight, MoveEdge

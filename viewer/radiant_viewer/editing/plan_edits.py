@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.system import Edge, System
 from radiant_viewer.editing.edited_plan import (
     EditedPlan,

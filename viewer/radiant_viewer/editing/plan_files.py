@@ -17,12 +17,12 @@ import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic, geodetic_from_enu
-from radiant_core.io.plan_export import save_device_waypoints, save_regions_geojson
+from radiant_core.io.export.plan import save_device_waypoints, save_regions_geojson
 from radiant_core.io.records import load_plan, load_plan_waypoints, save_plan
 from radiant_core.io.run_store import write_atomic
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_core.plan.constraints import PlanConstraints
-from radiant_core.plan.footprints import Footprints, ground_footprints, views_of_cameras
+from radiant_core.plan.borders.footprints import Footprints, ground_footprints, views_of_cameras
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.scene import SfmScene
 from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject
 from radiant_viewer.layers.camera_layer import camera_layer

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.system import System
 from radiant_viewer.layers.region_layer import duration_text
 

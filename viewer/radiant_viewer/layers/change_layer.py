@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.constraints import PlanConstraints
 from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_viewer.layers.layer import Layer, LegendEntry, at_height, outline_segments
 from radiant_viewer.layers.palette import INK, VERMILLION, YELLOW
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.footprints import Footprints
+from radiant_core.plan.borders.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.layers.camera_roles import CameraRoles
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry, at_height

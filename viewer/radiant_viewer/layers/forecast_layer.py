@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.border_forecast import BorderForecast
-from radiant_core.plan.buffers import EdgeBuffer
+from radiant_core.plan.borders.buffers import EdgeBuffer
+from radiant_core.plan.borders.forecast import BorderForecast
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.layers.layer import Label, Layer, LegendEntry, at_height
 from radiant_viewer.layers.palette import BLACK, VERMILLION, WHITE, YELLOW, category_colors, rgb, tint

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
-from radiant_core.plan.borders import shared_borders
+from radiant_core.plan.borders.borders import shared_borders
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.splats import Splats
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry

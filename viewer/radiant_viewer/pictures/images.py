@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.io.photos import MAX_FILE_BYTES, decoded_image
+from radiant_core.io.photos.listing import MAX_FILE_BYTES, decoded_image
 from radiant_core.io.run_store import read_bounded, write_atomic
 from radiant_core.numerics import FloatArray
 

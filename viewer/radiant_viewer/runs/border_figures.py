@@ -17,7 +17,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import border_distance_m
 from radiant_core.evaluate.observed_ground import observed_coverage
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.borders import Border, shared_borders
+from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats

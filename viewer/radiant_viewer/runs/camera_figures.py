@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.footprints import Footprints
+from radiant_core.plan.borders.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.scene import SfmScene
 from radiant_viewer.layers.camera_roles import CameraRoles

@@ -16,7 +16,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.io.records import load_plan_file
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.footprints import Optics, views_before_capture
+from radiant_core.plan.borders.footprints import Optics, views_before_capture
 from radiant_core.plan.plans import require_plan_of
 from radiant_core.plan.waypoints import HIGHEST_FLIGHT_M, Waypoints
 from radiant_core.scene import SfmScene

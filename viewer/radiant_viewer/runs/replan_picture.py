@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.replan import Replan
+from radiant_core.plan.revision.replan import Replan
 from radiant_viewer.layers.layer import Layer, LegendEntry
 from radiant_viewer.layers.palette import INK, VERMILLION
 from radiant_viewer.layers.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer

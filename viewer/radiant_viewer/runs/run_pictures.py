@@ -16,9 +16,9 @@ import numpy as np
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
-from radiant_core.plan.border_forecast import BorderForecast
-from radiant_core.plan.borders import Border
-from radiant_core.plan.buffers import EdgeBuffer
+from radiant_core.plan.borders.borders import Border
+from radiant_core.plan.borders.buffers import EdgeBuffer
+from radiant_core.plan.borders.forecast import BorderForecast
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.render.trajectories import box_corners
 from radiant_core.scene import SfmScene

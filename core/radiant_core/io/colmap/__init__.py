@@ -1,0 +1,1 @@
+"""COLMAP models, binary and text: read into records, checked, written as text."""

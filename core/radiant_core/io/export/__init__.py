@@ -1,0 +1,1 @@
+"""Plans, scenes and models as files that other programs open."""

@@ -1,0 +1,1 @@
+"""Waypoints and regions from the files of flight planners and maps: CSV, GeoJSON, KML."""

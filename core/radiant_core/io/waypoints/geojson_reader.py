@@ -1,0 +1,113 @@
+"""Waypoints from GeoJSON (RFC 7946): Points, MultiPoints and the vertices of LineStrings; longitude first. Once per file.
+
+A feature's name is its property name or id, else its member id; vertices get a number behind it. Polygons and features without a
+geometry are no waypoints: they are counted as ignored.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from radiant_core.errors import BadInput
+from radiant_core.io.waypoints.rows import WaypointRows
+
+_WGS84_NAMES = ("CRS84", "4326", "4979")
+
+
+def geojson_rows(text: str) -> WaypointRows:
+    """The waypoints of a GeoJSON text; BadInput with the reason when it is none."""
+    rows = WaypointRows()
+    for place, name, geometry in geojson_geometries(text):
+        _add_geometry(rows, place, name, geometry)
+    return rows
+
+
+def geojson_geometries(text: str) -> Iterator[tuple[str, str, Any]]:
+    """Where each geometry of a GeoJSON text stands, its feature's name, and itself, collections opened; BadInput as above."""
+    try:
+        value = json.loads(text, parse_constant=float)
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"it is not valid JSON ({error}).") from None
+    if not isinstance(value, dict) or not isinstance(value.get("type"), str):
+        raise BadInput('it is no GeoJSON, which is an object with a "type".')
+    _require_wgs84(value)
+    yield from _geometries(value)
+
+
+def _require_wgs84(value: dict[str, Any]) -> None:
+    """Files from before RFC 7946 may name another coordinate system."""
+    crs = value.get("crs")
+    if crs is not None and not any(known in json.dumps(crs) for known in _WGS84_NAMES):
+        raise BadInput(f"its coordinate system is {json.dumps(crs)[:80]}, expected WGS84 longitude and latitude: export it so.")
+
+
+def _geometries(value: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Where each geometry stands, its feature's name, and itself; collections are opened."""
+    if value["type"] == "FeatureCollection":
+        features = value.get("features")
+        if not isinstance(features, list):
+            raise BadInput('it is a FeatureCollection without a list "features".')
+        for number, feature in enumerate(features, start=1):
+            if not isinstance(feature, dict) or feature.get("type") != "Feature":
+                raise BadInput(f'feature {number} is no object of type "Feature".')
+            yield from _opened(f"feature {number}", _feature_name(feature), feature.get("geometry"))
+    elif value["type"] == "Feature":
+        yield from _opened("the feature", _feature_name(value), value.get("geometry"))
+    else:
+        yield from _opened("the geometry", "", value)
+
+
+def _opened(place: str, name: str, geometry: Any) -> Iterator[tuple[str, str, Any]]:
+    waiting = [geometry]
+    while waiting:
+        inner = waiting.pop()
+        if isinstance(inner, dict) and inner.get("type") == "GeometryCollection":
+            geometries = inner.get("geometries")
+            if not isinstance(geometries, list):
+                raise BadInput(f'{place} is a GeometryCollection without a list "geometries".')
+            waiting += reversed(geometries)
+        else:
+            yield place, name, inner
+
+
+def _feature_name(feature: dict[str, Any]) -> str:
+    properties = feature.get("properties")
+    wanted = properties if isinstance(properties, dict) else {}
+    for value in (wanted.get("name"), wanted.get("Name"), wanted.get("id"), feature.get("id")):
+        if isinstance(value, str | int | float) and not isinstance(value, bool):
+            return str(value)
+    return ""
+
+
+def _add_geometry(rows: WaypointRows, place: str, name: str, geometry: Any) -> None:
+    if geometry is None:
+        rows.ignored["feature without geometry"] += 1
+        return
+    kind = geometry.get("type") if isinstance(geometry, dict) else None
+    if kind in ("Polygon", "MultiPolygon"):
+        rows.ignored[kind] += 1
+        return
+    if kind not in ("Point", "MultiPoint", "LineString", "MultiLineString"):
+        raise BadInput(f"{place} has a geometry of type {kind!r}, expected Point, MultiPoint or LineString.")
+    coordinates = geometry.get("coordinates")
+    if kind == "Point":
+        _add_position(rows, place, name, coordinates)
+        return
+    lines = coordinates if kind == "MultiLineString" and isinstance(coordinates, list) else [coordinates]
+    if not all(isinstance(line, list) for line in lines):
+        raise BadInput(f"{place} is a {kind} without a list of coordinates.")
+    vertices = [position for line in lines if isinstance(line, list) for position in line]
+    for number, position in enumerate(vertices, start=1):
+        _add_position(rows, place, f"{name}-{number}" if name else "", position)
+
+
+def _add_position(rows: WaypointRows, place: str, name: str, position: Any) -> None:
+    if not (isinstance(position, list) and len(position) >= 2 and all(type(value) in (int, float) for value in position)):
+        raise BadInput(f"{place} has the position {json.dumps(position)[:60]}, expected numbers [longitude, latitude, altitude].")
+    try:
+        lon, lat, alt = float(position[0]), float(position[1]), float(position[2]) if len(position) > 2 else None
+    except OverflowError:
+        raise BadInput(f"{place} has a position with a number beyond any degree or metre.") from None
+    rows.add(name, lat, lon, alt)

@@ -1,0 +1,165 @@
+"""Waypoints from a file of a flight planner (CSV, GeoJSON, KML), or from the GPS positions of photographs already taken.
+
+A file is read once, whole; 256 MiB, which a million waypoints in any of the three formats stay under, is its limit.
+Of photographs only the first 256 KiB are read, where EXIF stands; no pixel is decoded.
+"""
+
+from __future__ import annotations
+
+import codecs
+import gc
+import io
+import os
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from radiant_core.errors import BadInput
+from radiant_core.io.photos.copies import copies_warning, file_copies
+from radiant_core.io.photos.listing import photograph_positions, unread_files, unread_warning
+from radiant_core.io.run_store import open_without_waiting
+from radiant_core.io.waypoints.csv_reader import csv_rows
+from radiant_core.io.waypoints.geojson_reader import geojson_rows
+from radiant_core.io.waypoints.kml_reader import kml_rows
+from radiant_core.io.waypoints.rows import WaypointRows
+from radiant_core.numerics import FloatArray
+from radiant_core.plan.waypoints import NO_ALTITUDES, Waypoints, cleaned_waypoints
+
+MAX_FILE_BYTES = 256 * 2**20
+WAYPOINT_SUFFIXES = (".csv", ".geojson", ".json", ".kml")
+_MAX_NAMED = 5
+_ENCODINGS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundWaypoints:
+    """What was read, and one sentence per kind of thing that was mended or left out."""
+
+    waypoints: Waypoints
+    warnings: tuple[str, ...]
+    without_gps: tuple[str, ...] = ()
+    """Photographs whose EXIF has no position, in order."""
+
+
+def read_waypoints(path: Path) -> FoundWaypoints:
+    """The waypoints of a .csv, .geojson, .json or .kml file, in its order.
+
+    Raises BadInput naming the file for any other suffix, a missing, empty or larger file, text that is neither UTF-8 nor UTF-16 with
+    its mark, broken syntax, no waypoint, or positions that `Waypoints` refuses.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in WAYPOINT_SUFFIXES:
+        unzip = " (a KMZ is a zipped KML: unzip it)" if suffix == ".kmz" else ""
+        raise BadInput(f"{path} is no waypoint file: its name must end in {', '.join(WAYPOINT_SUFFIXES)}{unzip}.")
+    text = _text(path)
+    try:
+        with _without_cycle_collection():
+            rows = _rows(text, suffix)
+        if not rows.names:
+            held = f" but {_listed_kinds(rows)}" if rows.ignored else ""
+            raise BadInput(f"it holds no waypoint{held}: give at least one point.")
+        waypoints, warnings = cleaned_waypoints(rows.names, rows.lat_lon_alt, rows.no_altitude, rows.heading_pitch_deg)
+        waypoints = replace(waypoints, absolute=rows.absolute)
+    except BadInput as error:
+        raise BadInput(f"cannot use {path}: {error}") from error
+    if rows.ignored:
+        warnings = (*warnings, f"{_listed_kinds(rows)} ignored: only points and vertices of lines are waypoints.")
+    return FoundWaypoints(waypoints=waypoints, warnings=warnings)
+
+
+def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> FoundWaypoints:
+    """The GPS positions of the photographs (JPEG, PNG) directly in `folder`, by name; `on_photo(done, total)` after each.
+
+    Photographs at one position all stay, copies of a file do not. Raises BadInput when it is no folder, when it holds no photograph, or
+    when none has a position.
+    """
+    found = photograph_positions(folder, on_photo)
+    copies = file_copies({name: folder / name for name in found})
+    copied = copies_warning(copies, len(found))
+    names = [name for name in found if name not in copies]
+    positions = {name: place for name, place in found.items() if place is not None and name not in copies}
+    without = tuple(name for name in names if name not in positions)
+    if not positions:
+        raise BadInput(f"none of the {len(names)} photographs in {folder} has a GPS position in its EXIF: give a file of waypoints.")
+    geodetic = np.array(list(positions.values()), np.float64)
+    low = np.isnan(geodetic[:, 2])
+    known = not low.all()
+    geodetic[low, 2] = np.median(geodetic[~low, 2]) if known else 0.0
+    try:
+        waypoints = Waypoints(names=tuple(positions), lat_lon_alt=geodetic, absolute=known, altitude_known=known)
+    except BadInput as error:
+        raise BadInput(f"cannot use the positions of the photographs in {folder}: {error}") from error
+    return FoundWaypoints(
+        waypoints=waypoints,
+        warnings=(*unread_warning(unread_files(folder)), *copied, *_gps_warnings(without, len(names)), *_altitude_warnings(low, geodetic)),
+        without_gps=without,
+    )
+
+
+def _text(path: Path) -> str:
+    try:
+        with open(path, "rb", opener=open_without_waiting) as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise BadInput(f"{path} is not a file: give a waypoint file or a folder of photographs.")
+            if status.st_size > MAX_FILE_BYTES:
+                raise BadInput(f"{path} has {status.st_size} bytes, expected at most {MAX_FILE_BYTES}: split it into several flights.")
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise BadInput(f"cannot read {path}: {error.strerror or error}: check the path.") from error
+    if not data.strip():
+        raise BadInput(f"{path} is empty: give a file with at least one waypoint.")
+    encoding = next((encoding for mark, encoding in _ENCODINGS if data.startswith(mark)), "utf-8")
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: byte {error.start} is not {encoding[:6].upper()} text: save the file as UTF-8.") from error
+
+
+def _rows(text: str, suffix: str) -> WaypointRows:
+    if suffix == ".kml":
+        return kml_rows(text)
+    if suffix == ".csv":
+        return csv_rows(io.StringIO(text, newline=""))
+    return geojson_rows(text)
+
+
+@contextmanager
+def _without_cycle_collection() -> Iterator[None]:
+    """Parsing makes millions of objects and no cycles; looking for cycles meanwhile takes 5 of the 7 s of a million GeoJSON features."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
+def _listed_kinds(rows: WaypointRows) -> str:
+    return ", ".join(f"{count} × {kind}" for kind, count in rows.ignored.items())
+
+
+def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, ...]:
+    if not without:
+        return ()
+    more = f" and {len(without) - _MAX_NAMED} more" if len(without) > _MAX_NAMED else ""
+    return (
+        f"{len(without)} of {num_photographs} photographs without GPS in EXIF are not planned: {', '.join(without[:_MAX_NAMED])}{more}.",
+    )
+
+
+def _altitude_warnings(low: NDArray[np.bool_], geodetic: FloatArray) -> tuple[str, ...]:
+    """What is told of photographs whose GPS has no altitude (P,), which `geodetic` (P,3) has at one height by now."""
+    if not low.any():
+        return ()
+    if low.all():
+        return (f"None of {len(low)} photographs with GPS has an altitude: {NO_ALTITUDES}.",)
+    taken_m = geodetic[low][0, 2]
+    return (f"{low.sum()} of {len(low)} photographs have GPS without altitude: planned by their horizontal positions, at {taken_m:.0f} m.",)

@@ -1,0 +1,1 @@
+"""Borders between regions: what images see of them, forecasts and buffer captures."""

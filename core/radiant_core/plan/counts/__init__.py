@@ -1,0 +1,1 @@
+"""How many cameras each edge and device gets: the fastest deadline, and what slack buys."""

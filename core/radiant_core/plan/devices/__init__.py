@@ -1,0 +1,1 @@
+"""Strips of an edge's region for its devices (paper Sec. III-C, RTP)."""

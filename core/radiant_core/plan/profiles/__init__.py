@@ -1,0 +1,1 @@
+"""What machines cost: profiles, fitted cost curves, the capacity of an edge."""

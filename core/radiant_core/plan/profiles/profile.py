@@ -1,0 +1,94 @@
+"""`Profile`: what one kind of machine was measured or estimated to cost, and for which training that holds.
+
+A planner that believes curves of another training, or far beyond the counts they were measured at, is wrong without knowing; so every
+device keeps the profile its curves come from, and `profile_warnings` says where a plan asks more of it than it knows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from radiant_core.errors import BadInput
+from radiant_core.plan.profiles.curve_fit import FittedCurve
+
+ProfileKind = Literal["measured", "estimate"]
+SAME_SIZE = 0.1
+"""Images whose long sides differ by less than this share count as equally large."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileKey:
+    """The training that curves hold for. Raises BadInput for numbers below 1 and empty names."""
+
+    preset: str
+    num_steps: int
+    """The step policy of every preset: so many steps, whatever the number of photographs."""
+    long_side_px: int
+    max_num_splats: int | None = None
+    """Upper limit of Gaussians; None where it is not known or was not reached."""
+    aggregate_preset: str = "default"
+    """How edges join models."""
+
+    def __post_init__(self) -> None:
+        for name in ("num_steps", "long_side_px", "max_num_splats"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise BadInput(f"a profile's {name} is {value}, expected at least 1.")
+        if not self.preset or not self.aggregate_preset:
+            raise BadInput("a profile's preset is empty: name the preset it was measured with.")
+
+    def matches_training(self, other: ProfileKey) -> bool:
+        """Whether a device trains alike under both keys."""
+        limits = {self.max_num_splats, other.max_num_splats} - {None}
+        sizes = sorted((self.long_side_px, other.long_side_px))
+        same_size = sizes[1] <= (1 + SAME_SIZE) * sizes[0]
+        return (self.preset, self.num_steps) == (other.preset, other.num_steps) and same_size and len(limits) <= 1
+
+    def __str__(self) -> str:
+        limit = "" if self.max_num_splats is None else f", at most {self.max_num_splats:,} Gaussians"
+        return f"preset {self.preset}, {self.num_steps:,} steps at {self.long_side_px} px{limit}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """Cost curves of one machine. Raises BadInput where a figure is not positive, and for an estimate without a source."""
+
+    name: str
+    """As a system file calls it: a name of the library, or a curve file."""
+    kind: ProfileKind
+    machine: str
+    source: str
+    """Where the figures come from."""
+    key: ProfileKey
+    init_s: FittedCurve
+    """G: seconds before the first step, the start of the process among them."""
+    train_s: FittedCurve
+    """F_n: seconds of `key.num_steps` steps."""
+    model_bytes: FittedCurve
+    """H: bytes of the model as float32."""
+    aggregate_s: FittedCurve | None = None
+    """F_m where several devices' models are joined, over the edge's cameras: all their views are retrained on, or drawn for the cloud."""
+    aggregate_alone_s: FittedCurve | None = None
+    """F_m where one device has all the edge's cameras, so that nothing is joined."""
+    memory_bytes: float | None = None
+    """What training may hold there; None for unknown."""
+    measured_steps: int | None = None
+    """Steps that were really run where fewer than `key.num_steps`: `train_s` was multiplied accordingly."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(ProfileKind):
+            raise BadInput(f"a profile's kind is {self.kind!r}, expected one of {', '.join(get_args(ProfileKind))}.")
+        if not self.name or not self.machine or not self.source:
+            raise BadInput("a profile says neither machine nor source where it is empty: name both.")
+        if self.memory_bytes is not None and not (np.isfinite(self.memory_bytes) and self.memory_bytes > 0):
+            raise BadInput(f"a profile's memory is {self.memory_bytes} bytes, expected a positive number.")
+        if self.measured_steps is not None and not 1 <= self.measured_steps <= self.key.num_steps:
+            raise BadInput(f"a profile's measured_steps is {self.measured_steps}, expected 1 to its {self.key.num_steps} steps.")
+
+    @property
+    def device_curves(self) -> tuple[FittedCurve, FittedCurve, FittedCurve]:
+        """G, F and H."""
+        return self.init_s, self.train_s, self.model_bytes

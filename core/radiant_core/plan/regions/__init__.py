@@ -1,0 +1,1 @@
+"""Which edge owns which cameras (paper Sec. III-B, ARP): transport to the cells of a power diagram."""

@@ -1,0 +1,106 @@
+"""Where the edges stand: given in metres, as latitude and longitude, or placed among the cameras from a seed.
+
+Placing starts with k-means++ (Arthur, Vassilvitskii 2007: the next site is a camera drawn with probability ∝ its squared
+distance to the sites so far) and goes on with a few rounds of Lloyd's; edges with a given position take part but stay.
+Runs once per plan.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import enu_from_geodetic
+from radiant_core.numerics import FloatArray, checked_array
+from radiant_core.plan.regions.power_diagram import assign
+from radiant_core.plan.system import Edge, System
+
+MAX_COORDINATE_M = 1e8
+"""Coordinates may be UTM-sized, not of another planet."""
+_LLOYD_ROUNDS = 10
+_GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+
+
+def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayLike | None, seed: int) -> System:
+    """The same system with a position in metres on every edge, for cameras (C,2) m about an origin (3,) [deg, deg, m].
+
+    Seeded edges lie inside the cameras' bounding box. BadInput for an edge with latitude and longitude when the scene has
+    no origin on the globe (None), without cameras, and for positions beyond 1e8 m.
+    """
+    positions = checked_array("positions", positions, (None, 2))
+    if not len(positions):
+        raise BadInput("no camera positions were given to place the edges among: give at least one.")
+    located = [_located(edge, origin_lat_lon_alt) for edge in system.edges]
+    given = [edge.position for edge in located if edge.position is not None]
+    require_within_reach(positions, np.array(given).reshape(-1, 2))
+    num_free = len(located) - len(given)
+    free = iter(_seeded_positions(positions, np.array(given).reshape(-1, 2), num_free, seed))
+    edges = [edge if edge.position is not None else _moved_to(edge, next(free)) for edge in located]
+    return replace(system, edges=tuple(edges))
+
+
+def require_within_reach(*positions: FloatArray) -> None:
+    """Raise BadInput for a position (…,2) of a camera or edge beyond `MAX_COORDINATE_M`."""
+    farthest_m = max((float(np.abs(some).max()) for some in positions if len(some)), default=0.0)
+    if farthest_m > MAX_COORDINATE_M:
+        raise BadInput(f"a camera or edge is {farthest_m:.3g} m from the origin, expected at most {MAX_COORDINATE_M:g} m.")
+
+
+def separated_sites(sites: FloatArray, extent_m: float) -> FloatArray:
+    """Sites (E,2) m of which no two share a spot: those within 1e-6 extents of an earlier one step aside by about 1e-3 extents.
+
+    Two edges at one spot have no border between them; a step aside gives them one without changing who is near whom.
+    """
+    sites = sites.copy()
+    for index in range(1, len(sites)):
+        spot, turn = sites[index].copy(), index
+        while np.hypot(*(sites[:index] - sites[index]).T).min() <= 1e-6 * extent_m:
+            angle = _GOLDEN_ANGLE * turn
+            sites[index] = spot + 1e-3 * extent_m * np.sqrt(turn) * np.array([np.cos(angle), np.sin(angle)])
+            turn += 1
+    return sites
+
+
+def _located(edge: Edge, origin_lat_lon_alt: ArrayLike | None) -> Edge:
+    if edge.position is not None or edge.lat_lon_deg is None:
+        return edge
+    if origin_lat_lon_alt is None:
+        raise BadInput(
+            f"edge {edge.id!r} stands at latitude and longitude {edge.lat_lon_deg}, but the scene has no GPS: give the edge "
+            "position_m, or neither to have it placed."
+        )
+    origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
+    return _moved_to(edge, enu_from_geodetic([[*edge.lat_lon_deg, origin[2]]], origin)[0])
+
+
+def _moved_to(edge: Edge, position: FloatArray) -> Edge:
+    return replace(edge, position=(float(position[0]), float(position[1])))
+
+
+def _seeded_positions(positions: FloatArray, given: FloatArray, num_free: int, seed: int) -> FloatArray:
+    """Positions (num_free,2) m of the edges that may stand anywhere, beside the given ones (G,2) m."""
+    rng = np.random.default_rng(seed)
+    sites = given
+    for _ in range(num_free):
+        sites = np.vstack([sites, _next_seed(positions, sites, rng)])
+    for _ in range(_LLOYD_ROUNDS if num_free else 0):
+        cell = assign(positions, sites, np.zeros(len(sites)))
+        counts = np.bincount(cell, minlength=len(sites))
+        sums = np.stack([np.bincount(cell, weights=axis, minlength=len(sites)) for axis in positions.T], axis=1)
+        moves = (counts > 0) & (np.arange(len(sites)) >= len(given))
+        sites = np.where(moves[:, None], sums / np.maximum(counts, 1)[:, None], sites)
+    # A mean of equal coordinates may leave the box by a rounding error.
+    return np.clip(sites[len(given) :], positions.min(axis=0), positions.max(axis=0))
+
+
+def _next_seed(positions: FloatArray, sites: FloatArray, rng: np.random.Generator) -> FloatArray:
+    if not len(sites):
+        return positions[rng.integers(len(positions))]
+    nearest = sites[assign(positions, sites, np.zeros(len(sites)))]
+    squared = np.sum((positions - nearest) ** 2, axis=1)
+    if not squared.any():  # more edges than distinct cameras
+        return positions[rng.integers(len(positions))]
+    return positions[rng.choice(len(positions), p=squared / squared.sum())]

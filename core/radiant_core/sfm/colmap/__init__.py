@@ -1,0 +1,1 @@
+"""The steps that pycolmap computes: features, matches, mapping, bundle adjustment, undistortion."""

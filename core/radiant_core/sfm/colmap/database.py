@@ -1,0 +1,177 @@
+"""Features and matches in a COLMAP database, chunk by chunk for progress. Once per scene; the slowest part of it all.
+
+What a database has already, of an attempt that was interrupted, is not done again (`kept_database.py`).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from radiant_core.io.photos.listing import CameraKey, Photograph
+from radiant_core.io.photos.masks import mask_name
+from radiant_core.io.run_store import read_json, write_json
+from radiant_core.sfm.colmap.calls import call_colmap, pycolmap
+from radiant_core.sfm.colmap.pairs import Pairs
+from radiant_core.sfm.config import Report, SfmConfig, SfmProgress
+
+Item = TypeVar("Item")
+NAMES_NAME = "names.json"
+PHOTOS_PER_CALL_AND_THREAD = 6
+PAIRS_PER_CALL = 400
+"""Each call builds the search index of its photographs anew: calls of 32 pairs took 40 % longer than one call for all."""
+
+
+def extract_features(
+    database: Path,
+    photo_folder: Path,
+    photographs: tuple[Photograph, ...],
+    config: SfmConfig,
+    report: Report,
+    masks: Path | None = None,
+) -> None:
+    """Write features into `database`, one camera per make, model, focal length and size; none where a mask in `masks` is 0."""
+    groups: dict[CameraKey, list[str]] = defaultdict(list)
+    for photo in photographs:
+        groups[photo.camera].append(photo.name)
+    found = _cameras_by_name(database) if database.is_file() else {}
+    done = len(found)
+    report(SfmProgress(phase="features", done=done, total=len(photographs)))
+    for group in groups.values():
+        camera_id = next((found[name] for name in group if name in found), -1)
+        names = [name for name in group if name not in found]
+        for chunk in _chunks(names, PHOTOS_PER_CALL_AND_THREAD * config.threads):
+            for part, folder in _by_mask(chunk, masks):
+                _extract((database, photo_folder, folder), part, camera_id, config)
+                camera_id = camera_id if camera_id >= 0 else _camera_of(database, part[0])
+            done += len(chunk)
+            report(SfmProgress(phase="features", done=done, total=len(photographs)))
+
+
+def _cameras_by_name(database: Path) -> dict[str, int]:
+    """Images that have their features, and their cameras."""
+    with pycolmap.Database.open(database) as store:
+        return {
+            image.name: image.camera_id
+            for image in store.read_all_images()
+            if store.exists_keypoints(image.image_id) and store.exists_descriptors(image.image_id)
+        }
+
+
+def _by_mask(names: list[str], masks: Path | None) -> list[tuple[list[str], Path | None]]:
+    """The photographs with a mask, and those without: COLMAP passes over a photograph whose mask it does not find."""
+    if masks is None:
+        return [(names, None)]
+    masked = [name for name in names if (masks / mask_name(name)).is_file()]
+    parts = [(masked, masks), ([name for name in names if name not in masked], None)]
+    return [(part, folder) for part, folder in parts if part]
+
+
+def _extract(places: tuple[Path, Path, Path | None], names: list[str], camera_id: int, config: SfmConfig) -> None:
+    """Features of `names`, which share the camera `camera_id`, or a new one where that is -1."""
+    database, photo_folder, masks = places
+    reading = pycolmap.ImageReaderOptions()
+    if masks is not None:
+        reading.mask_path = masks
+    reading.existing_camera_id = camera_id
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.num_threads = config.threads
+    options.max_image_size = config.max_image_size_px
+    options.sift.max_num_features = config.max_num_features
+    call_colmap(
+        "finding features",
+        pycolmap.extract_features,
+        database,
+        photo_folder,
+        image_names=names,
+        camera_mode=pycolmap.CameraMode.SINGLE,
+        reader_options=reading,
+        extraction_options=options,
+        device=pycolmap.Device.cpu,
+        cancellation_token=pycolmap.CancellationToken(),
+    )
+
+
+def match_pairs(database: Path, pairs: Pairs, config: SfmConfig, report: Report) -> None:
+    """Match the features of these pairs of names and verify the matches geometrically."""
+    left = _unmatched(database, pairs)
+    done = len(pairs) - len(left)
+    report(SfmProgress(phase="matching", done=done, total=len(pairs)))
+    if not left:
+        return
+    with _numbered_names(database) as number_of:
+        for chunk in _chunks(left, PAIRS_PER_CALL):
+            lines = [f"{number_of[first]} {number_of[second]}\n" for first, second in chunk]
+            _match(database, "".join(lines), config)
+            done += len(chunk)
+            report(SfmProgress(phase="matching", done=done, total=len(pairs)))
+
+
+def _unmatched(database: Path, pairs: Pairs) -> Pairs:
+    with pycolmap.Database.open(database) as store:
+        ids = {image.name: image.image_id for image in store.read_all_images()}
+        return [pair for pair in pairs if not store.exists_two_view_geometry(*(ids[name] for name in pair))]
+
+
+def _match(database: Path, pair_lines: str, config: SfmConfig) -> None:
+    options = pycolmap.FeatureMatchingOptions()
+    options.use_gpu = False
+    options.num_threads = config.threads
+    verification = pycolmap.TwoViewGeometryOptions()
+    verification.ransac.random_seed = config.seed
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = database.with_name("pairs.txt")
+    pairing.match_list_path.write_text(pair_lines, encoding="ascii")
+    call_colmap(
+        "matching",
+        pycolmap.match_image_pairs,
+        database,
+        matching_options=options,
+        pairing_options=pairing,
+        verification_options=verification,
+        device=pycolmap.Device.cpu,
+        cancellation_token=pycolmap.CancellationToken(),
+    )
+
+
+def _camera_of(database: Path, name: str) -> int:
+    with pycolmap.Database.open(database) as store:
+        image = store.read_image_with_name(name)
+    return -1 if image is None else image.camera_id
+
+
+@contextmanager
+def _numbered_names(database: Path) -> Iterator[dict[str, str]]:
+    """While open, images are named by their number: COLMAP's list of pairs cannot hold a name with a space."""
+    with pycolmap.Database.open(database) as store:
+        names = {image.image_id: image.name for image in store.read_all_images()}
+    write_json(database.with_name(NAMES_NAME), {str(image_id): name for image_id, name in names.items()})
+    _rename(database, {image_id: str(image_id) for image_id in names})
+    try:
+        yield {name: str(image_id) for image_id, name in names.items()}
+    finally:
+        restore_names(database)
+
+
+def restore_names(database: Path) -> None:
+    """Give the images the names that they had before matching; nothing to do where they have them."""
+    record = database.with_name(NAMES_NAME)
+    if record.is_file():
+        _rename(database, {int(image_id): name for image_id, name in read_json(record).items()})
+        record.unlink()
+
+
+def _rename(database: Path, names: dict[int, str]) -> None:
+    with pycolmap.Database.open(database) as store:
+        for image in store.read_all_images():
+            image.name = names[image.image_id]
+            store.update_image(image)
+
+
+def _chunks(items: list[Item], size: int) -> Iterator[list[Item]]:
+    for start in range(0, len(items), size):
+        yield items[start : start + size]

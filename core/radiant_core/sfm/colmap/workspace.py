@@ -1,0 +1,43 @@
+"""The two ends of a work folder: which photographs go in, and nothing of an earlier attempt left in it."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from pathlib import Path
+
+from radiant_core.io.photos.copies import copies_count, copies_warning
+from radiant_core.io.photos.listing import PhotoListing, list_photographs, unread_warning
+from radiant_core.sfm.config import Report, SfmProgress
+
+DATABASE_FILES = ("database.db", "database.db-shm", "database.db-wal", "database.json", "names.json")
+WORK_FILES = ("pairs.txt",)
+WORK_FOLDERS = ("models", "sparse", "undistorted", "undistorted.part", "masks", "masks.part", "masks.given")
+"""All that structure from motion puts into its work folder, and all that it removes there when it starts."""
+
+
+def listed(folder: Path, report: Report, names: tuple[str, ...] | None = None) -> PhotoListing:
+    """`list_photographs` with its progress, of those `names` where given, without copies; BadInput as there."""
+    listing = list_photographs(folder, lambda done, total: report(SfmProgress(phase="checking photographs", done=done, total=total)), names)
+    return listing.without_copies()
+
+
+def listing_warnings(listing: PhotoListing, *, named: bool = True) -> tuple[str, ...]:
+    """What the user is told of the files that are not used; counted where their names are nobody else's."""
+    num_usable = len(listing.photographs) + len(listing.copies)
+    if named:
+        skipped = tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)
+        return (*skipped, *unread_warning(listing.unread), *copies_warning(listing.copies, num_usable))
+    counts = Counter(skipped.reason for skipped in listing.skipped)
+    total = num_usable + len(listing.skipped)
+    counted = tuple(f"{count} of {total} files skipped, each of which {reason}." for reason, count in counts.items())
+    return (*counted, *unread_warning(listing.unread), *copies_count(len(listing.copies), num_usable))
+
+
+def start_clean(work_folder: Path, *, keep_database: bool = False) -> None:
+    """Make the work folder and remove what an earlier attempt left of ours in it, except its database where that is to be kept."""
+    work_folder.mkdir(parents=True, exist_ok=True)
+    for name in (*WORK_FILES, *(() if keep_database else DATABASE_FILES)):
+        (work_folder / name).unlink(missing_ok=True)
+    for name in WORK_FOLDERS:
+        shutil.rmtree(work_folder / name, ignore_errors=True)

@@ -1,0 +1,1 @@
+"""The world frame of a reconstruction: up, scale, north, and its uncertainty."""
