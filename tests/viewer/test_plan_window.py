@@ -112,8 +112,8 @@ def steps(window):
     assert planning.actions.compare(out / "edited.json").new_edge.sum() == 0
     window.save_screenshot(out / "shot.png")
 
-    solve = plan_session.applied
-    plan_session.applied = lambda *args, **kwargs: (time.sleep(0.8), solve(*args, **kwargs))[1]
+    solve = plan_session.apply_edit
+    plan_session.apply_edit = lambda *args, **kwargs: (time.sleep(0.8), solve(*args, **kwargs))[1]
     session.edit(MoveEdge(edge="harbour", position=(60.0, 20.0)))
     session.edit(MoveEdge(edge="north", position=(-50.0, 0.0)))
     assert session.is_busy and len(editor.edits) == 2

@@ -1,4 +1,5 @@
-"""The frame of a device: GPS positions of its photographs beside the camera centres of its own structure from motion.
+"""The frame of a device: GPS positions of its photographs beside the camera centres of its own
+structure from motion.
 
 From above and from the south, on one scale. Drawn once per device, beside its photographs.
 """

@@ -1,6 +1,8 @@
-"""A plan as bars over time, one line per device and edge, the predicted bars above the measured ones.
+"""A plan as bars over time, one line per device and edge, the predicted bars above the measured
+ones.
 
-Predicted bars are pale with an outline, measured ones full; colours are the timeline's. Once per plan and once per report.
+Predicted bars are pale with an outline, measured ones full; colours are the timeline's. Once per
+plan and once per report.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Training time of each device under one plan and another, side by side. Once per comparison of plans.
+"""Training time of each device under one plan and another, side by side. Once per comparison of
+plans.
 
-Solid bars are measured, outlined ones predicted, one pair per device; the vertical line is the slowest device.
+Solid bars are measured, outlined ones predicted, one pair per device; the vertical line is the
+slowest device.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Partitions side by side: the region of each camera by each method, and the time of each region. Once per comparison.
+"""Partitions side by side: the region of each camera by each method, and the time of each region.
+Once per comparison.
 
-One row of maps, each above its bars: one bar per region with its predicted time, so that an even row of bars is a balanced plan.
+One row of maps, each above its bars: one bar per region with its predicted time, so that an even
+row of bars is a balanced plan.
 """
 
 from __future__ import annotations

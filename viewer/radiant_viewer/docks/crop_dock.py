@@ -1,4 +1,5 @@
-"""The crop box: hides what lies outside it in all views, and exports what lies inside. Needs the `desktop` extra.
+"""The crop box: hides what lies outside it in all views, and exports what lies inside. Needs the
+`desktop` extra.
 
 The graphics card clips the clouds, so dragging the box copies no points.
 """

@@ -1,7 +1,8 @@
-"""Keyframed flights: collected from the 3D view, played in it, and written as MP4, WebM or GIF. Needs the `desktop` extra.
+"""Keyframed flights: collected from the 3D view, played in it, and written as MP4, WebM or GIF.
+Needs the `desktop` extra.
 
-Frames come from our own renderer in a separate process or from the visible layers, one at a time through the event loop:
-the window stays usable, and closing it leaves no partial film.
+Frames come from our own renderer in a separate process or from the visible layers, one at a time
+through the event loop: the window stays usable, and closing it leaves no partial film.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""The photograph of the selected camera and, where it was held out, its render and their difference, compared by a wipe.
+"""The photograph of the selected camera and, where it was held out, its render and their
+difference, compared by a wipe.
 
-Held-out photographs are visited worst first. For a photograph that is not on this machine, a sentence names its device.
-Needs the `desktop` extra.
+Held-out photographs are visited worst first. For a photograph that is not on this machine, a
+sentence names its device. Needs the `desktop` extra.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""The splat view: the model from the camera of the 3D view, coarse while that moves and full half a second after it rests.
+"""The splat view: the model from the camera of the 3D view, coarse while that moves and full half a
+second after it rests.
 
-The choice of renderer is a `Decision`: our own is exact and starts at once; after its first full picture Open3D's is started,
-both draw the same picture, and the faster one is kept. A crop box is always drawn by our own. Needs the `desktop` extra.
+The choice of renderer is a `Decision`: our own is exact and starts at once; after its first full
+picture Open3D's is started, both draw the same picture, and the faster one is kept. A crop box is
+always drawn by our own. Needs the `desktop` extra.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """`EditFile`: the file with the edits of a plan, safe when two windows edit the same plan.
 
-The window that writes first owns the file. Another window that finds unfamiliar bytes in it writes its own edits to a file
-beside it, until the user resolves the conflict. Bytes are compared, not times, at every write; some milliseconds each.
+The window that writes first owns the file. Another window that finds unfamiliar bytes in it writes
+its own edits to a file beside it, until the user resolves the conflict. Bytes are compared, not
+times, at every write; some milliseconds each.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""The edits of a plan as a file: written before an edit is solved, so that closing the window in between loses nothing.
+"""The edits of a plan as a file: written before an edit is solved, so that closing the window in
+between loses nothing.
 
     {"schema": "radiant.edits", "version": 1, "base": key of the plan they were made on, "done": [edit…], "undone": [edit…]}
 
-A plan is a function of its edits, so edits are stored, not plans. A file that is broken or belongs to another plan is renamed,
-never overwritten. Written once per edit, some milliseconds.
+A plan is a function of its edits, so edits are stored, not plans. A file that is broken or belongs
+to another plan is renamed, never overwritten. Written once per edit, some milliseconds.
 """
 
 from __future__ import annotations

@@ -5,7 +5,8 @@
     Shift and drag                     selects the cameras inside the box; with Ctrl adds them
     Escape while dragging              cancels the drag
 
-All other events go to the view, which pans and zooms. Hit tests are pure functions of places on the map.
+All other events go to the view, which pans and zooms. Hit tests are pure functions of places on the
+map.
 """
 
 from __future__ import annotations

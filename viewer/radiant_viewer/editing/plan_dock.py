@@ -1,4 +1,5 @@
-"""The dock in which a plan is changed: its figures, the selected cameras, regions, machines, slack, and files. Needs the `desktop` extra.
+"""The dock in which a plan is changed: its figures, the selected cameras, regions, machines, slack,
+and files. Needs the `desktop` extra.
 
 It shows figures and calls `PlanActions`.
 """

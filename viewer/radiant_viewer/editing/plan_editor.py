@@ -3,8 +3,8 @@
     editor.apply(edit)                                                      in one step
     editor.begin(edit); plan = apply_edit(…); editor.finish(edit, plan)     in three steps, the middle one on any thread
 
-An impossible edit raises BadInput with one sentence and changes nothing. Earlier states are kept as objects, so undo restores
-them bit for bit.
+An impossible edit raises BadInput with one sentence and changes nothing. Earlier states are kept as
+objects, so undo restores them bit for bit.
 """
 
 from __future__ import annotations

@@ -1,13 +1,15 @@
-"""Edits of a plan on a map: small records that turn wishes into new wishes, which `plan_regions` solves.
+"""Edits of a plan on a map: small records that turn wishes into new wishes, which `plan_regions`
+solves.
 
     FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d, the others are solved again
     LockRegion  the edge keeps its cameras; FreeRegion removes lock and fixed weight
     PinCameras  the cameras belong to one edge, whatever is optimal; without an edge the pins are removed
     MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll, AdoptPlan
 
-`text` is the entry of the menu, `wishes` returns the new wishes. Locks and fixed weights refer to the plan at the time of the
-edit (`PlanWishes.reference`). Every edit gives a new plan or raises BadInput with one sentence; nothing is changed in place.
-Regions once per edit and frame of a drag, strips once per edit.
+`text` is the entry of the menu, `wishes` returns the new wishes. Locks and fixed weights refer to
+the plan at the time of the edit (`PlanWishes.reference`). Every edit gives a new plan or raises
+BadInput with one sentence; nothing is changed in place. Regions once per edit and frame of a drag,
+strips once per edit.
 """
 
 from __future__ import annotations

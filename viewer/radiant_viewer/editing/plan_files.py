@@ -1,10 +1,12 @@
-"""The files of an edited plan, in the formats of `radiant plan`, so that each continues the other's work.
+"""The files of an edited plan, in the formats of `radiant plan`.
 
-<stem>.json  the plan, with waypoints where its cameras are on the globe: `radiant run --plan` takes it
-<stem>_system.toml  the machines it is for
-<stem>_waypoints/<device>.csv, <stem>_regions.geojson  what each device captures and where, for flight planners and maps, on the globe;
-             heights of a run's cameras count from its low ground, so that a flight from there or higher is no lower than the first
-<stem>_constraints.toml, <stem>_start.json  what is fixed, locked and pinned, and the plan that this refers to
+    <stem>.json                                        the plan, for `radiant run --plan`
+    <stem>_system.toml                                 its machines
+    <stem>_waypoints/<device>.csv, _regions.geojson    what each device captures, on the globe
+    <stem>_constraints.toml, _start.json               the constraints and their reference plan
+
+The heights of a run's cameras count from its low ground: a flight that takes off there or higher
+is no lower than the first one.
 """
 
 from __future__ import annotations

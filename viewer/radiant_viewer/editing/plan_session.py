@@ -1,7 +1,9 @@
-"""`PlanSession`: a `PlanEditor` whose plans are solved beside the window. Needs the `desktop` extra.
+"""`PlanSession`: a `PlanEditor` whose plans are solved beside the window. Needs the `desktop`
+extra.
 
-One thread solves. Edits are solved in the order of their calls; of the frames of a drag only the latest waits, so a slow
-plan skips frames instead of queueing them. An edit that is unsolved when the window closes is in the editor's file already.
+One thread solves. Edits are solved in the order of their calls; of the frames of a drag only the
+latest waits, so a slow plan skips frames instead of queueing them. An edit that is unsolved when
+the window closes is in the editor's file already.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""`Planning`: the docks and map tools with which a plan is edited, and how the window shows what they change. Needs the `desktop` extra.
+"""`Planning`: the docks and map tools with which a plan is edited, and how the window shows what
+they change. Needs the `desktop` extra.
 
 Frames of a drag redraw the map alone; 3D view and tables follow when the edit is done.
 """

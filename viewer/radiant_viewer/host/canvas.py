@@ -1,7 +1,8 @@
-"""`Canvas`: one of the two views of the window, a map or 3D: its layers as actors, projections to pixels, and clicks.
+"""`Canvas`: one of the two views of the window, a map or 3D: its layers as actors, projections to
+pixels, and clicks.
 
-Coordinates of the world are float64; VTK sees them relative to `origin`. A click is a press and release within 4 px.
-Needs the `desktop` extra.
+Coordinates of the world are float64; VTK sees them relative to `origin`. A click is a press and
+release within 4 px. Needs the `desktop` extra.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""What docks and tools see of the window that holds them; each asks for the least of these that serves it.
+"""What docks and tools see of the window that holds them; each asks for the least of these that
+serves it.
 
     StatusHost   a status bar and a way to read the files again: also the window of a run without a plan
     Host         both views, the layers and marks in them, the selected camera and the theme

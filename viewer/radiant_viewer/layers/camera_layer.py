@@ -1,6 +1,8 @@
-"""Layers of cameras: a dot at each centre and its viewing pyramid, coloured by region, device, split or error.
+"""Layers of cameras: a dot at each centre and its viewing pyramid, coloured by region, device,
+split or error.
 
-Built once per picture; the pyramid of camera c has its tip at −Rᵀt and its base where the image corners lie at one depth.
+Built once per picture; the pyramid of camera c has its tip at −Rᵀt and its base where the image
+corners lie at one depth.
 """
 
 from __future__ import annotations

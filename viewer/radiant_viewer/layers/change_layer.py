@@ -1,4 +1,5 @@
-"""Layers of an edit: rings around cameras that moved to another edge, marks on pinned ones, rims of locked or dragged regions.
+"""Layers of an edit: rings around cameras that moved to another edge, marks on pinned ones, rims of
+locked or dragged regions.
 
 Once per edit.
 """

@@ -3,9 +3,10 @@
     moving:  at most 50,000, one per occupied cell of the finest octree level with so few cells, the rest from the next level
     at rest: of all N points the nearest to the camera in each cell of the picture; it covers those behind it
 
-The first is chosen once per cloud, O(N log N), 0.27 to 0.36 s of CPU for a million points and 0.3 to 0.5 s for five; the second
-once per view, O(N), 0.10 to 0.16 s per million (`radiant bench viewer`, four runs). Both are deterministic. A software
-rasterizer spends 1 µs per point, also on hidden ones.
+The first is chosen once per cloud, O(N log N), 0.27 to 0.36 s of CPU for a million points and 0.3
+to 0.5 s for five; the second once per view, O(N), 0.10 to 0.16 s per million (`radiant bench
+viewer`, four runs). Both are deterministic. A software rasterizer spends 1 µs per point, also on
+hidden ones.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""Draws a `Layer` in a pyvista plotter: the only place that turns layers into VTK geometry, for windows and pictures.
+"""Draws a `Layer` in a pyvista plotter: the only place that turns layers into VTK geometry, for
+windows and pictures.
 
-VTK keeps float32 on the graphics side, so every coordinate is taken relative to a float64 origin first: at UTM eastings
-float32 steps are 6 cm, near a local origin they are micrometres. Once per layer; O(N + S + R).
+VTK keeps float32 on the graphics side, so every coordinate is taken relative to a float64 origin
+first: at UTM eastings float32 steps are 6 cm, near a local origin they are micrometres. Once per
+layer; O(N + S + R).
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""`Layer`: one thing to draw, in plain numbers. Window, headless pictures, report and tests all draw the same layers.
+"""`Layer`: one thing to draw, in plain numbers. Window, headless pictures, report and tests all
+draw the same layers.
 
-A layer is independent of toolkits: points, segments and polygons in world coordinates (float64, metres or the frame's unit, z up),
-colours (…,3) uint8, labels and legend. Built once per picture or edit; N points, S segments, R polygons.
+A layer is independent of toolkits: points, segments and polygons in world coordinates (float64,
+metres or the frame's unit, z up), colours (…,3) uint8, labels and legend. Built once per picture or
+edit; N points, S segments, R polygons.
 """
 
 from __future__ import annotations

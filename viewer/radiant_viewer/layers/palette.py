@@ -1,6 +1,8 @@
-"""Colours that stay apart for colour-blind readers: the eight of Okabe and Ito, their shades, and one perceptual heat scale.
+"""Colours that stay apart for colour-blind readers: the eight of Okabe and Ito, their shades, and
+one perceptual heat scale.
 
-Runs once per layer. Colours are (3,) uint8, sRGB. Source: Okabe & Ito, Color Universal Design (2008).
+Runs once per layer. Colours are (3,) uint8, sRGB. Source: Okabe & Ito, Color Universal Design
+(2008).
 """
 
 from __future__ import annotations

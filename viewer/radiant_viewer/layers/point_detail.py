@@ -1,7 +1,9 @@
-"""`PointDetail`: the level of detail of large clouds in one plotter, few points while its view moves and all visible ones at rest.
+"""`PointDetail`: the level of detail of large clouds in one plotter, few points while its view
+moves and all visible ones at rest.
 
-A window passes `later`, which calls back after some seconds; without it (pictures) the view is always at rest. `detail.py`
-chooses the points. Actors are reused, so that hiding, showing and removing them needs nothing from here.
+A window passes `later`, which calls back after some seconds; without it (pictures) the view is
+always at rest. `detail.py` chooses the points. Actors are reused, so that hiding, showing and
+removing them needs nothing from here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Layers of a plan: regions with their borders, the strips of the devices, and the edges with counts and predicted times.
+"""Layers of a plan: regions with their borders, the strips of the devices, and the edges with
+counts and predicted times.
 
 Pure functions of `CloudPlan` and `EdgePlan`, once per plan or edit.
 """

@@ -1,12 +1,14 @@
-"""Seams: the borders between regions in short pieces, the colour steps across them, and their layer.
+"""Seams: the borders between regions in short pieces, the colour steps across them, and their
+layer.
 
     step(x)²    = max(0, ‖c₊(x) − c₋(x)‖² − texture(x)²)
     texture(x)² = median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖²
 
-c± is the mean colour of the Gaussians in the band of one width on either side of the border, weighted by opacity times covered
-area, n the normal; bands are pooled over neighbouring pieces of a border, since a seam has the same sign along it and texture
-has not. The parallels lie inside the regions, so the scene's texture is subtracted (in squares, as independent parts add).
-Pieces are weighted by their coverage; an unobserved piece has no figure. Once per picture; S pieces.
+c± is the mean colour of the Gaussians in the band of one width on either side of the border,
+weighted by opacity times covered area, n the normal; bands are pooled over neighbouring pieces of a
+border, since a seam has the same sign along it and texture has not. The parallels lie inside the
+regions, so the scene's texture is subtracted (in squares, as independent parts add). Pieces are
+weighted by their coverage; an unobserved piece has no figure. Once per picture; S pieces.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Frames (H,W,3) uint8 into a film: MP4 or WebM by OpenCV's own encoder, GIF by Pillow. Written whole or not at all.
+"""Frames (H,W,3) uint8 into a film: MP4 or WebM by OpenCV's own encoder, GIF by Pillow. Written
+whole or not at all.
 
-MP4 holds MPEG-4 Part 2, which desktop players show and browsers do not: OpenCV's wheel encodes H.264 and H.265 only on a video
-chip, AV1 not at all, and VP9 in 118 s for 24 frames of 640×480. WebM holds VP8 (1.5 s for the same), which browsers show; GIF
-has 256 colours a frame.
+MP4 holds MPEG-4 Part 2, which desktop players show and browsers do not: OpenCV's wheel encodes
+H.264 and H.265 only on a video chip, AV1 not at all, and VP9 in 118 s for 24 frames of 640×480.
+WebM holds VP8 (1.5 s for the same), which browsers show; GIF has 256 colours a frame.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""Layers as pictures without a window: a map seen from above, and a view in perspective. 100 ms to 1 s per picture.
+"""Layers as pictures without a window: a map seen from above, and a view in perspective. 100 ms to
+1 s per picture.
 
-Drawn at twice the size and averaged, so that edges are smooth and the same on every machine. The map is orthographic:
-px = (x − x_min) / (x_max − x_min) · W, rows downwards from y_max. Titles, legend, scale and labels are laid out in `page.py`.
+Drawn at twice the size and averaged, so that edges are smooth and the same on every machine. The
+map is orthographic: px = (x − x_min) / (x_max − x_min) · W, rows downwards from y_max. Titles,
+legend, scale and labels are laid out in `page.py`.
 """
 
 from __future__ import annotations

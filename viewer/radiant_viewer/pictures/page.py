@@ -1,7 +1,8 @@
-"""The page around a drawing: title, labels, axes and scale bar in the frame's unit, legend with units.
+"""The page around a drawing: title, labels, axes and scale bar in the frame's unit, legend with
+units.
 
-Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels that would cover each
-other or leave the drawing are moved, and the less important ones dropped.
+Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels
+that would cover each other or leave the drawing are moved, and the less important ones dropped.
 """
 
 from __future__ import annotations

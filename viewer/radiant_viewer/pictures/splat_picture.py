@@ -1,7 +1,9 @@
-"""Pictures of the model by our own rasterizer over white: from above below a map, or in perspective below lines.
+"""Pictures of the model by our own rasterizer over white: from above below a map, or in perspective
+below lines.
 
-From above a pinhole `ALTITUDE` map widths away stands for the orthographic camera that the rasterizer lacks: rays are off the vertical by
-at most 1 / (2 · `ALTITUDE`). Gaussians are moved to the middle of the picture in float64 first. One render per picture.
+From above a pinhole `ALTITUDE` map widths away stands for the orthographic camera that the
+rasterizer lacks: rays are off the vertical by at most 1 / (2 · `ALTITUDE`). Gaussians are moved to
+the middle of the picture in float64 first. One render per picture.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""A view as in VTK (position, focal point, up, angle), converted to and from a pinhole camera. Once per frame.
+"""A view as in VTK (position, focal point, up, angle), converted to and from a pinhole camera. Once
+per frame.
 
 fy = H / (2 tan(angle / 2)), square pixels, middle of the picture at its centre; z forward, y down
 """

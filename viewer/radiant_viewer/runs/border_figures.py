@@ -1,8 +1,10 @@
-"""Figures of each border of a plan in a model: its observed part, the colour step across it, and the texture beside it.
+"""Figures of each border of a plan in a model: its observed part, the colour step across it, and
+the texture beside it.
 
-A border has a verdict where at least `MIN_OBSERVED_SHARE` of its length was observed on both sides and has Gaussians. A step is
-detected from `VISIBLE_LEVELS` on where it exceeds that of every parallel (`seam_layer.color_steps`). Pieces are weighted by their
-coverage; the worst has the largest ratio of step to detectable step, times coverage. O(N), once per picture or window.
+A border has a verdict where at least `MIN_OBSERVED_SHARE` of its length was observed on both sides
+and has Gaussians. A step is detected from `VISIBLE_LEVELS` on where it exceeds that of every
+parallel (`seam_layer.color_steps`). Pieces are weighted by their coverage; the worst has the
+largest ratio of step to detectable step, times coverage. O(N), once per picture or window.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The figures of a scene's cameras as a table that can be sorted and filtered. Pure; once per plan.
 
-psnr < 22 and region = north        a filter: all conditions must hold; = and != also compare names, ~ finds a part of one
+psnr < 22 and region = north        a filter: all conditions must hold; = and != also compare names,
+~ finds a part of one
 """
 
 from __future__ import annotations

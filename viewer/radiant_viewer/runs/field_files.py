@@ -1,8 +1,9 @@
-"""File names of the photographs of a run in the field, which have numbers for names, where a device's folder is on this machine.
+"""File names of the photographs of a run in the field, which have numbers for names, where a
+device's folder is on this machine.
 
-A device sends neither file names nor the poses of held-out photographs: `edge-1-1/0003` is its fourth training photograph,
-`edge-1-1/held-out-0000` the first held-out one. The device's own records map numbers to files; on other machines there are
-no such records. Read once per window.
+A device sends neither file names nor the poses of held-out photographs: `edge-1-1/0003` is its
+fourth training photograph, `edge-1-1/held-out-0000` the first held-out one. The device's own
+records map numbers to files; on other machines there are no such records. Read once per window.
 """
 
 from __future__ import annotations

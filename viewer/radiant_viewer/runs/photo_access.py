@@ -1,7 +1,9 @@
-"""Where the photograph of a camera is on this machine, if it is here. Looked up when a camera is selected.
+"""Where the photograph of a camera is on this machine, if it is here. Looked up when a camera is
+selected.
 
-Photographs stay with the device that trained on them: only `devices/<id>/photos` of the run's folder is searched, and for
-held-out photographs the files of the evaluation. For others the answer names the device.
+Photographs stay with the device that trained on them: only `devices/<id>/photos` of the run's
+folder is searched, and for held-out photographs the files of the evaluation. For others the answer
+names the device.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Why a photograph may be rendered worse than others: what its camera saw, beside the median camera. Pure; once per selection.
+"""Why a photograph may be rendered worse than others: what its camera saw, beside the median
+camera. Pure; once per selection.
 
-points: sparse points that structure from motion placed from it; tilt: of its view from straight down, in degrees.
+points: sparse points that structure from motion placed from it; tilt: of its view from straight
+down, in degrees.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""A plan without a run: the file of `radiant plan` as a `RunView` without model and figures. Once per window.
+"""A plan without a run: the file of `radiant plan` as a `RunView` without model and figures. Once
+per window.
 
-Before capture poses are unknown: cameras stand at their waypoints with the flight plan's direction, else straight down.
+Before capture poses are unknown: cameras stand at their waypoints with the flight plan's direction,
+else straight down.
 """
 
 from __future__ import annotations

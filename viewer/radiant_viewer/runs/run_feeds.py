@@ -1,4 +1,5 @@
-"""What the application gives the window beside the run's files: progress of the stages, and the bars of plan and run.
+"""What the application gives the window beside the run's files: progress of the stages, and the
+bars of plan and run.
 
 The window never imports the application; it calls these functions.
 """

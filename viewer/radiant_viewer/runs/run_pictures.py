@@ -1,4 +1,5 @@
-"""The named views of a run as finished pictures, for `radiant inspect --view … --screenshot` and the report.
+"""The named views of a run as finished pictures, for `radiant inspect --view … --screenshot` and
+the report.
 
 Each view is a list of layers and a page. Once per picture, 0.5 to 2 s.
 """

@@ -1,6 +1,8 @@
-"""`RunView`: the contents of a run, a training or a scene, read through `radiant_core.io` and checked to fit together.
+"""`RunView`: the contents of a run, a training or a scene, read through `radiant_core.io` and
+checked to fit together.
 
-Read once per window or screenshot. The error for a broken or unfinished run names what is missing and what makes it.
+Read once per window or screenshot. The error for a broken or unfinished run names what is missing
+and what makes it.
 """
 
 from __future__ import annotations

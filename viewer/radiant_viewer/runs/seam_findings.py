@@ -1,8 +1,10 @@
-"""Seams at the borders of a plan in a model: colour steps of all borders, and the step detector where they are largest.
+"""Seams at the borders of a plan in a model: colour steps of all borders, and the step detector
+where they are largest.
 
-A seam is found where the colour step exceeds the texture (`border_figures`), or where the step detector responds to colour,
-height, density or a gap on the observed part. No finding proves no absence: the detector misses grey steps below some 20/255
-and plain cuts. O(N) for the steps, a second per examined border.
+A seam is found where the colour step exceeds the texture (`border_figures`), or where the step
+detector responds to colour, height, density or a gap on the observed part. No finding proves no
+absence: the detector misses grey steps below some 20/255 and plain cuts. O(N) for the steps, a
+second per examined border.
 """
 
 from __future__ import annotations

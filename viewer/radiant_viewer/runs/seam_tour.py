@@ -1,6 +1,8 @@
-"""The stops of a tour of the borders, worst seam first: the view and the figures of each. Once per run.
+"""The stops of a tour of the borders, worst seam first: the view and the figures of each. Once per
+run.
 
-A stop is one border, with the colour step over its whole observed length; its place is the worst piece (`border_figures`).
+A stop is one border, with the colour step over its whole observed length; its place is the worst
+piece (`border_figures`).
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Folders without a plan: of `radiant train`, one machine's model, and of `radiant sfm`, cameras and points. Read once per view.
+"""Folders without a plan: of `radiant train`, one machine's model, and of `radiant sfm`, cameras
+and points. Read once per view.
 
     training    manifest.json with the settings of a training; scene.ply once it is trained; cameras in sfm/ or in the source it names
     scene       scene.safetensors and result.json
-Where a plan is required, they get one of a single region without borders, which is neither drawn nor written.
+Where a plan is required, they get one of a single region without borders, which is neither drawn
+nor written.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """A renderer process: `python -m radiant_viewer.splats.splat_worker {own|open3d} MODEL.ply`.
 
-One JSON line per request on standard input: {"id", "K", "cam_from_world", "size_wh", "background", "box"}; box is null or the
-lower and upper corner (2,3) of what is drawn. Per answer one JSON line {"id", "size_wh", "seconds"} and the picture, H·W·3 bytes of RGB;
-the first line is {"ready", "num_gaussians"}. Ends with its standard input. Open3D aborts at the exit of a process that had several
-of its renderers, so this one exits without cleanup.
+One JSON line per request on standard input: {"id", "K", "cam_from_world", "size_wh", "background",
+"box"}; box is null or the lower and upper corner (2,3) of what is drawn. Per answer one JSON line
+{"id", "size_wh", "seconds"} and the picture, H·W·3 bytes of RGB; the first line is {"ready",
+"num_gaussians"}. Ends with its standard input. Open3D aborts at the exit of a process that had
+several of its renderers, so this one exits without cleanup.
 """
 
 from __future__ import annotations

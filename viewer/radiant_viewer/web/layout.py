@@ -1,6 +1,8 @@
-"""The layout of the page in Vuetify: layers left, map and 3D view, tables below, the selected camera's pictures beside them.
+"""The layout of the page in Vuetify: layers left, map and 3D view, tables below, the selected
+camera's pictures beside them.
 
-Built once per server. Names in quotes with `trigger` are methods of the page; all others are its state.
+Built once per server. Names in quotes with `trigger` are methods of the page; all others are its
+state.
 """
 
 from __future__ import annotations

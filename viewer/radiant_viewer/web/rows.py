@@ -1,4 +1,5 @@
-"""The lists of the web page as JSON values: layers with legends, cameras with figures, borders, and pictures as data URLs.
+"""The lists of the web page as JSON values: layers with legends, cameras with figures, borders, and
+pictures as data URLs.
 
 Pure but for reading photographs. Lists once per run, pictures once per selected camera.
 """

@@ -1,6 +1,8 @@
-"""`WebScene`: map and 3D view of the web page, rendered offscreen. Independent of browser and server.
+"""`WebScene`: map and 3D view of the web page, rendered offscreen. Independent of browser and
+server.
 
-Both hold the same layers relative to one float64 origin. A frame is drawn when the page asks for it.
+Both hold the same layers relative to one float64 origin. A frame is drawn when the page asks for
+it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""`radiant inspect RUN --web`: the run as a web page rendered on this machine, for machines reached by ssh.
+"""`radiant inspect RUN --web`: the run as a web page rendered on this machine, for machines reached
+by ssh.
 
-It binds to 127.0.0.1 and requires the secret in its address, 192 fresh random bits. All files come from this machine. Needs
-the `web` extra. Up in 3 s, then some 50 ms per frame.
+It binds to 127.0.0.1 and requires the secret in its address, 192 fresh random bits. All files come
+from this machine. Needs the `web` extra. Up in 3 s, then some 50 ms per frame.
 """
 
 from __future__ import annotations

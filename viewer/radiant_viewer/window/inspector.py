@@ -1,7 +1,8 @@
-"""The desktop window of `radiant inspect RUN|MODEL.ply`: map and 3D view, layers, cameras, photographs, seams, splats, timeline.
+"""The desktop window of `radiant inspect RUN|MODEL.ply`: map and 3D view, layers, cameras,
+photographs, seams, splats, timeline.
 
-It draws the same layers as the headless pictures. Needs the `desktop` extra and a display.
-Building it takes a second or two; showing or hiding a layer redraws both views, some 50 ms each.
+It draws the same layers as the headless pictures. Needs the `desktop` extra and a display. Building
+it takes a second or two; showing or hiding a layer redraws both views, some 50 ms each.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""The menu that shows, hides and floats docks; a double click on a tab floats its dock. Needs the `desktop` extra.
+"""The menu that shows, hides and floats docks; a double click on a tab floats its dock. Needs the
+`desktop` extra.
 
-A dock among tabs has no title bar, since its tab repeats the title; a floating one gets it back, as a handle.
+A dock among tabs has no title bar, since its tab repeats the title; a floating one gets it back, as
+a handle.
 """
 
 from __future__ import annotations

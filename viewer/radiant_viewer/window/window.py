@@ -1,7 +1,9 @@
-"""`InspectorWindow`: the Qt window over a run or a model. Import only after `desktop.require_desktop`.
+"""`InspectorWindow`: the Qt window over a run or a model. Import only after
+`desktop.require_desktop`.
 
-Map and 3D view show the same layers; a camera selected by table, click or tour is marked in both, and its photograph is
-shown. Docks and tools see the window through the protocols in `host`, which document the shared methods.
+Map and 3D view show the same layers; a camera selected by table, click or tour is marked in both,
+and its photograph is shown. Docks and tools see the window through the protocols in `host`, which
+document the shared methods.
 """
 
 from __future__ import annotations
