@@ -18,7 +18,7 @@ from radiant_app.events import Warned
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.config import RunConfig
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_app.workers.tasks import PositionsTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed

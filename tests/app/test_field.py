@@ -26,7 +26,7 @@ from radiant_app.report.html import ledger_by_tier
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_app.workers.field_nodes import _placed, _placed_once, run_field, run_positions
 from radiant_app.workers.inbox import _are_one_group
 from radiant_app.workers.nodes import run_node
