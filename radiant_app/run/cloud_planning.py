@@ -34,9 +34,8 @@ def plan_at_cloud(config: RunConfig, cell_m: float, system: System, positions: F
     folder.mkdir(exist_ok=True)
     task = regions_task(count_raster(positions, cell_m), system, config.plan.method)
     save_task(folder, task)
-    run_task(
-        NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task_key(task))), progress.listen, progress.clock
-    )
+    node = NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task_key(task)))
+    run_task(node, progress.listen, progress.clock)
     regions, _ = load_plan(folder / "regions.json")
     plan = assign_to_regions(regions, positions, system)
     progress.listen(Decided(decision=raster_decision(cell_m, plan)))
