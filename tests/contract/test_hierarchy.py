@@ -120,9 +120,8 @@ def ground_of_a_lone_edge(folder: Path) -> World:
 
 
 def ground_crop_merged(folder: Path) -> World:
-    """Two edges of one device each, whose models the cloud crops; uploads in 8 bits."""
-    world = ground(folder, even_system(2, 1), AggregateConfig(cloud="crop_merge", fill_blind_spots=True))
-    return replace(world, recipe=replace(world.recipe, upload="spz"))
+    """Two edges of one device each, whose models the cloud crops; exact uploads."""
+    return ground(folder, even_system(2, 1), AggregateConfig(cloud="crop_merge", fill_blind_spots=True))
 
 
 def ground(folder: Path, system: System, aggregate: AggregateConfig) -> World:
