@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: type = np.float64) -> NDArray[Any]:
     """Return `value` as a contiguous read-only array of `dtype`; None in `shape` is a free axis. It is a copy, but of an array that
-    is all this already and that nobody can write to through another one.
+    is all this already and that cannot be written to through another one.
 
     Raises BadInput when the shape differs, with the count and the first index when a value is not finite in `dtype`, or when
     `dtype` is whole numbers and a value is not one of them.

@@ -19,8 +19,8 @@ import numpy as np
 from radiant_app.commands.steps import require_file_to_be, stage_bar
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import image_row, scored_part, summary_of
-from radiant_app.workers.nodes import MASKS
 from radiant_app.workers.sources import detect_source, masks_of_scene, scored_scene_of
+from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.choices import LpipsNetwork
 from radiant_core.errors import BadInput

@@ -27,9 +27,9 @@ from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.stages import Progress
 from radiant_app.workers.evaluation import image_row, save_comparison, scored_part, summary_of
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
-from radiant_app.workers.nodes import CHECKPOINTS, machine_in, remove_checkpoints
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import detect_source, has_scene, masks_of_scene, scored_scene_of
+from radiant_app.workers.training import CHECKPOINTS, machine_in, remove_checkpoints
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput

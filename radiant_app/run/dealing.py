@@ -15,9 +15,10 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.photographs import Photographs
 from radiant_app.workers.delivering import DELIVERIES, give_task, introduce, introduce_teacher
 from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
-from radiant_app.workers.nodes import MASKS, forget_cut
+from radiant_app.workers.nodes import forget_cut
 from radiant_app.workers.sources import masks_of_scene
 from radiant_app.workers.tasks import SIGNED, TeacherTask
+from radiant_app.workers.training import MASKS
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
 from radiant_core.frames import Sim3

@@ -17,7 +17,7 @@ from radiant_app.run.config import RunConfig
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.run.time_left import TimeLeftListener
-from radiant_app.workers.nodes import read_notes
+from radiant_app.workers.reporting import read_notes
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import UploadFormat

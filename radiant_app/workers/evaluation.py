@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import EvaluateTask
+from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.image_error import (
@@ -39,8 +40,6 @@ from radiant_core.io.records import load_cameras, load_plan, load_splats
 from radiant_core.io.run_store import write_atomic, write_json
 from radiant_core.render.rendered_view import RenderedView, render_views
 
-MASKS = "masks"
-"""Folder of masks beside a node's photographs, where there are any."""
 LPIPS_NAME = "lpips.safetensors"
 """Weights for LPIPS, laid where a scene is scored."""
 PICTURE_KINDS = ("photographs", "renders", "differences")

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from radiant_app.workers.delivering import signed_upload
-from radiant_app.workers.nodes import read_notes, remove_checkpoints, trained_device
 from radiant_app.workers.own_names import OwnNames, own_names
-from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.reporting import EventReporter, read_notes
 from radiant_app.workers.sources import place_of
 from radiant_app.workers.tasks import FieldTask, PlacingTask, PositionsTask, ScoreTask
+from radiant_app.workers.training import remove_checkpoints, trained_device
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision

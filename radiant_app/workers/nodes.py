@@ -21,23 +21,17 @@ from typing import TYPE_CHECKING, Any
 
 from radiant_app.events import Decided, Event, Warned
 from radiant_app.workers.delivering import is_of_a_run, refusals, signed_upload
-from radiant_app.workers.memory import available_bytes, base_bytes_in, resident_bytes
 from radiant_app.workers.own_names import own_names
 from radiant_app.workers.reporting import Emit, EventReporter
 from radiant_app.workers.tasks import TASKS, SfmTask, TeacherTask, received_task
-from radiant_core.decisions import Decision
+from radiant_app.workers.training import MASKS, finished_device, machine_in, remove_checkpoints, trained_device
 from radiant_core.errors import BadInput
 from radiant_core.io.records import save_scene
-from radiant_core.io.run_store import SEAL_NAME, read_json, write_json
+from radiant_core.io.run_store import SEAL_NAME, write_json
 
 if TYPE_CHECKING:
-    from radiant_core.hierarchy.messages import CloudTask, DeviceModel, DeviceTask, EdgeTask
-    from radiant_core.hierarchy.reporter import Machine
+    from radiant_core.hierarchy.messages import CloudTask, DeviceTask, EdgeTask
 
-CHECKPOINTS = "checkpoints"
-"""Folder of a training's checkpoints inside its node's; gone when the node is done."""
-MASKS = "masks"
-"""Folder of masks beside a node's photographs, where there are any."""
 CUT_NAME = "cut_for_memory"
 """An empty file in the cloud's folder: its models are cut because its machine had too little memory."""
 
@@ -86,13 +80,6 @@ def _work_of(kind: str) -> Work:
     return {"sfm": run_sfm, "device": run_device, "teacher": run_teacher, "edge": run_edge, "cloud": run_cloud}[kind]
 
 
-def read_notes(folder: Path, stage: str) -> list[Event]:
-    """The decisions and warnings that a finished node left behind."""
-    notes = read_json(folder / "notes.json", ("decisions", "warnings"))
-    decided = [Decided(decision=Decision(**fields)) for fields in notes["decisions"]]
-    return [*decided, *(Warned(stage=stage, message=message) for message in notes["warnings"])]
-
-
 def run_sfm(folder: Path, task: SfmTask, reporter: EventReporter) -> Sequence[str]:
     """Structure from motion on the source that the task names."""
     from radiant_app.workers.sources import reconstruct_source, sfm_record
@@ -113,47 +100,6 @@ def run_device(folder: Path, task: DeviceTask, reporter: EventReporter) -> Seque
     """Train one model from the folder's own photographs and points."""
     model = trained_device(folder, task, folder / "photos", reporter)
     return finished_device(folder, task, model, reporter)
-
-
-def trained_device(folder: Path, task: DeviceTask, images: Path, reporter: EventReporter) -> DeviceModel:
-    """The model of a device whose photographs lie in `images` and whose state is saved in `folder`."""
-    from radiant_core.hierarchy.device import train_device
-    from radiant_core.train.photographs import load_training_views
-
-    machine = machine_in(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
-    views = load_training_views(images, task.scene.cameras.scaled(task.train.long_side_px), folder / MASKS)
-    return train_device(task, views, reporter, machine)
-
-
-def finished_device(folder: Path, task: DeviceTask, model: DeviceModel, reporter: EventReporter) -> list[str]:
-    """Write and sign a device's model; the names of the files."""
-    from radiant_core.io.messages import save_device_model
-
-    names = save_device_model(folder, model, task.upload, reporter.warn)
-    remove_checkpoints(folder)
-    return [*names, *signed_upload(folder)]
-
-
-def machine_in(folder: Path, checkpoint_every_s: float, reporter: EventReporter, *, limited: bool = False) -> Machine:
-    """What a node may use of this machine; `limited`: whether its memory is, so that what the process holds already counts."""
-    from radiant_core.hierarchy.reporter import Machine
-    from radiant_core.train.checkpoint import CheckpointFolder
-
-    def checkpoints(key: Callable[[], str]) -> CheckpointFolder:
-        kept = CheckpointFolder(folder / CHECKPOINTS, key(), every_s=checkpoint_every_s, warn=reporter.warn)
-        # Those that an older plan or other settings left there.
-        kept.remove_foreign()
-        return kept
-
-    base_bytes = base_bytes_in(folder, resident_bytes()) if limited else 0
-    return Machine(base_bytes=base_bytes, free_bytes=available_bytes, checkpoints=checkpoints)
-
-
-def remove_checkpoints(folder: Path) -> None:
-    """Remove the checkpoints of a node that is done."""
-    from radiant_core.train.checkpoint import CheckpointFolder
-
-    CheckpointFolder(folder / CHECKPOINTS, "").remove()
 
 
 def run_teacher(folder: Path, task: TeacherTask, reporter: EventReporter) -> Sequence[str]:

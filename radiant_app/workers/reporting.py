@@ -1,13 +1,15 @@
-"""`EventReporter`: what a node reports to the core becomes events of the run's one stream."""
+"""`EventReporter`: what a node reports becomes events of the run's one stream; the notes that a finished node keeps of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_core.decisions import Decision
+from radiant_core.io.run_store import read_json
 
 if TYPE_CHECKING:
     from radiant_core.sfm.config import SfmProgress
@@ -44,3 +46,10 @@ def sfm_progress(stage: str, progress: SfmProgress) -> StageProgress:
     return StageProgress(
         stage=stage, done=progress.done, total=progress.total, phase=progress.phase, step=progress.step, num_steps=progress.num_steps
     )
+
+
+def read_notes(folder: Path, stage: str) -> list[Event]:
+    """The decisions and warnings that a finished node left behind."""
+    notes = read_json(folder / "notes.json", ("decisions", "warnings"))
+    decided = [Decided(decision=Decision(**fields)) for fields in notes["decisions"]]
+    return [*decided, *(Warned(stage=stage, message=message) for message in notes["warnings"])]

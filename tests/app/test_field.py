@@ -198,7 +198,11 @@ def test_models_that_do_not_hang_together_are_no_group(kept: list[bool], expecte
 
 @pytest.mark.parametrize("frames", ["known", "gps"])
 def test_no_other_process_opens_a_devices_photographs(frames: str, hamlet: Path, system: Path, preload: Path, tmp_path: Path) -> None:
-    """With poses by two edges, which pool; by GPS with one edge of both devices, since processes are what this test waits for."""
+    """Alone traces, from outside, every file and socket that each process of a whole run opens.
+
+    By `known` with two edges, which pool; by `gps` with one edge of both devices, which are
+    reconstructed where they are. Its processes start anew: the tracing is loaded at their start.
+    """
     source = split_by_device(hamlet / "images", tmp_path / "captured")
     for photograph in source.rglob("*.jpg"):
         watermark(photograph)
@@ -306,6 +310,7 @@ def assert_no_image_bytes(folder: Path, source: Path) -> None:
 
 
 def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path, system: Path, tmp_path: Path) -> None:
+    """Alone goes on, after a device failed at its work, to a scene, a report and a new plan."""
     source = split_by_device(hamlet / "images", tmp_path / "captured")
     import cv2
 
@@ -387,6 +392,7 @@ def test_unplaced_photographs_of_a_devices_own_folder_are_counted() -> None:
 
 
 def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Path, tmp_path: Path) -> None:
+    """Alone runs `--frames gps` in full: planned anew, extended and resumed from devices that mapped their own photographs."""
     system = tmp_path / "system.toml"
     system.write_text(TWO_EDGES + '[[edge.device]]\nid = "south-2"\n')
     source = tmp_path / "captured"

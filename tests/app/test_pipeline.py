@@ -44,6 +44,7 @@ from radiant_core.io.transport.upload import load_upload, save_upload
 from radiant_core.io.waypoints.region import load_region
 from radiant_core.sfm.world_frame.world import cameras_of
 from tests.app.alex_weights import write_alex_weights
+from tests.forked import run_module
 
 TINY = TrainOptions(long_side_px=96, num_steps=100, max_num_splats=1500)
 TINY_OPTIONS = ("--steps", TINY.num_steps, "--long-side-px", TINY.long_side_px, "--max-splats", TINY.max_num_splats)
@@ -65,9 +66,8 @@ def finished(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Ru
     return config, run(config, events.append), events
 
 
-def radiant(*arguments: object, cwd: Path | None = None, **options) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "radiant_app", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300, check=False, **options)
+def radiant(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return run_module("radiant_app", *arguments)
 
 
 def test_every_output_is_there_and_reads(finished: tuple[RunConfig, RunResult, list[Event]]) -> None:
@@ -414,6 +414,7 @@ def _photographs(folder: Path, source: Path, count: int) -> Path:
 
 
 def test_bad_input_gets_one_sentence_and_leaves_nothing(hamlet: Path, tmp_path: Path) -> None:
+    """Alone gives `radiant run` bad input of seven kinds, each to a process of its own."""
     empty, one = _photographs(tmp_path / "empty", hamlet, 0), _photographs(tmp_path / "one", hamlet, 1)
     unknown_key, no_bandwidth = tmp_path / "key.toml", tmp_path / "bandwidth.toml"
     device = '[[edge]]\nid = "a"\nuplink_mbit_per_s = {}\n[[edge.device]]\nid = "d"\n'
@@ -480,6 +481,7 @@ def test_photographs_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_ends_with_130_and_the_run_can_be_resumed(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
+    """Alone interrupts a run while its real workers train, and resumes it."""
     config, _, _ = finished
     out = tmp_path / "run"
     shutil.copytree(config.out, out)

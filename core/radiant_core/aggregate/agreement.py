@@ -1,12 +1,12 @@
 """Which of several models contradict the others where they show the same: poisoned ones are left out before anything is joined. Per join.
 
-Every model is asked at some cameras of every other, as a guest:
+Every model is rendered at some cameras of every other, as a guest:
 
     agree(i, j):  PSNR of i's and j's pictures at j's cameras where both are opaque  ≥  MIN_AGREEMENT_DB
 
 The model with the largest share of contradicting neighbours goes if that is most of them, then the rest is counted again without it.
-Models that contradict each other while nobody else knows the place both stay: nothing says which of them is wrong. Attackers need about
-half of somebody's neighbours.
+Models that contradict each other where no third model covers the place both stay: nothing shows which is wrong. Attackers need about
+half of a model's neighbours.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from radiant_core.splats import Splats
 MIN_AGREEMENT_DB = 10.0
 """Half grey against a photograph is about 14 dB; the demo's four models agree to 16 to 22 dB (docs/threat_model.md)."""
 MIN_MODELS = 3
-"""Of two that contradict each other nobody can say which is wrong."""
+"""Of two models that contradict each other it is undecidable which is wrong."""
 NUM_ASKED = 4
-"""Cameras of each model at which the others are asked."""
+"""Cameras of each model at which the others are rendered."""
 LONG_SIDE_PX = 96
 OPAQUE = 0.8
 MIN_SHARE = 0.05
@@ -45,7 +45,7 @@ class Agreement:
 
 
 def find_contradictions(models: Sequence[Splats], cameras: Sequence[Cameras], backend: Backend = "auto") -> Agreement:
-    """Which of M models with their cameras are not to be joined, one sentence each; nobody where there are fewer than three."""
+    """Which of M models with their cameras are not to be joined, one sentence each; none where there are fewer than three."""
     if len(models) != len(cameras):
         raise BadInput(f"{len(cameras)} sets of cameras for {len(models)} models: give one each.")
     if len(models) < MIN_MODELS:

@@ -1,4 +1,4 @@
-"""Whether a model that arrived can be joined: told before anything renders it, so that one bad sender costs no one else the scene.
+"""Whether a model that arrived can be joined: decided before anything renders it, so that one bad sender costs no one else the scene.
 
 A file says how many Gaussians it holds before they are read; then numbers, extent and what its own cameras see. Once per arrival.
 """

@@ -1,6 +1,6 @@
 """Crop-merge: keep of each model what lies in its own region and concatenate (paper Sec. III-D, the cloud's fallback). Once per merge.
 
-A region's owner may be blind in a part of it that only a neighbour's oblique cameras saw. Where it is asked for, the neighbour's Gaussians
+A region's owner may be blind in a part of it that only a neighbour's oblique cameras saw. On request, the neighbour's Gaussians
 stay there: those with no Gaussian of the owner within `BLIND_FACTOR` times their own size.
 """
 

@@ -26,7 +26,7 @@ Claims = Callable[[FloatArray], NDArray[np.int64]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ownership:
-    """Of P places: owner (P,) is a model's index; contested (P,) where a second model knows the place too."""
+    """Of P places: owner (P,) is a model's index; contested (P,) where a second model covers the place too."""
 
     owner: NDArray[np.int64]
     contested: NDArray[np.bool_]

@@ -1,7 +1,7 @@
 """What an edge does that leaves joining to the cloud: its devices' models as one, and their pictures at its virtual cameras. Once per edge.
 
 Two tiers that both retrain lose: the cloud then learns from an edge's model that itself had only learnt from pictures, and that had
-filled in what another edge knows better. With pictures of the devices' models and all steps at the cloud the same work gives 0.2 to 0.5 dB
+filled in what another edge models better. With pictures of the devices' models and all steps at the cloud the same work gives 0.2 to 0.5 dB
 more (docs/experiments/aggregation.md). It costs the pictures' way up, and no Gaussian more.
 """
 

@@ -1,6 +1,6 @@
 """Synthetic views: what a trained model shows at given cameras, the edge's only teacher (paper Sec. III-D). Once per device and edge.
 
-A teacher knows nothing where it is transparent: each pixel weighs as much as the model's alpha there.
+A teacher has no information where it is transparent: each pixel weighs as much as the model's alpha there.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ Rendered = Mapping[int, ViewBytes]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Teacher:
-    """A model, the cameras that it is asked at, and by index of the camera the views that need not be rendered any more."""
+    """A model, the cameras that it is rendered at, and by index of the camera the views that need not be rendered any more."""
 
     splats: Splats
     cameras: Cameras
     rendered: Rendered = field(default_factory=dict)
     pooled: bool = False
-    """Whether the model is several that nobody has joined yet (`pooling`): then all of it is contested."""
+    """Whether the model is several that are not joined yet (`pooling`): then all of it is contested."""
 
 
 def synthetic_views(splats: Splats, cameras: Cameras, backend: Backend = "auto", rendered: Rendered = {}) -> TrainingViews:  # noqa: B006

@@ -1,4 +1,4 @@
-"""Where one region's ground ends and the next one's begins: who owns a ground position, who is next, and how far that is. Per mask once.
+"""Where the ground of regions meets: the owner of a ground position, the nearest other owner, and its distance. Once per mask.
 
 Ownership depends on x and y alone, so a border is a wall that stands on its line: what is seen of ground, roof or facade within a
 width of the line belongs to it. Two kinds: between edges, cells of a power diagram (sites P, weights w), where x in cell i is away by

@@ -1,4 +1,4 @@
-"""How well places of the ground were observed, so that nothing is said of what nobody saw. Once per plan, O(C · K).
+"""How well places of the ground were observed, so that no statement is made about ground that was not seen. Once per plan, O(C · K).
 
     share of x = min(1, coverage(x) / median coverage of the scene's own points),   0 where fewer than `MIN_VIEWS` images show x, fewer
                                                                         than `MIN_POINTS` points lie near, or it is below `MIN_SHARE`

@@ -44,7 +44,7 @@ def validation_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
 
 
 def training_validation_mask(training_names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
-    """Mask (C,) of the validation part of training photographs (C), for a trainer that knows nothing of the held-out ones.
+    """Mask (C,) of the validation part of training photographs (C), for a trainer that has none of the held-out ones.
 
     The first, ninth, … in sorted order: ⌈C / every⌉ of them, or none where C < `every`. Raises as `held_out_mask`.
     """

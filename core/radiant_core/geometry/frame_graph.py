@@ -62,7 +62,7 @@ def solve_frames(centers: FloatArray, priors: Sequence[FrameUncertainty], edges:
 
     if not len(priors):
         return SolvedFrames(corrections=(), covariance=np.zeros((0, 0)))
-    # x in units of its own uncertainty: what GPS knows to 1 m and to 1 % differentiates equally well.
+    # x in units of its own uncertainty: what GPS fixes to 1 m and to 1 % differentiates equally well.
     solved = least_squares(residuals, np.zeros(7 * len(priors)), method="trf", x_scale=1.0, max_nfev=50)
     moves = tuple(similarity_about(center, xi) for center, xi in zip(centers, (solved.x * sigmas).reshape(-1, 7), strict=True))
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * np.outer(sigmas, sigmas)

@@ -29,7 +29,7 @@ MIN_VIEWS = 2
 MIN_SEEN_SHARE = 0.05
 MIN_KNOWING_CAMERAS = 3
 KNOWN_WITHIN = 1.5
-"""A camera knows what it sees within this many times its model's median viewing distance; beyond, pixels are too coarse to match."""
+"""A camera resolves what it sees within this many times its model's median viewing distance; beyond, pixels are too coarse to match."""
 MIN_COMMON_PIXELS = 0.05
 MAX_SAMPLES = 2000
 NUM_FEATURES = 1500
@@ -55,8 +55,8 @@ IDENTITY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlap:
-    """The cameras of either model that see the other's surface, best first, and `share`: of what one model knows, by three cameras near
-    enough, the other knows that much (the larger of both ways)."""
+    """The cameras of either model that see the other's surface, best first, and `share`: of what one model covers, by three cameras near
+    enough, the other covers that much (the larger of both ways)."""
 
     a_cameras: Cameras
     b_cameras: Cameras
@@ -113,19 +113,19 @@ def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | st
 
     First both are rendered at the same cameras, where features look alike; then each at its own, which finds what lies far from its GPS.
     """
-    told = ""
+    reason = ""
     for together in (True, False):
         found = _at_common_cameras(a, b, overlap) if together else _at_own_cameras(a, b, overlap)
         if not found:
-            told = told or "no view shows features of both"
+            reason = reason or "no view shows features of both"
             continue
         a_points, b_points, tolerances = (np.concatenate(parts) for parts in zip(*found, strict=True))
         best = consensus(a_points, b_points, tolerances, seed)
         agreeing = 0 if best is None else int(best[1].sum())
         if best is not None and agreeing >= max(MIN_COARSE_PAIRS, MIN_COARSE_SHARE * len(a_points)):
             return best[0]
-        told = f"only {agreeing} of {len(a_points)} matched features of their renders agree with one similarity"
-    return told
+        reason = f"only {agreeing} of {len(a_points)} matched features of their renders agree with one similarity"
+    return reason
 
 
 def _at_common_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:

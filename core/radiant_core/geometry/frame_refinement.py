@@ -41,7 +41,7 @@ EXPECTED_SHARE = 0.35
 """Models that have so much known ground in common match: on the town all pairs from 0.36 on did, one with 0.10 did not."""
 ALONE_MAX_SCALE = 0.05
 ALONE_MAX_ROTATION_RAD = np.radians(5.0)
-"""A model that no neighbour holds is not merged when GPS knows its frame to no better than this."""
+"""A model that no neighbour holds is not merged when GPS fixes its frame to no better than this."""
 MAX_NEIGHBOURS = 4
 MAX_SURFACE_SHARE = 0.03
 """Largest Gaussian of a surface, as a share of the extent of the cameras and what they look at."""
@@ -86,14 +86,14 @@ class RefinedFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Pair:
-    """One pair's outcome: a fit that agrees with GPS, one that contradicts it (`told`), or none."""
+    """One pair's outcome: a fit that agrees with GPS, one that contradicts it (`reason`), or none."""
 
     a: int
     b: int
     share: float
     fit: PairFit | None
     agrees: bool
-    told: str
+    reason: str
 
     @property
     def edge(self) -> FrameEdge:
@@ -160,7 +160,7 @@ def _fitted_pair(
         by_icp = icp_match(a_points, b_points, radius_m)
         fit = by_icp if isinstance(by_icp, PairFit) else f"{fit}, and {by_icp}"
     if isinstance(fit, str):
-        return _Pair(a=a, b=b, share=overlap.share, fit=None, agrees=False, told=fit)
+        return _Pair(a=a, b=b, share=overlap.share, fit=None, agrees=False, reason=fit)
     apart = xi_about(fit.center, fit.a_from_b)
     variances = (
         np.diag(fit.covariance)
@@ -169,8 +169,8 @@ def _fitted_pair(
     )
     limits = MAX_SIGMAS * np.sqrt(variances)
     agrees = not _beyond(apart, limits)
-    told = f"their common ground lies {_figures(apart)} apart, where GPS allows {_figures(limits / np.sqrt([3, 3, 3, 3, 3, 3, 1]))}"
-    return _Pair(a=a, b=b, share=overlap.share, fit=fit, agrees=agrees, told=told)
+    reason = f"their common ground lies {_figures(apart)} apart, where GPS allows {_figures(limits / np.sqrt([3, 3, 3, 3, 3, 3, 1]))}"
+    return _Pair(a=a, b=b, share=overlap.share, fit=fit, agrees=agrees, reason=reason)
 
 
 def _beyond(xi: FloatArray, limits: FloatArray) -> bool:
@@ -215,11 +215,11 @@ def _groups(num_models: int, used: Sequence[_Pair]) -> list[int]:
 def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int], sizes: list[int], named: list[str]) -> dict[int, str]:
     """The models that must not be merged, with the reason: of two groups that contradict each other the one with fewer photographs.
 
-    Contradiction: a pair that disagrees with GPS or with the loops, or, for a model joined to nobody, one that should match and does not.
+    Contradiction: a pair that disagrees with GPS or with the loops, or, for a model joined to no other, one that should match and does not.
     """
     photographs = {number: sum(size for size, other in zip(sizes, group, strict=True) if other == number) for number in set(group)}
     refusals: dict[int, str] = {}
-    # From the largest group down, so that what is refused itself refuses nobody.
+    # From the largest group down, so that a refused model refuses no other.
     for pair in sorted(pairs, key=lambda pair: -max(photographs[group[pair.a]], photographs[group[pair.b]])):
         if group[pair.a] == group[pair.b]:
             continue
@@ -229,9 +229,9 @@ def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int]
         unmatched = pair.fit is None and pair.share >= EXPECTED_SHARE and alone
         if large in refusals or not (contradicts or unmatched):
             continue
-        why = pair.told if contradicts and pair not in dropped else f"loops over other models contradict it ({pair.told})"
+        why = pair.reason if contradicts and pair not in dropped else f"loops over other models contradict it ({pair.reason})"
         if unmatched:
-            why = f"both know {pair.share:.0%} common ground, but {pair.told}"
+            why = f"both know {pair.share:.0%} common ground, but {pair.reason}"
         for index in (i for i, number in enumerate(group) if number == group[small]):
             refusals.setdefault(index, f"it does not fit {named[large]}, which has no fewer photographs behind it: {why}.")
     return refusals
@@ -244,14 +244,14 @@ def _verdict(index: int, model: PlacedModel, solved: SolvedFrames, used: Sequenc
     if not mine:
         loose = model.uncertainty.scale > ALONE_MAX_SCALE or model.uncertainty.rotation_rad > ALONE_MAX_ROTATION_RAD
         if loose:
-            told = (
+            reason = (
                 f"no other model knows enough of the same ground, and GPS fixes its scale to {100 * model.uncertainty.scale:.1f} % and its "
                 f"rotation to {np.degrees(model.uncertainty.rotation_rad):.1f}° only, expected {100 * ALONE_MAX_SCALE:.0f} % and "
                 f"{np.degrees(ALONE_MAX_ROTATION_RAD):.0f}° or better."
             )
-            return RefinedFrame(status="refused", correction=IDENTITY, uncertainty=model.uncertainty, reason=told)
-        told = "no other model knows enough of the same ground, so it stays where its own frame puts it."
-        return RefinedFrame(status="alone", correction=IDENTITY, uncertainty=model.uncertainty, reason=told)
+            return RefinedFrame(status="refused", correction=IDENTITY, uncertainty=model.uncertainty, reason=reason)
+        reason = "no other model knows enough of the same ground, so it stays where its own frame puts it."
+        return RefinedFrame(status="alone", correction=IDENTITY, uncertainty=model.uncertainty, reason=reason)
     misses = [edge_xi(pair.edge, solved.corrections[pair.a], solved.corrections[pair.b])[:3] for pair in mine]
     squares = [pair.edge.fit.residual_m**2 + float(miss @ miss) for pair, miss in zip(mine, misses, strict=True)]
     neighbours = tuple(sorted(pair.other(index) for pair in mine))

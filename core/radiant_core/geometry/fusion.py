@@ -146,10 +146,10 @@ def main(folder: Path, say: IO[str]) -> int:
         say.write(json.dumps(line) + "\n")
         say.flush()
 
-    def views(told: bool = False) -> Iterator[DepthView]:
+    def views(report: bool = False) -> Iterator[DepthView]:
         for done, path in enumerate(paths, 1):
             yield DepthView(**load_file(path))
-            if told:
+            if report:
                 tell({"done": done, "total": len(paths)})
 
     def count(voxel: float) -> int:
@@ -159,7 +159,7 @@ def main(folder: Path, say: IO[str]) -> int:
     if settings.is_fixed and voxel > settings.voxel:
         answer = {"num_blocks": num_blocks, "fitting_voxel": voxel}
     else:
-        mesh = fused_mesh(views(told=True), voxel, settings.max_depth, num_blocks)
+        mesh = fused_mesh(views(report=True), voxel, settings.max_depth, num_blocks)
         save_file({"vertices": mesh.vertices, "triangles": mesh.triangles, "colors": mesh.colors}, folder / _MESH)
         answer = {"num_blocks": num_blocks, "voxel": voxel}
     tell(answer)

@@ -1,7 +1,7 @@
 """The similarity between two models from their surfaces alone, by ICP, where their renders have no texture to match. Once per such pair.
 
 ICP with a free scale finds many wrong answers (on the town from GPS-like errors it was right for 1 of 4 pairs, and one collapsed by 94 %:
-docs/experiments/frames.md). So it is run both ways, and only where both ways are each other's inverse and most points meet is it believed.
+docs/experiments/frames.md). So it is run both ways, and only where both ways are each other's inverse and most points meet is it accepted.
 """
 
 from __future__ import annotations

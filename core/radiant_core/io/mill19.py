@@ -29,7 +29,7 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 def read_mill19(folder: Path) -> Cameras:
     """The posed photographs of a Mill 19 folder, lengths in its own unit (published ones: metres), z up, middle near the origin.
 
-    Named by their path in the folder ("train/rgbs/000001.jpg"); `held_out_mask` knows those in val/.
+    Named by their path in the folder ("train/rgbs/000001.jpg"); `held_out_mask` selects those in val/.
     Raises BadInput naming the file when one is missing, is no such file, or holds values that make no camera.
     """
     coordinates_path = folder / "coordinates.pt"

@@ -1,4 +1,4 @@
-"""Models as Open3D draws them and as it packs them into SPZ: the only place that knows its attribute names. Once per model.
+"""Models as Open3D draws them and as it packs them into SPZ: the only module with its attribute names. Once per model.
 
 SPZ (version 4) keeps a Gaussian in 20 bytes and one per harmonic and channel, then compresses them: centres in fixed point of 1/4096
 within ±2048, log scales in steps of 1/16 within −10 … 5.9375, opacities in 1/255, sh0 in steps of 0.026 within ±3.33, shN in steps of
@@ -110,7 +110,7 @@ def splats_from_spz(data: bytes, num_splats: int, sh_degree: int) -> Splats:
 
 
 def _require_spz(data: bytes, num_splats: int, sh_degree: int) -> None:
-    """Raise StoreDamaged unless header and table of streams say what is expected: Open3D would believe any count."""
+    """Raise StoreDamaged unless header and table of streams say what is expected: Open3D accepts any count."""
     per_splat = (9, 1, 3, 3, 4, *([3 * (SH_BASES[sh_degree] - 1)] if sh_degree else []))
     start = _SPZ_HEADER.size + _SPZ_STREAM.size * len(per_splat)
     if len(data) >= start:

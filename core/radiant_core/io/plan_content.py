@@ -9,7 +9,7 @@ from radiant_core.plan.borders.buffers import EdgeBuffer
 from radiant_core.plan.borders.forecast import BorderForecast
 
 GROUND_KEY = "ground_m"
-"""Altitude of the ground in the waypoints' own heights, where somebody gave it."""
+"""Altitude of the ground in the waypoints' own heights, where it was given."""
 
 
 def content_record(forecasts: Sequence[BorderForecast], buffers: Sequence[EdgeBuffer], assumed: str) -> dict[str, Any]:

@@ -108,7 +108,7 @@ def save_plan(  # noqa: PLR0913
     content: Mapping[str, Any] | None = None,
 ) -> None:
     """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
-    from some, what slacks would buy where somebody looked, what its predictions are to be taken with, and what `content_record` says of
+    from some, what slacks would buy where it was computed, what its predictions are to be taken with, and what `content_record` says of
     footprints; BadInput when their number is another, else raises as `write_atomic`."""
     record = plan_record(cloud, edges)
     if slack_curve:
@@ -144,8 +144,8 @@ def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanFile:
-    """What a plan's file holds for whoever draws it: both levels, the waypoints it was made from, and the altitude of the ground (m)
-    that their altitudes count with, where somebody gave it."""
+    """What a plan's file holds for those that draw it: both levels, the waypoints it was made from, and the altitude of the ground (m)
+    that their altitudes count with, where it was given."""
 
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]

@@ -208,7 +208,7 @@ def is_sealed(folder: Path, key: str) -> bool:
 class RunLock:
     """Held by the one process that writes a run folder: `with RunLock(folder): ...`.
 
-    The kernel frees it when the process ends, however it ends. Raises BadInput when somebody else holds it.
+    The kernel frees it when the process ends, however it ends. Raises BadInput when another process holds it.
     """
 
     def __init__(self, folder: Path) -> None:

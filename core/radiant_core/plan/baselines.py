@@ -7,7 +7,7 @@
     even           as many cameras for every device, as `region_plan`
     voronoi        as `region_plan`
     kd             halves of equal counts across the longer side, edges halved along with them
-    content        the same halves of equal content (what LoBE-style splits balance), a weight per camera; only where somebody knows it
+    content        the same halves of equal content (what LoBE-style splits balance), a weight per camera; only where it is known
 
 Each runs once per comparison; the iterated ones O(C E) per iteration.
 """

@@ -1,9 +1,9 @@
 """`Waypoints`: where photographs will be taken, on the globe and in metres about their middle. P waypoints.
 
 The origin is the mean position, longitudes counted from the first waypoint so that sites across the 180th meridian have one too.
-What can be told of wrong positions: a latitude beyond 90° is certain; a waypoint more than 300 km from the median of all is on
+What can be detected of wrong positions: a latitude beyond 90° is certain; a waypoint more than 300 km from the median of all is on
 another site, and where exchanging its latitude and longitude brings it back, they were swapped. Where every waypoint is swapped
-and none exceeds 90° nobody can tell: they make a plan of the same shape, mirrored, elsewhere.
+and none exceeds 90° this cannot be detected: they make a plan of the same shape, mirrored, elsewhere.
 Made once per plan.
 """
 

@@ -78,7 +78,7 @@ class RenderOutput:
     means2d: Tensor
     """(C,N,2) projected centres. Densification takes their gradient in pixels: `register_hook`, or `retain_grad`, which copies it."""
     absgrad: Tensor | None = None
-    """(C,N,2) Σ over pixels p of |∂loss_p/∂means2d|, where it was asked for: the loss by way of pixel p, so that nothing cancels (AbsGS, Ye
+    """(C,N,2) Σ over pixels p of |∂loss_p/∂means2d|, where it was requested: the loss by way of pixel p, so that nothing cancels (AbsGS, Ye
     2024). Zeros until a backward pass through the pictures, which overwrites it before the gradient of `means2d` comes to its hooks."""
 
     @property

@@ -27,7 +27,7 @@ PAIRS_PER_BLOCK = 2_000_000
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Projection:
     """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), log_opacities (N,), extents (N,2) px,
-    depths (N,) m, visible (N,); absolute (N,2), where it is asked for: zeros whose gradient is `RenderOutput.absgrad`."""
+    depths (N,) m, visible (N,); absolute (N,2), where it is requested: zeros whose gradient is `RenderOutput.absgrad`."""
 
     means2d: Tensor
     conics: Tensor

@@ -1,1 +1,1 @@
-"""Structure from motion; the only place that knows pycolmap."""
+"""Structure from motion; the only package that imports pycolmap."""

@@ -1,4 +1,4 @@
-"""What structure from motion can be told, what it reports while it runs, and what it gives."""
+"""The configuration of structure from motion, its progress reports and its result."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class SfmProgress:
     done: int
     total: int
     step: int = 0
-    """Number of the phase among those of the job, from 1; 0 where nobody counted them."""
+    """Number of the phase among those of the job, from 1; 0 where they were not counted."""
     num_steps: int = 0
 
 
@@ -89,7 +89,7 @@ def number_phases(report: Report, phases: Sequence[Phase]) -> Report:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SfmResult:
-    """The scene, where its undistorted photographs are (same names), who is not in it, and what was decided on the way."""
+    """The scene, where its undistorted photographs are (same names), which photographs are not in it, and what was decided on the way."""
 
     scene: SfmScene
     undistorted_folder: Path
@@ -98,6 +98,6 @@ class SfmResult:
     decisions: tuple[Decision, ...]
     warnings: tuple[str, ...]
     unnamed_warnings: tuple[str, ...] = ()
-    """Of `reconstruct`: the same with numbers of photographs in place of their names, for those who are not to know them."""
+    """Of `reconstruct`: the same with numbers of photographs in place of their names, for receivers that must not learn them."""
     masks_folder: Path | None = None
     """Masks of the undistorted photographs, see `radiant_core.io.photos.masks`; None without any."""

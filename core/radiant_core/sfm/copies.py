@@ -36,7 +36,7 @@ Picture = NDArray[np.uint8]
 def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int], Picture]) -> dict[int, int]:
     """Repeat → the camera whose picture it shows from its place, as indices of C cameras above points (P,3).
 
-    `picture_of` gives the picture (H,W,3) of a camera, of any size; it is asked once for each camera that has another at its place.
+    `picture_of` gives the picture (H,W,3) of a camera, of any size; it is called once for each camera that has another at its place.
     """
     centers, axes = cameras.centers, cameras.cam_from_world[:, :3, :3]
     lenses = cameras.Ks[:, :2] / cameras.sizes_wh[:, :, None]
@@ -59,12 +59,12 @@ def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int
 
 
 def without_repeats(scene: SfmScene, images: Path) -> tuple[SfmScene, tuple[str, ...]]:
-    """The scene without cameras that repeat another, whose photographs lie in `images`, and what the user is told of them."""
-    cameras, told = cameras_without_repeats(scene.cameras, scene.points, images)
-    if not told:
+    """The scene without cameras that repeat another, whose photographs lie in `images`, and the warnings about them."""
+    cameras, warnings = cameras_without_repeats(scene.cameras, scene.points, images)
+    if not warnings:
         return scene, ()
     kept = np.flatnonzero(np.isin(scene.cameras.names, cameras.names))
-    return scene.restricted_to(kept), told
+    return scene.restricted_to(kept), warnings
 
 
 def cameras_without_repeats(cameras: Cameras, points: FloatArray, images: Path) -> tuple[Cameras, tuple[str, ...]]:

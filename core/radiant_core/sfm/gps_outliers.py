@@ -1,4 +1,4 @@
-"""Photographs whose GPS is far from where the finished scene has them: the fit leaves them aside, and it is told. Once per scene."""
+"""Photographs whose GPS is far from where the finished scene has them: the fit leaves them aside, with a warning. Once per scene."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class GpsOutliers:
     num_gps: int
 
     def warning(self, *, named: bool = True) -> tuple[str, ...]:
-        """What is told of them in one sentence; without names where those are nobody else's; none where there are none."""
+        """The warning about them in one sentence; without names where those are private; none where there are none."""
         if not self.names:
             return ()
         away = f"up to {self.away_m[0] / 1e3:,.1f} km" if self.away_m[0] >= 1e3 else f"up to {self.away_m[0]:,.0f} m"
-        told = f"the GPS positions of {len(self.names)} of {self.num_gps} photographs are {away} from where the photographs were taken"
+        sentence = f"the GPS positions of {len(self.names)} of {self.num_gps} photographs are {away} from where the photographs were taken"
         listed = f": {', '.join(self.names[:MAX_NAMED])}{' …' if len(self.names) > MAX_NAMED else ''}" if named else ""
-        return (f"{told}, and are not used{listed}.",)
+        return (f"{sentence}, and are not used{listed}.",)
 
 
 def gps_outliers(scene: SfmScene, photographs: tuple[Photograph, ...]) -> GpsOutliers:

@@ -65,13 +65,13 @@ def scene_from_mill19(
         unit="photographs",
         reason="coordinates.pt gives a scale and no place on the globe",
     )
-    told = "the folder's poses are used as they are; its unit is the metre only if whoever made it said so."
+    warning = "the folder's poses are used as they are; its unit is the metre only if whoever made it said so."
     return SfmResult(
         scene=scene,
         undistorted_folder=folder,
         unregistered=(),
         decisions=(decision, *masks_decision(scene, masks)),
-        warnings=(*copied, *repeats, told),
+        warnings=(*copied, *repeats, warning),
         masks_folder=masks,
     )
 
@@ -121,7 +121,7 @@ def scene_from_poses(
 
 
 def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras without those whose photograph in `photo_folder` holds the same bytes as another's, and what is told of them.
+    """The cameras without those whose photograph in `photo_folder` holds the same bytes as another's, and the warnings about them.
 
     Raises BadInput where they are all copies of one.
     """

@@ -7,7 +7,7 @@
 Each thread holds the scale space of one photograph at twice its side; matching takes less. One photograph at a time is decoded whole for
 them, and each thread that undistorts holds one before and after: 12 photographs of 50 megapixels took 5.8 bytes a pixel to find features
 with one thread and with two, 6.0 to undistort with one and 5.9 with each of two. Mapping holds keypoints, and of each point who
-sees it and what bundle adjustment makes of that: 110 bytes a keypoint and 950 an observation. How many there will be nobody knows before;
+sees it and what bundle adjustment makes of that: 110 bytes a keypoint and 950 an observation. How many there will be is not known before;
 of each of 4,096 features asked for, brighton, lewis, caliterra and the town took 530 to 900 bytes, by the global mapper lewis and caliterra
 1,030 and 1,780 (18 to 75 photographs; beyond that it is extrapolated). A mapper that would not fit is not tried.
 tests/stress/test_sfm_memory.py measures the whole.

@@ -18,7 +18,7 @@ Once per client; one picture a step. What differs from the publication, and why:
 - Far, which it scales with the scene, is `far_factor` times the median depth of the client's own Gaussians in its frusta.
 - G outside the frusta is drawn but keeps still, so that the renders of G that are targets can be met.
 - Its appearance model (hash grid and image vectors → MLP → change of harmonics) is left out. The targets are renders of models from which
-  training has taken each photograph's exposure already, and a picture that nobody took has no image vector: here nothing is fitted to
+  training has taken each photograph's exposure already, and a picture that was never taken has no image vector: here nothing is fitted to
   held-out photographs before they are compared.
 """
 

@@ -107,7 +107,7 @@ class ColmapModel:
         return np.unique(np.stack([self.points.tracks[:, 0], image_indices], axis=1), axis=0)
 
     def without(self, names: Collection[str]) -> ColmapModel:
-        """The model without the images of these names; points stay, also where nobody sees them any more."""
+        """The model without the images of these names; points stay, also where no image sees them any more."""
         images = tuple(image for image in self.images if image.name not in names)
         tracks = self.points.tracks
         tracks = tracks[np.isin(tracks[:, 1], [image.image_id for image in images])]

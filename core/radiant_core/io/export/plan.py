@@ -2,8 +2,8 @@
 
 CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that UgCS, QGIS and `read_waypoints` find by
 their names; QGroundControl takes no CSV. Flight planners fly `altitude(m)` as height above take-off, so that it is one: as it came in, or
-above the ground where that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`, and alone where nobody
-knows the ground: flown as heights above take-off they would be hundreds of metres off. Where no altitude is known there is neither column.
+above the ground where that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`, and alone where the
+ground is unknown: flown as heights above take-off they would be hundreds of metres off. Where no altitude is known there is neither column.
 Names are never formulas (`csv_cells`).
 GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th meridian; straight in longitude and
 latitude, so sides are divided every 500 m, where a straight line of the plan differs by 1 cm at most up to latitude 60°.

@@ -41,14 +41,14 @@ def file_copies(paths: Mapping[str, Path]) -> dict[str, str]:
 
 
 def copies_warning(copies: Mapping[str, str], num_photographs: int) -> tuple[str, ...]:
-    """What is told of the copies that were left out, in one sentence; none where there are none."""
+    """The warning about copies that were left out, in one sentence; none where there are none."""
     named = [f"{name} (of {first})" for name, first in sorted(copies.items())]
     listed = ", ".join(named[:MAX_NAMED]) + (" …" if len(named) > MAX_NAMED else "")
     return tuple(f"{count.removesuffix('.')}: {listed}." for count in copies_count(len(copies), num_photographs))
 
 
 def copies_count(num_copies: int, num_photographs: int) -> tuple[str, ...]:
-    """The same without names, which may be nobody else's."""
+    """The same without names, which may be private."""
     if not num_copies:
         return ()
     return (

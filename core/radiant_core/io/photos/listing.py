@@ -152,7 +152,7 @@ def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None =
 
 
 def unread_warning(unread: Mapping[str, int]) -> tuple[str, ...]:
-    """What is told of files that cannot be read, by their kinds alone; none where there are none."""
+    """The warning about files that cannot be read, by their kinds alone; none where there are none."""
     if not unread:
         return ()
     return (f"{_listed(unread)} files are not read: {_SAVED}.",)
@@ -191,7 +191,7 @@ def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | No
     positions = {}
     for done, name in enumerate(names, start=1):
         with open(folder / name, "rb", opener=open_without_waiting) as file:
-            # A TIFF has its directory wherever whoever wrote it put it, often at the end.
+            # A TIFF has its directory wherever its writer put it, often at the end.
             num_bytes = MAX_FILE_BYTES if Path(name).suffix.lower() in SUFFIXES[3:] else EXIF_HEAD_BYTES
             positions[name] = _facts(file.read(num_bytes))[2].lat_lon_alt
         if on_photo is not None:
@@ -265,8 +265,8 @@ def _subfolders(folder: Path) -> list[Skipped]:
     """The folders in `folder` that hold JPEG files, as a camera starts one when the last is full; they are not read."""
     inner_folders = [inner for inner in folder.iterdir() if inner.is_dir() and os.access(inner, os.R_OK | os.X_OK)]
     counts = {inner.name: sum(_is_jpeg(path) for path in inner.iterdir()) for inner in inner_folders}
-    told = "is a subfolder with {} photographs (move them beside the others to use them)"
-    return [Skipped(name=f"{name}/", reason=told.format(count)) for name, count in sorted(counts.items()) if count]
+    reason = "is a subfolder with {} photographs (move them beside the others to use them)"
+    return [Skipped(name=f"{name}/", reason=reason.format(count)) for name, count in sorted(counts.items()) if count]
 
 
 def _is_jpeg(path: Path) -> bool:
@@ -308,7 +308,7 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
 def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
     """Size in px (None for neither JPEG, PNG nor TIFF), whether the file has its end, and its EXIF."""
     if data.startswith(TIFF_SIGNATURES):
-        # Where the pixels of a TIFF end only its decoder knows, which refuses one that is cut off.
+        # Where the pixels of a TIFF end only its decoder finds out, which refuses one that is cut off.
         return read_tiff_size(data), True, read_exif(data)
     return _png_facts(data) if data.startswith(_PNG_SIGNATURE) else _jpeg_facts(data)
 

@@ -34,7 +34,7 @@ class Offer:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What became of an offer; "duplicate" tells the sender that it is done, as "accepted" does."""
+    """What became of an offer; "duplicate" means for the sender that it is done, as "accepted" does."""
 
     status: Status
     reason: str = ""

@@ -101,7 +101,7 @@ class Delivery:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what was sent, whoever sent it and how often: equal for equal files."""
+        """SHA-256 of what was sent, independent of sender and attempt: equal for equal files."""
         listed = "".join(f"{name}\0{file.bytes}\0{file.sha256}\0" for name, file in sorted(self.files.items()))
         return hashlib.sha256(f"{self.kind}\0{listed}".encode()).hexdigest()
 

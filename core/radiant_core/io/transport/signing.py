@@ -54,7 +54,7 @@ def make_signing_key(folder: Path) -> bool:
 def load_signing_key(folder: Path) -> Ed25519PrivateKey:
     """The private key that `make_signing_key` left; BadInput where it is missing, no such key, or others than its owner may read it.
 
-    Where the file system keeps no modes, nobody could forbid that, and the key is taken as it is.
+    Where the file system keeps no modes, that cannot be prevented, and the key is used as it is.
     """
     path = folder / KEY_NAME
     data = read_bounded(path, MAX_KEY_BYTES)
@@ -80,7 +80,7 @@ def keeps_modes(folder: Path) -> bool:
         finally:
             probe.unlink()
     except OSError:
-        # Where nothing can be written, nobody can say: a key that others may read is then refused.
+        # Where nothing can be written, this cannot be determined: a key that others may read is then refused.
         return True
 
 

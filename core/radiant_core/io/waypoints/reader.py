@@ -156,7 +156,7 @@ def _gps_warnings(without: tuple[str, ...], num_photographs: int) -> tuple[str, 
 
 
 def _altitude_warnings(low: NDArray[np.bool_], geodetic: FloatArray) -> tuple[str, ...]:
-    """What is told of photographs whose GPS has no altitude (P,), which `geodetic` (P,3) has at one height by now."""
+    """The warning about photographs whose GPS has no altitude (P,), which `geodetic` (P,3) has at one height by now."""
     if not low.any():
         return ()
     if low.all():

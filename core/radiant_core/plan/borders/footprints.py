@@ -160,7 +160,7 @@ def ground_footprints(views: Views, horizon: float = HORIZON_HEIGHTS) -> Footpri
 def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> RegionShares:
     """Share (P,E) of each footprint's area that lies in each of E convex counter-clockwise polygons (V,2) m.
 
-    Rows sum to less than 1 where land belongs to nobody, to 0 where no ground is seen.
+    Rows sum to less than 1 where land belongs to no region, to 0 where no ground is seen.
     """
     if not len(polygons):
         raise BadInput("there is no region: give at least one polygon.")

@@ -6,7 +6,7 @@
 "Own" are the images that the devices of that side's edge take: only they train what the scene keeps of that half. Overlaps are shares of
 an image's footprint that the best neighbour sees as well, along the flight (forward) and beside it (side), the median over images that
 see the band. The support of the weaker side decides the risk. Over 23 borders of four runs of the sample town it goes with the measured
-loss by a rank correlation of −0.25, coverage by +0.45, the wrong way, so coverage is told and not used (docs/experiments/borders.md).
+loss by a rank correlation of −0.25, coverage by +0.45, the wrong way, so coverage is reported and not used (docs/experiments/borders.md).
 Once per plan; spots and images are sampled.
 """
 
@@ -137,7 +137,7 @@ def band_of(plan: CloudPlan) -> float:
 
 
 class _Seen:
-    """Which images see a spot: footprints sorted from west to east, so that few are asked."""
+    """Which images see a spot: footprints sorted from west to east, so that few are tested."""
 
     def __init__(self, footprints: Footprints, edge_of_image: NDArray[np.int64], taken: Mapping[int, NDArray[np.int64]]) -> None:
         self.footprints, self.edge_of_image, self.taken = footprints, edge_of_image, taken

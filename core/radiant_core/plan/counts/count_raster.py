@@ -1,4 +1,4 @@
-"""What the cloud plans from where positions are nobody else's business: how many cameras lie in each cell of a raster, and edges' curves.
+"""What the cloud plans from where positions stay private: how many cameras lie in each cell of a raster, and edges' curves.
 
     cloud: counts in cells, T^m of each edge fitted by one curve → sites and weights of the regions
     edge:  its devices' positions, sites and weights → whose each camera is, at exact cost curves
@@ -32,7 +32,7 @@ from radiant_core.plan.system import Edge, System
 DEFAULT_CELL_M = 5.0
 """With four edges the median makespan was within 4 % of that from positions (docs/experiments/privacy.md)."""
 MAX_CELL_M = 1e6
-"""A site is at most 600 km wide: in a larger cell nothing is told from anything."""
+"""A site is at most 600 km wide: a larger cell resolves nothing."""
 MAX_CELL_INDEX = 2**40
 
 
@@ -81,7 +81,7 @@ def middles_of_cells(positions: ArrayLike, cell_m: float) -> FloatArray:
 
 def system_without_devices(system: System, num_cameras: int) -> System:
     """The system without its devices: every edge by its fitted curve and how many cameras it holds; raises as `capacity_curve`."""
-    return replace(system, edges=tuple(_told(edge, num_cameras) for edge in system.edges))
+    return replace(system, edges=tuple(_without_devices(edge, num_cameras) for edge in system.edges))
 
 
 def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = "exact") -> CloudPlan | PlanInfeasible:
@@ -154,7 +154,7 @@ def _hand_over(chosen: NDArray[np.int64], power_m2: FloatArray, room: NDArray[np
     return moved
 
 
-def _told(edge: Edge, num_cameras: int) -> Edge:
+def _without_devices(edge: Edge, num_cameras: int) -> Edge:
     if not edge.devices:
         return edge
     if edge_table(edge, num_cameras).capacity:

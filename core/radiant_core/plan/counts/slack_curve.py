@@ -1,4 +1,4 @@
-"""What slack buys: makespan, distances and border length for a handful of slacks. Runs once per plan where somebody asks."""
+"""What slack buys: makespan, distances and border length for a handful of slacks. Once per plan, on request."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SlackPoint:
 def slack_curve(
     positions: ArrayLike, system: System, slacks: Sequence[float] = SLACKS, *, progress: Callable[[float], None] = lambda _: None
 ) -> tuple[SlackPoint, ...]:
-    """The exact plan of cameras (C,2) m per slack; `progress` hears the share done. Raises as `plan_regions`, and where none fits."""
+    """The exact plan of cameras (C,2) m per slack; `progress` receives the share done. Raises as `plan_regions`, and where none fits."""
     positions = checked_array("positions", positions, (None, 2))
     points: list[SlackPoint] = []
     for index, slack in enumerate(slacks):

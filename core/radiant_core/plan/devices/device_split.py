@@ -1,4 +1,4 @@
-"""Strips for the devices of an edge (paper Sec. III-C, RTP): who trains which of the edge's cameras.
+"""Strips for the devices of an edge (paper Sec. III-C, RTP): which device trains which of the edge's cameras.
 
 The quotas come from `deadline`; the cameras are sorted along the longer side of the smallest rectangle around them and dealt
 in the order of devices that keeps the seams short (`strip_order`); strips are cut midway between the last camera of one device

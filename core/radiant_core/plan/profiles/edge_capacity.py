@@ -1,4 +1,4 @@
-"""What an edge tells the cloud about its devices: one curve of time over cameras and how many cameras they hold, nothing else.
+"""What an edge sends to the cloud about its devices: one curve of time over cameras and how many cameras they hold, nothing else.
 
 Runs once per edge and profile.
 """
@@ -32,7 +32,7 @@ def capacity_curve(edge: Edge, num_cameras: int) -> FittedCurve:
 
 
 def edge_without_devices(edge: Edge, num_cameras: int) -> Edge:
-    """The same edge as the cloud may know it: place, fitted curve and how many cameras it holds (None: at least `num_cameras`)."""
+    """The same edge as the cloud may receive it: place, fitted curve and how many cameras it holds (None: at least `num_cameras`)."""
     held = edge_table(edge, num_cameras).capacity
     return Edge(
         id=edge.id,

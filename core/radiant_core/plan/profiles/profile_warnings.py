@@ -1,4 +1,4 @@
-"""Where a plan asks more of its machines' profiles than they know: another training, too many cameras, figures nobody measured."""
+"""Where a plan leaves what its machines' profiles hold for: another training, too many cameras, figures that were not measured."""
 
 from __future__ import annotations
 

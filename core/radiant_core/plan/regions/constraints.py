@@ -1,4 +1,4 @@
-"""What somebody decided before the planner: fixed weights, locked regions, pinned cameras; the rest is planned around it.
+"""Decisions made before the planner runs: fixed weights, locked regions, pinned cameras; the rest is planned around it.
 
     locked region    the cameras that the edge has in the plan to start from, and no others
     fixed weight     the edge's cell in the diagram to start from, with its weight replaced; the cell's cameras and no others
@@ -61,7 +61,7 @@ class PlanConstraints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reference:
-    """What constraints refer to: weights (E,) m², and who has which camera (C,), None where no plan was given to start from."""
+    """What constraints refer to: weights (E,) m², and the edge of each camera (C,), None where no plan was given to start from."""
 
     weights: FloatArray
     edge_of_camera: Indices | None

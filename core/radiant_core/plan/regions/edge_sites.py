@@ -52,7 +52,7 @@ def require_within_reach(*positions: FloatArray) -> None:
 def separate_sites(sites: FloatArray, extent_m: float) -> FloatArray:
     """Sites (E,2) m of which no two share a spot: those within 1e-6 extents of an earlier one step aside by about 1e-3 extents.
 
-    Two edges at one spot have no border between them; a step aside gives them one without changing who is near whom.
+    Two edges at one spot have no border between them; a step aside gives them one without changing which cameras are nearest to it.
     """
     sites = sites.copy()
     for index in range(1, len(sites)):

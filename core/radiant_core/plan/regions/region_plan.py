@@ -85,7 +85,7 @@ class _Partition:
     history: tuple[float, ...] = ()
     converged: bool = False
     violation_m2: float | None = None
-    """By how much the worst camera misses its cell, None where nobody looked."""
+    """By how much the worst camera misses its cell, None where it was not computed."""
     aim: Literal["slack", "constrained"] | None = None
     """None: the bound."""
     sentences: tuple[str, ...] = ()
@@ -344,7 +344,7 @@ def _cloud_plan(
 
 
 def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: _Plane) -> FloatArray:
-    """Weights (E,) under which edges without cameras own no land: nobody would have trained a model of it.
+    """Weights (E,) under which edges without cameras own no land: no model of it would be trained.
 
     ‖x − P_e‖² − ‖x − P_j‖² is linear in x, so an edge that loses to one used edge j at all corners loses everywhere;
     it loses by a squared side length more, which no rounding undoes.

@@ -87,7 +87,7 @@ class Replan:
     device_after: Indices
     """(P,)"""
     lost: NDArray[np.bool_]
-    """(P,) captured by a device that is dead: nobody trains on them."""
+    """(P,) captured by a device that is dead: no device trains on them."""
     time_before_s: FloatArray
     """(D,) as things are now if nothing moves; inf for a dead device that still has positions to capture."""
     time_after_s: FloatArray

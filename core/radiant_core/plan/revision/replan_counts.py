@@ -124,7 +124,7 @@ class _Table:
             require_finite(f"the time of device {machine.device.id!r} against positions", self.slot_s[-1])
         self.uniform = _alike([m.device.model_bytes for m, room in zip(load.machines, self.rooms, strict=True) if room])
         if load.edge.aggregate_alone_s is not None and len(load.machines) > 1:
-            # Where nothing is retrained for one device alone, time depends on who has the positions, too.
+            # Where nothing is retrained for one device alone, time also depends on which device has the positions.
             self.uniform &= sum(m.fixed > 0 for m in load.machines) > 1
         self.owners, times_s = earliest_slots(self.slot_s, spare) if load.machines else (np.zeros(0, np.int64), np.zeros(0))
         base_s = max((m.time_s(m.fixed) for m in load.machines), default=0.0)

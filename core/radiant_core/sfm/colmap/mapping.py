@@ -45,7 +45,7 @@ class MappingJob:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mapped:
-    """The chosen model without its strays, who is not in it, and the decisions that led there."""
+    """The chosen model without its strays, the photographs not in it, and the decisions that led there."""
 
     model: pycolmap.Reconstruction
     unregistered: tuple[str, ...]

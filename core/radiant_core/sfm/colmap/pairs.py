@@ -49,7 +49,7 @@ def _geodetic(photographs: tuple[Photograph, ...]) -> FloatArray:
 
 
 def choose_pairs(photographs: tuple[Photograph, ...], config: SfmConfig) -> tuple[Pairs, Decision]:
-    """The pairs to match and why; BadInput when spatial matching is asked for without any GPS."""
+    """The pairs to match and why; BadInput when spatial matching is requested without any GPS."""
     names = [photo.name for photo in photographs]
     share = float(np.mean([photo.lat_lon_alt is not None for photo in photographs]))
     if config.matching == "spatial" and share == 0:

@@ -23,7 +23,7 @@ def list_usable(folder: Path, report: Report, names: tuple[str, ...] | None = No
 
 
 def warn_of_unused(listing: PhotoListing, *, named: bool = True) -> tuple[str, ...]:
-    """What the user is told of the files that are not used; counted where their names are nobody else's."""
+    """Warnings about the files that are not used; counted where their names are private."""
     num_usable = len(listing.photographs) + len(listing.copies)
     if named:
         skipped = tuple(f"{skipped.name} {skipped.reason} and is skipped." for skipped in listing.skipped)

@@ -30,15 +30,15 @@ class Heights:
     """(3,) [deg, deg, m]."""
     altitude_known: bool = True
     """Whether the origin's altitude is one; else heights count from the middle of the scene's points."""
-    told: tuple[str, ...] = ()
-    """What the user is told."""
+    warnings: tuple[str, ...] = ()
+    """For the user."""
 
 
 def fill_heights(centers: FloatArray, points: FloatArray, gps: tuple[FloatArray, FloatArray], up: Callable[[], FloatArray]) -> Heights:
     """Positions without a height that is NaN.
 
     `gps` are positions (C,3) of camera centres (C,3), all NaN without GPS, and their origin; `up` () → (3,) gives up in the frame of the
-    centres and of points (P,3), and is asked only where too few altitudes are known.
+    centres and of points (P,3), and is called only where too few altitudes are known.
     """
     positions_m, origin = gps
     placed, high = np.isfinite(positions_m[:, 0]), np.isfinite(positions_m[:, 2])
@@ -50,14 +50,14 @@ def fill_heights(centers: FloatArray, points: FloatArray, gps: tuple[FloatArray,
         fit = robust_sim3(centers[high], positions_m[high]).target_from_source
         filled[low, 2] = np.median(positions_m[high, 2]) if fit is None else fit.apply(centers[low])[:, 2]
         some = f"{low.sum()} of {placed.sum()} GPS positions have no altitude: their height comes from the others."
-        return Heights(positions_m=filled, origin=origin, told=(some,))
+        return Heights(positions_m=filled, origin=origin, warnings=(some,))
     filled[placed, 2] = 0.0
     level = level_fit(centers[placed], filled[placed], up()) if placed.sum() >= MIN_ALTITUDES else None
     if level is not None:
         ground_m = float(np.median(level.apply(points)[:, 2])) if len(points) else 0.0
         filled[placed, 2] = level.apply(centers[placed])[:, 2] - ground_m
-    told = (
+    warning = (
         f"{low.sum()} of {placed.sum()} GPS positions have no altitude: up comes from the scene, and heights count from the middle of its "
         "points, not from the sea."
     )
-    return Heights(positions_m=filled, origin=np.array([*origin[:2], 0.0]), altitude_known=False, told=(told,))
+    return Heights(positions_m=filled, origin=np.array([*origin[:2], 0.0]), altitude_known=False, warnings=(warning,))

@@ -69,16 +69,18 @@ def device_frame(
     """
     names = [name for name in scene.cameras.names if name in lat_lon_alt]
     if len(names) < MIN_POSITIONS:
-        told = f"only {len(names)} of its {len(scene.cameras)} placed photographs have GPS with an altitude"
-        return RefusedFrame(reason=f"{told}, and a frame needs {MIN_POSITIONS}.")
+        reason = f"only {len(names)} of its {len(scene.cameras)} placed photographs have GPS with an altitude"
+        return RefusedFrame(reason=f"{reason}, and a frame needs {MIN_POSITIONS}.")
     origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))
     positions_m = enu_from_geodetic([lat_lon_alt[name] for name in names], origin)
     centers = scene.cameras.named(names).centers
     extent_m = float(np.linalg.norm(np.ptp(positions_m, axis=0)))
     away_m = float(np.linalg.norm(np.median(positions_m, axis=0)))
     if away_m > MAX_REACH_M:
-        told = f"its photographs lie {away_m / 1e3:,.0f} km from the middle of all, more than {MAX_REACH_M / 1e3:.0f} km: run it as a scene"
-        return RefusedFrame(reason=f"{told} of its own.")
+        reason = (
+            f"its photographs lie {away_m / 1e3:,.0f} km from the middle of all, more than {MAX_REACH_M / 1e3:.0f} km: run it as a scene"
+        )
+        return RefusedFrame(reason=f"{reason} of its own.")
     fit = robust_sim3(centers, positions_m, seed)
     if fit.target_from_source is None:
         return RefusedFrame(reason="its camera centres or its GPS positions are all the same, which fixes no scale and no heading.")
@@ -156,8 +158,8 @@ def _uncertainty(centers_m: FloatArray, sigma_m: float, up_rad: float | None) ->
 
 def _refusal(uncertainty: FrameUncertainty, sigma_m: float, extent_m: float) -> RefusedFrame | None:
     if extent_m == 0 or sigma_m > MAX_RESIDUAL_SHARE * extent_m:
-        told = f"its GPS positions miss its cameras by {sigma_m:.1f} m per axis on an extent of {extent_m:.1f} m, more than a quarter."
-        return RefusedFrame(reason=told)
+        reason = f"its GPS positions miss its cameras by {sigma_m:.1f} m per axis on an extent of {extent_m:.1f} m, more than a quarter."
+        return RefusedFrame(reason=reason)
     if uncertainty.scale > MAX_SCALE_UNCERTAINTY or uncertainty.rotation_rad > MAX_ROTATION_UNCERTAINTY_RAD:
         return RefusedFrame(
             reason=(

@@ -115,8 +115,8 @@ class Placement:
         else:
             return None
         if length <= 1e-9 * float(np.abs(cameras.centers).max()):
-            told = "were taken at one place" if self.distance is not None else "are not above the ground that they see"
-            raise BadInput(f"the photographs {told}, which fixes no scale: give --distance of two that lie apart.")
+            where = "were taken at one place" if self.distance is not None else "are not above the ground that they see"
+            raise BadInput(f"the photographs {where}, which fixes no scale: give --distance of two that lie apart.")
         return metres / length
 
     def _pair(self, known: set[str]) -> tuple[str, str, float]:

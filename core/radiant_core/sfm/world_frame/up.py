@@ -98,9 +98,9 @@ def estimate_up(cameras: Cameras, points: FloatArray, seed: int = 0, only: Seque
     shared = _shared_cues(cameras, points, seed)
     readings = [[cue for cue in (*shared, level) if only is None or cue.name in only] for level in _level_cameras_cues(cameras)]
     if not readings[0]:
-        told = f"{len(points)} points and {len(cameras)} photographs"
-        raise BadInput(f"up cannot be taken from the {_listed(only or ())}: the scene of {told} does not show it, give --up another way.")
-    # Pictures that stand upright are believed only where that contradicts less.
+        size = f"{len(points)} points and {len(cameras)} photographs"
+        raise BadInput(f"up cannot be taken from the {_listed(only or ())}: the scene of {size} does not show it, give --up another way.")
+    # Pictures that stand upright are trusted only where that contradicts less.
     found = [_solutions(cues) for cues in readings]
     best = min(range(len(found)), key=lambda index: (found[index][0][1], index))
     cues, (up, cost) = readings[best], found[best][0]

@@ -1,7 +1,7 @@
 """A pinhole model in the project's world: metric and z up by GPS where GPS can carry it, unscaled with z up otherwise.
 
 Once per scene. A robust similarity to GPS fixes the frame, unless GPS cannot say where up is: the positions lie on a line,
-or the photographs would all be rolled if it were right (altitudes drift by a hundred metres in some cameras), or the scene knows it
+or the photographs would all be rolled if it were right (altitudes drift by a hundred metres in some cameras), or the scene fixes it
 better and says otherwise. Then up comes from the scene (`up.py`) and GPS gives only heading, scale and shift. What a user says of up
 and of a length (`placement.py`) goes before both.
 """
@@ -91,7 +91,7 @@ def scene_in_world(model: ColmapModel, photographs: tuple[Photograph, ...], seed
             *scaled,
             _frame_decision(frame, gps, up, int(known.sum()), forced=forced),
         ),
-        warnings=(*heights.told, *warnings, *(() if by_gps or forced or up.doubt is None else (_doubt_warning(up),))),
+        warnings=(*heights.warnings, *warnings, *(() if by_gps or forced or up.doubt is None else (_doubt_warning(up),))),
     )
 
 
@@ -106,14 +106,14 @@ def _scaled(world_from_model: Sim3, scene: SfmScene, placement: Placement) -> tu
         rotation=world_from_model.rotation,
         translation=factor * (world_from_model.translation - middle) + middle,
     )
-    told = f"--distance {placement.distance}" if placement.distance is not None else f"--height {placement.height_m:g}"
+    option = f"--distance {placement.distance}" if placement.distance is not None else f"--height {placement.height_m:g}"
     decision = Decision(
         stage="sfm",
         topic="scale",
         choice="metres by a known length",
         figure=factor,
         unit="times the scale without it",
-        reason=told,
+        reason=option,
         forced=True,
     )
     return scaled, (decision,)
@@ -139,7 +139,7 @@ def move_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, fra
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _JudgedGps:
     """What GPS is good for; roll_deg is the RMS roll of the photographs if its up were right, lean_deg how far that is from the scene's,
-    up_deg how well GPS knows it."""
+    up_deg how well GPS fixes it."""
 
     fit: Alignment
     verdict: AlignStatus | Literal["tilted", "overruled"]
@@ -174,8 +174,8 @@ def _metric_from_model(
         else "so the scene has no metric scale: lengths are in arbitrary units (--distance or --height give one)."
     )
     if gps.verdict == "too few":
-        told = f"only {len(centers)} registered photographs have GPS" if len(centers) else "the photographs have no GPS"
-        return None, (f"{told}, {lost}",)
+        what = f"only {len(centers)} registered photographs have GPS" if len(centers) else "the photographs have no GPS"
+        return None, (f"{what}, {lost}",)
     level = level_fit(centers[gps.fit.inliers], positions_m[gps.fit.inliers], up.up) if gps.verdict != "inconsistent" else None
     if level is None:
         return None, (f"the GPS positions do not fit the photographs' geometry (all alike, or too rough for this site), {lost}",)
