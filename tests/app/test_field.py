@@ -27,7 +27,7 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.captured import Captured, _by_poses, _middle, _warn_of_unplaced
 from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_app.workers.field_nodes import _placed, _placed_once, run_field, run_positions
 from radiant_app.workers.nodes import run_node
 from radiant_app.workers.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
