@@ -157,7 +157,7 @@ class DevicePhotographs:
             source=str(share.source.resolve()),
             names=share.names,
             held_out=share.held_out,
-            copy=share.copy,
+            fetch=share.copy,
             origin=None if origin is None else (float(origin[0]), float(origin[1]), float(origin[2])),
             sfm=SfmSettings(
                 matching=self.config.sfm.matching,

@@ -189,7 +189,7 @@ def _placed_once(folder: Path, task: PlacingTask, photographs: str, reporter: Ev
 
 def _placed(folder: Path, task: PlacingTask, reporter: EventReporter) -> _Placed:
     photos = Path(task.source)
-    if task.copy:
+    if task.fetch:
         photos = folder / "photos"
         shutil.rmtree(photos, ignore_errors=True)
         for name in [*task.names, *task.held_out]:

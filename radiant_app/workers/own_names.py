@@ -88,7 +88,7 @@ def own_names(kind: str, folder: Path) -> OwnNames:
     # Not parsed as a message: names are taken out of the sentence about a task that is none, too.
     task = task.get("placing", task) if isinstance(task, dict) else {}
     source = task.get("source") if isinstance(task, dict) else None
-    if not isinstance(source, str) or task.get("copy", False):
+    if not isinstance(source, str) or task.get("fetch", False):
         return OwnNames(notes=notes)
     listed = [names for key in ("names", "held_out") if isinstance(names := task.get(key), list)]
     given = tuple(name for names in listed for name in names if isinstance(name, str) and name)

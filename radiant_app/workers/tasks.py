@@ -97,7 +97,7 @@ class PlacingTask:
     source: PathText
     names: tuple[Inner, ...]
     held_out: tuple[Inner, ...]
-    copy: bool
+    fetch: bool
     """Whether the device fetches the photographs into its folder first."""
     origin: Triple | None
     sfm: SfmSettings

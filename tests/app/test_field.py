@@ -346,7 +346,7 @@ def placing_in(source: Path) -> PlacingTask:
     """By GPS, of photographs in a device's own folder."""
     sfm = SfmSettings(matching="auto", seed=0, two_view_points=True)
     origin = (50.0, 8.0, 100.0)
-    return PlacingTask(frames="gps", source=str(source), names=(), held_out=(), copy=False, origin=origin, sfm=sfm, poses=None)
+    return PlacingTask(frames="gps", source=str(source), names=(), held_out=(), fetch=False, origin=origin, sfm=sfm, poses=None)
 
 
 def test_a_device_that_fails_names_no_photograph(hamlet: Path, tmp_path: Path) -> None:
@@ -383,8 +383,8 @@ def test_whatever_a_device_says_is_without_its_names(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_all_devices_has_no_secret_names(tmp_path: Path) -> None:
-    for copy, said in ((True, "a.jpg"), (False, HIDDEN)):
-        placing = replace(placing_in(tmp_path), names=("a.jpg",), copy=copy)
+    for fetch, said in ((True, "a.jpg"), (False, HIDDEN)):
+        placing = replace(placing_in(tmp_path), names=("a.jpg",), fetch=fetch)
         save_task(tmp_path, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
         assert own_names("field", tmp_path).without("a.jpg is truncated") == f"{said} is truncated"
     save_task(tmp_path, PositionsTask(source=str(tmp_path), cell_m=None, held_out=("a.jpg",), owned=True))

@@ -77,7 +77,7 @@ MESSAGES: dict[str, Any] = {
             source="/photos",
             names=("a.jpg",),
             held_out=("b/c.jpg",),
-            copy=True,
+            fetch=True,
             origin=(45.0, 7.5, 300.0),
             sfm=SfmSettings(matching="auto", seed=0, two_view_points=True),
             poses=None,
