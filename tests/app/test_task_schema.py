@@ -294,6 +294,9 @@ def test_a_task_has_exactly_the_fields_of_its_kind_and_comes_back_as_it_was(kind
     path.write_text('{"a": 1, "a": 2}')
     with pytest.raises(BadInput, match="is not valid JSON"):
         load_task(TASKS[kind], tmp_path)
+    path.write_text("null")
+    with pytest.raises(BadInput, match=r"task\.json is no JSON object"):
+        load_task(TASKS[kind], tmp_path)
 
 
 def test_what_is_no_node_of_a_run_is_not_asked_for_a_signature(tmp_path: Path) -> None:

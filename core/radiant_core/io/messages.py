@@ -109,9 +109,11 @@ def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
     path = folder / TASK_NAME
     data = read_bounded(path, MAX_JSON_BYTES)
     try:
-        parse_json(data)
+        found = parse_json(data)
     except (ValueError, RecursionError) as error:
         raise BadInput(f"{path} is not valid JSON ({error}): send the task again.") from error
+    if not isinstance(found, dict):
+        raise BadInput(f"{path} is no JSON object: send the task again.")
     values = _parsed(kind, data, f"{path}: {name}")
     for field in fields(kind):  # pyright: ignore[reportArgumentType]
         if "file" in field.metadata:
