@@ -44,7 +44,7 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
     """The scene that edges and the cloud of a run make of its device models, and the seconds that edges retrained."""
     cloud_plan, edge_plans = load_plan(run / "plan.json")
     folders = [run / "edges" / plan.edge_id for plan in edge_plans if len(plan.camera_indices)]
-    tasks = {folder.name: load_task(EdgeTask, folder) for folder in folders if (folder / "task.json").is_file()}
+    tasks = {folder.name: load_task(EdgeTask, folder) for folder in folders if (folder / "inbox").is_dir()}
     if not tasks:
         raise BadInput(f"{run} has no edge that received models: give a run whose devices have trained.")
     # A lone edge joins its models as the cloud would.
