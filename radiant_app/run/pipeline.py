@@ -15,7 +15,7 @@ from typing import Any
 
 from radiant_app.events import Listener, Outlined, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
-from radiant_app.executors.fold import Faults
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
 from radiant_app.files.run_folder import Manifest, opened_run
@@ -158,11 +158,11 @@ def _joined(config: RunConfig, photographs: Source, plan: Plan, progress: Progre
     progress.manifest.keep_stages({*before, *after, *(node.id for node in tree)})
     progress.listen(Outlined(stages=(*(stage for stage in before if stage in progress.manifest.stages), *counted(tree), *after)))
     listen = counting_down(config, plan.system, plan.edges, progress)
-    faults = Faults(may_fail=photographs.may_fail, watch=listen)
+    retry_policy = RetryPolicy(may_fail=photographs.may_fail, deadlines=listen)
     if photographs.positions is not None:
         rescue = Rescue(dealer=dealer, positions=photographs.positions, tree=tree, first_plan_key=first_key, listen=listen)
-        faults = replace(faults, on_lost=rescue)
-    executor = executor_of(config, plan.system, progress, faults)
+        retry_policy = replace(retry_policy, on_given_up=rescue)
+    executor = executor_of(config, plan.system, progress, retry_policy)
     executor.fold(tree, dealer.prepare, listen)
     if not dealer.has_model("cloud"):
         reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing().items())

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from radiant_app.events import Decided, Event, Listener, StageSkipped, Warned
 from radiant_app.executors.emulated import EmulatedExecutor
-from radiant_app.executors.fold import Faults
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.files.run_folder import Manifest
@@ -146,7 +146,7 @@ def load_plan_before_capture(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...
     return cloud_plan, edge_plans, waypoints
 
 
-def executor_of(config: RunConfig, system: System, progress: Progress, faults: Faults) -> Executor:
+def executor_of(config: RunConfig, system: System, progress: Progress, retry_policy: RetryPolicy) -> Executor:
     """Who runs the nodes: this machine as it is, or as slow as the system says."""
     if config.emulated and config.execution.teachers == "early":
         decision = Decision(
@@ -158,12 +158,12 @@ def executor_of(config: RunConfig, system: System, progress: Progress, faults: F
             reason="an emulated edge renders them itself, at its own speed",
         )
         progress.listen(Decided(decision=decision))
-    faults = replace(faults, attempts=ATTEMPTS)
+    retry_policy = replace(retry_policy, max_attempts=ATTEMPTS)
     if config.execution.address is not None:
         from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
 
-        return RayExecutor(address=config.execution.address, log=config.out / LOG_NAME, clock=progress.clock, faults=faults)
-    local = LocalExecutor(num_workers=config.execution.num_workers, clock=progress.clock, faults=faults)
+        return RayExecutor(address=config.execution.address, log=config.out / LOG_NAME, clock=progress.clock, retry_policy=retry_policy)
+    local = LocalExecutor(num_workers=config.execution.num_workers, clock=progress.clock, retry_policy=retry_policy)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from radiant_app.run.field_dealing import DeviceShare, FieldDealer
 
 from radiant_app.events import Event, StageDone, StageStarted, Warned
-from radiant_app.executors.fold import Faults
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
@@ -19,7 +19,7 @@ from radiant_app.run.config import ExecutionOptions, PlanOptions, RunConfig
 from radiant_app.run.dealing import SharedDealer
 from radiant_app.run.promises import promises_of
 from radiant_app.run.rescue import Rescue, plan_key, replanned
-from radiant_app.run.time_left import LATE_FACTOR, LEAST_S, TimeLeftListener
+from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR, TimeLeftListener
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
@@ -162,25 +162,25 @@ def test_a_node_is_late_by_the_plan_only_once_another_of_its_tier_was_measured(t
     first, second, *_ = [node.id for node in tree if node.tier == "device"]
     watch(StageStarted(stage=first))
     watch(StageStarted(stage=second))
-    assert watch.late(second, 1e9) is None and watch.too_late(second, 1e9) is None
+    assert watch.overdue_reason(second, 1e9) is None and watch.timeout_reason(second, 1e9) is None
     now_s = 100.0
     watch(StageDone(stage=first, seconds=100.0))
-    assert watch.late(second, LEAST_S) is None and watch.too_late(second, 100.0 * LATE_FACTOR) is None
-    late = watch.late(second, 100.0 * LATE_FACTOR * 1.5)
-    assert late is not None and "says 1" in late and watch.too_late(second, 1500.0) is not None
-    assert watch.late("edges/a", 1e9) is None, "no edge was measured"
+    assert watch.overdue_reason(second, LEAST_S) is None and watch.timeout_reason(second, 100.0 * OVERDUE_FACTOR) is None
+    late = watch.overdue_reason(second, 100.0 * OVERDUE_FACTOR * 1.5)
+    assert late is not None and "says 1" in late and watch.timeout_reason(second, 1500.0) is not None
+    assert watch.overdue_reason("edges/a", 1e9) is None, "no edge was measured"
 
 
 class Impatient:
     """Waits for nobody."""
 
-    def late(self, node_id: str, ran_s: float) -> str | None:
+    def overdue_reason(self, node_id: str, ran_s: float) -> str | None:
         return "it is slow"
 
-    def too_late(self, node_id: str, ran_s: float) -> str | None:
+    def timeout_reason(self, node_id: str, ran_s: float) -> str | None:
         return "it is too slow" if node_id == "devices/2" else None
 
-    def paused(self, node_ids: Collection[str], seconds: float) -> None:
+    def exclude_pause(self, node_ids: Collection[str], seconds: float) -> None:
         """It makes no difference."""
 
 
@@ -199,13 +199,13 @@ def test_who_is_too_late_is_stopped_and_the_rest_goes_on(tmp_path: Path) -> None
 
     events: list[Event] = []
     lost: list[tuple[str, frozenset[str]]] = []
-    faults = Faults(
+    retry_policy = RetryPolicy(
         may_fail=lambda node, error: node.tier == "device",
-        attempts=3,
-        watch=Impatient(),
-        on_lost=lambda node, begun: lost.append((node.id, frozenset(begun))),
+        max_attempts=3,
+        deadlines=Impatient(),
+        on_given_up=lambda node, begun: lost.append((node.id, frozenset(begun))),
     )
-    times = LocalExecutor(num_workers=2, command=command, faults=faults).fold(tree, prepare, events.append)
+    times = LocalExecutor(num_workers=2, command=command, retry_policy=retry_policy).fold(tree, prepare, events.append)
     assert set(times) == {node.id for node in tree} and [node_id for node_id, _ in lost] == ["devices/2"]
     assert "devices/1" in lost[0][1]
     assert Warned(stage="devices/2", message="it is too slow, and was given up.") in events

@@ -13,7 +13,7 @@ import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, Warned, encode
-from radiant_app.executors.fold import Faults
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor, _environment, place_of
@@ -56,8 +56,10 @@ def make(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
             return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
 
         if request.param == "local":
-            return LocalExecutor(num_workers=2, command=command, faults=Faults(attempts=2))
-        return RayExecutor(address=request.getfixturevalue("address"), log=tmp_path / "ray.log", command=command, faults=Faults(attempts=2))
+            return LocalExecutor(num_workers=2, command=command, retry_policy=RetryPolicy(max_attempts=2))
+        return RayExecutor(
+            address=request.getfixturevalue("address"), log=tmp_path / "ray.log", command=command, retry_policy=RetryPolicy(max_attempts=2)
+        )
 
     return executor
 
