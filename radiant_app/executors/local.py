@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from radiant_app.events import Beat, Event, Failed, Listener, decode
+from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
 from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
@@ -93,7 +93,7 @@ class _Processes:
             event = decode(line)
             if isinstance(event, Failed):
                 self.running[node_id].failure = event
-            return node_id, None if isinstance(event, Failed | Beat) else event
+            return node_id, None if isinstance(event, Failed | Heartbeat) else event
         running = self.running.pop(node_id)
         running.reader.join()
         return node_id, outcome_of(running.task, running.failure, running.process.returncode)

@@ -29,7 +29,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from radiant_app.events import Beat, Event, Failed, Listener, decode
+from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
 from radiant_app.executors.fold import Fold, NodeEnded, NodeStarted, RetryPolicy
 from radiant_app.executors.local import defer_interrupts, outcome_of, worker_command
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
@@ -174,7 +174,7 @@ class _Cluster:
             event = decode(message["line"])
             if isinstance(event, Failed):
                 self.failures[node_id] = event
-            return node_id, None if isinstance(event, Failed | Beat) else event
+            return node_id, None if isinstance(event, Failed | Heartbeat) else event
         task = self.running.pop(node_id)
         if "lost" in message:
             return node_id, NodeEnded(error=StageFailed(f"{task.stage}: {message['lost']} Run again with --resume."), crashed=True)

@@ -22,7 +22,7 @@ from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.revision.replan import ReplanInfeasible, Situation, replan
+from radiant_core.plan.revision.replan import FleetChange, ReplanInfeasible, replan
 
 FOLDER, RECORD = "replanned", "made_from.json"
 
@@ -53,8 +53,8 @@ class Rescue:
         count = sum(len(plan.cameras_of(lost.name)) for plan in dealer.recipe.edge_plans if lost.name in plan.device_ids)
         message = f"{count} photographs of {lost.name} are in no model: every other device has begun or is full; --resume tries it again"
         if waiting and count:
-            situation = Situation(dead=frozenset({lost.name}), closed=frozenset(at_work))
-            new = replan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, positions, dealer.recipe.system, situation, captured=fixed)
+            change = FleetChange(dead=frozenset({lost.name}), closed=frozenset(at_work))
+            new = replan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, positions, dealer.recipe.system, change, captured=fixed)
             if not isinstance(new, ReplanInfeasible) and all(_has_cameras(new.edges, device) for device in waiting):
                 self._keep(new.cloud, new.edges)
                 takers = sorted({new.system.devices[index].id for index in new.device_after[new.moved].tolist()})

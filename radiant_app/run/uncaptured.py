@@ -17,7 +17,7 @@ from radiant_core.io.export.plan import save_device_waypoints
 from radiant_core.io.records import save_plan
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.revision.captured import device_of_planned, require_same_system
-from radiant_core.plan.revision.replan import ReplanInfeasible, Situation, replan
+from radiant_core.plan.revision.replan import FleetChange, ReplanInfeasible, replan
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 
@@ -43,8 +43,8 @@ def deal_uncaptured(
     missing = np.isin(owner, [ids.index(name) for name in dead])
     # Edges stand where the plan has them.
     placed = [replace(edge, position=(x, y), lat_lon_deg=None) for edge, (x, y) in zip(system.edges, cloud.sites.tolist(), strict=True)]
-    situation = Situation(dead=frozenset(dead))
-    new = replan(cloud, edges, waypoints.positions_m[:, :2], replace(system, edges=tuple(placed)), situation, captured=~missing)
+    change = FleetChange(dead=frozenset(dead))
+    new = replan(cloud, edges, waypoints.positions_m[:, :2], replace(system, edges=tuple(placed)), change, captured=~missing)
     told = f"{missing.sum()} planned positions of {', '.join(dead)} were not captured and are missing from the scene"
     if isinstance(new, ReplanInfeasible):
         return f"{told}; the other devices cannot take them: {new.reason}"

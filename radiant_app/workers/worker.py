@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
+from radiant_app.events import Event, Failed, Heartbeat, MemoryPeaked, encode
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory, peak_bytes
 from radiant_app.workers.own_names import own_names
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
@@ -25,10 +25,10 @@ from radiant_core.io.run_store import seal
 if TYPE_CHECKING:
     from radiant_app.workers.nodes import Work
 
-BEAT_S = 5.0
-"""How often a worker says that it is alive."""
+HEARTBEAT_S = 5.0
+"""Interval of the heartbeats of a worker."""
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
-"""What the system says where a disk is full or broken."""
+"""Error numbers of a full or broken disk."""
 
 
 def main(arguments: list[str], work: Work | None = None) -> int:
@@ -51,7 +51,7 @@ def main(arguments: list[str], work: Work | None = None) -> int:
         emit(own_names(kind, Path(folder)).without_in(failed))
         return exit_code
 
-    threading.Thread(target=_beat, args=(stage, emit), daemon=True).start()
+    threading.Thread(target=_send_heartbeats, args=(stage, emit), daemon=True).start()
     try:
         from radiant_app.workers.nodes import run_node
 
@@ -70,10 +70,10 @@ def main(arguments: list[str], work: Work | None = None) -> int:
     return 0
 
 
-def _beat(stage: str, emit: Callable[[Event], None]) -> None:
+def _send_heartbeats(stage: str, emit: Callable[[Event], None]) -> None:
     while True:
-        time.sleep(BEAT_S)
-        emit(Beat(stage=stage))
+        time.sleep(HEARTBEAT_S)
+        emit(Heartbeat(stage=stage))
 
 
 def _end_with_the_executor() -> None:

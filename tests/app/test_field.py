@@ -38,7 +38,7 @@ from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene
 from radiant_core.io.run_store import write_json
-from radiant_core.plan.revision.replan import Situation
+from radiant_core.plan.revision.replan import FleetChange
 from radiant_core.sfm.given_poses import read_given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_viewer.runs.run_view import load_run_view
@@ -414,7 +414,7 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
     delivered = len(load_scene(config.out / "delivered" / "scene.safetensors").cameras)
     assert 0 < delivered <= sum(len(plan.camera_indices) for plan in load_plan(config.out / "plan.json")[1]), "some may have no pose"
     new = replan_files(
-        ReplanRequest(source=config.out, out=tmp_path / "new.json", situation=Situation(dead=frozenset(["south-1"]))), display
+        ReplanRequest(source=config.out, out=tmp_path / "new.json", change=FleetChange(dead=frozenset(["south-1"]))), display
     )
     assert new["captured"] == delivered and new["lost"] == new["moved"] == 0, "what a dead device has delivered stays"
     extended = extend(ExtendRequest(old=config.out, new=config.out, out=tmp_path / "more.ply", num_epochs=1), display)
