@@ -1,6 +1,6 @@
 """Lays into each node's folder what it may read, and nothing else: photographs to devices, models to edges and to the cloud.
 
-Called by the executor when a node's children are done. The ledger counts what each tier received.
+Called by the executor when a node's children are done. The access log counts what each tier received.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Dealer:
     run: Path
     recipe: Recipe
     photographs: Photographs
-    ledger: list[dict[str, Any]] = field(default_factory=list)
+    access_log: list[dict[str, Any]] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
     """Node id → the key it is sealed with when it is done, so that only what this run finished is used."""
 
@@ -78,11 +78,11 @@ class Dealer:
         return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
     def _enter(self, node: Tree, inputs: Sequence[Path]) -> None:
-        """Count in the ledger what a node receives or fetches."""
+        """Add what a node receives or fetches to the access log."""
         entry: dict[str, Any] = {"node": node.id, "tier": node.tier, **received(inputs)}
         if node.tier == "device" and (fetched := self.photographs.fetched(node.name)):
             entry |= {name: received(fetched)[name] for name in ("num_photographs", "photograph_bytes")}
-        self.ledger.append(entry)
+        self.access_log.append(entry)
 
     def _introduce(self, node: Tree) -> None:
         """Make a node's key and exchange it with the one above."""

@@ -203,10 +203,10 @@ class DevicePhotographs:
     def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
         """Let every device whose model is in the scene score it on what it held out; evaluation/result.json has the figures."""
         num_held_out = sum(len(share.held_out) for share in self.shares.values())
-        ledger = score_on_devices(self.config, dealer, executor, progress, self.captured.origin, num_held_out)
-        progress.manifest.ledger = [*self._planning_ledger(), *dealer.ledger, *ledger]
+        access_log = score_on_devices(self.config, dealer, executor, progress, self.captured.origin, num_held_out)
+        progress.manifest.access_log = [*self._planning_access_log(), *dealer.access_log, *access_log]
 
-    def _planning_ledger(self) -> list[dict[str, Any]]:
+    def _planning_access_log(self) -> list[dict[str, Any]]:
         """What the owner's planning and the cloud's received."""
         run = self.config.out
         heads = sorted(path for path in (run / "positions").rglob("*.json") if path.name in ("positions.json", "raster.json"))

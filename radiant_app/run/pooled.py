@@ -1,6 +1,6 @@
 """`PooledPhotographs`: one owner has all photographs, places them once and deals each device its own (`--frames shared`).
 
-From then on a device reads its own folder alone; the ledger says that photographs were pooled. Once per run.
+From then on a device reads its own folder alone; the access log records that photographs were pooled. Once per run.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class PooledPhotographs:
         """None: they are dealt."""
         return []
 
-    def pooled_ledger(self) -> list[dict[str, Any]]:
+    def pooled_access_log(self) -> list[dict[str, Any]]:
         """What the owner's structure from motion received."""
         return [{"node": "sfm", "tier": "owner", **received([self.images / name for name in self.scene.cameras.names])}]
 
@@ -141,7 +141,7 @@ class PooledPhotographs:
         run_task(NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=key), progress.listen, progress.clock)
         for kind in PICTURE_KINDS:
             shutil.copytree(folder / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
-        progress.manifest.ledger = [*dealer.ledger, *self.pooled_ledger()]
+        progress.manifest.access_log = [*dealer.access_log, *self.pooled_access_log()]
 
 
 def _lpips_network(config: RunConfig) -> LpipsNetwork | None:

@@ -62,7 +62,7 @@ def score_on_devices(
             made = config.out / "devices" / device / "score" / kind
             if made.is_dir():
                 shutil.copytree(made, config.out / "pictures" / kind, dirs_exist_ok=True)
-    return scorer.ledger
+    return scorer.access_log
 
 
 @dataclass(kw_only=True)
@@ -73,7 +73,7 @@ class _Scorer:
     lpips_network: LpipsNetwork | None
     """With it, evaluation/ holds the weights."""
     moves: dict[str, list[Sim3]] = field(init=False)
-    ledger: list[dict[str, Any]] = field(default_factory=list)
+    access_log: list[dict[str, Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.moves = self.dealer.moves()
@@ -101,7 +101,7 @@ class _Scorer:
         given = [f"inbox/{path.name}" for path in sorted((folder / "inbox").iterdir())]
         give_task(run, edge, f"devices/{device}", "score_task", folder, [TASK_NAME, *given])
         inputs = [folder / "inbox", *(folder.parent / name for name in ("held_out.safetensors", "model.safetensors"))]
-        self.ledger.append({"node": node.id, "tier": "device", **received([folder / "inbox"])})
+        self.access_log.append({"node": node.id, "tier": "device", **received([folder / "inbox"])})
         return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task_key(task), *inputs))
 
     def _deal_borders(self, path: Path) -> None:

@@ -46,5 +46,5 @@ class Source(Photographs, Protocol):
         ...
 
     def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
-        """Score the finished scene on what was held out, in evaluation/, and complete the ledger."""
+        """Score the finished scene on what was held out, in evaluation/, and complete the access log."""
         ...

@@ -22,7 +22,7 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.commands.replan import ReplanRequest, replan_files
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
-from radiant_app.report.html import ledger_by_tier
+from radiant_app.report.html import access_by_tier
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
@@ -492,7 +492,7 @@ def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, Ru
     assert {node for node, count in fetched.items() if count} == {"devices/north-1", "devices/south-1"}, "each fetched its own"
     assert sum(fetched.values()) == 12
     assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score", "planning"}
-    tiers = {row["tier"]: row for row in ledger_by_tier(ledger, shared=False)}
+    tiers = {row["tier"]: row for row in access_by_tier(ledger, shared=False)}
     assert [row["num_nodes"] for row in tiers.values()] == [2, 2, 2] and list(tiers) == ["device", "edge", "cloud"]
     assert tiers["device"]["num_photographs"] == 12 and tiers["edge"]["photograph_bytes"] == tiers["cloud"]["photograph_bytes"] == 0
     assert sum(row["other_bytes"] for row in tiers.values()) == sum(row["other_bytes"] for row in ledger)
