@@ -18,7 +18,7 @@ from radiant_app.files.system_file import even_system
 from radiant_app.run.config import ExecutionOptions, PlanOptions, RunConfig
 from radiant_app.run.dealing import SharedDealer
 from radiant_app.run.promises import promises_of
-from radiant_app.run.rescue import Rescue, plan_key, replanned
+from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
 from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR, TimeLeftListener
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_core.aggregate.config import aggregate_preset
@@ -71,9 +71,11 @@ def test_a_lost_devices_photographs_go_to_those_that_have_not_begun_and_a_resume
     lost, other, *waiting = [node for node in tree if node.tier == "device"]
     before = cameras_by_device(dealer.edge_plans)
     events: list[Event] = []
-    rescue = Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key=plan_key(*first), listen=events.append)
+    reassignment = Reassignment(
+        dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key=plan_key(*first), listen=events.append
+    )
     # As the fold says it: who is lost neither runs nor is done.
-    rescue(lost, {other.id})
+    reassignment(lost, {other.id})
     after = cameras_by_device(dealer.edge_plans)
     assert after[lost.name] == set() and after[other.name] == before[other.name]
     assert set().union(*(after[node.name] for node in waiting)) == set(range(40)) - before[other.name]
@@ -82,22 +84,22 @@ def test_a_lost_devices_photographs_go_to_those_that_have_not_begun_and_a_resume
         isinstance(event, Warned) and f"{len(before[lost.name])} photographs of {lost.name} go to" in event.message for event in events
     )
     save_plan(tmp_path / "plan.json", *first)
-    _, resumed = replanned(tmp_path, *first)
+    _, resumed = load_replan(tmp_path, *first)
     assert cameras_by_device(resumed) == after == cameras_by_device(load_plan(tmp_path / "plan.json")[1])
-    assert replanned(tmp_path, dealer.cloud_plan, dealer.edge_plans)[1] is dealer.edge_plans, "another plan is left as it is"
+    assert load_replan(tmp_path, dealer.cloud_plan, dealer.edge_plans)[1] is dealer.edge_plans, "another plan is left as it is"
 
 
 def test_where_every_other_device_has_begun_the_plan_stays_and_the_loss_is_named(tmp_path: Path) -> None:
     dealer, tree = planned(tmp_path)
     plan, (lost, *_) = dealer.cloud_plan, [node for node in tree if node.tier == "device"]
     events: list[Event] = []
-    Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=events.append)(
+    Reassignment(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=events.append)(
         lost, {node.id for node in tree}
     )
     assert dealer.cloud_plan is plan and not (tmp_path / "replanned").exists()
     (warning,) = events
     assert isinstance(warning, Warned) and "are in no model: every other device has begun or is full; --resume" in warning.message
-    assert set(dealer.missing()) == set(cameras_by_device(dealer.edge_plans)), "nothing of this run is done"
+    assert set(dealer.missing_devices()) == set(cameras_by_device(dealer.edge_plans)), "nothing of this run is done"
 
 
 def test_photographs_in_one_folder_follow_the_new_plan_where_devices_fetch_them(tmp_path: Path) -> None:
@@ -115,7 +117,7 @@ def test_photographs_in_one_folder_follow_the_new_plan_where_devices_fetch_them(
     field = FieldDealer(**settings, frames="known", shares=shares(shared.edge_plans), origin=None, poses=None, sfm={}, deal=shares)
     lost, other, *_ = [node for node in tree if node.tier == "device"]
     kept = field.shares[other.name]
-    Rescue(dealer=field, positions=positions_of(shared), tree=tree, first_plan_key="", listen=lambda event: None)(lost, {other.id})
+    Reassignment(dealer=field, positions=positions_of(shared), tree=tree, first_plan_key="", listen=lambda event: None)(lost, {other.id})
     assert lost.name not in field.shares and field.shares[other.name] == kept
     assert sorted(name for share in field.shares.values() for name in share.names) == sorted(f"{row}.jpg" for row in range(40))
 

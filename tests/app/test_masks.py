@@ -13,7 +13,7 @@ from radiant_app.commands.steps import sfm
 from radiant_app.commands.train import TrainRequest, train
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
-from radiant_app.run.dealing import deal_masks, received
+from radiant_app.run.dealing import count_received, deal_masks
 from radiant_app.workers.evaluation import scored_part
 from radiant_app.workers.sources import masks_of_scene
 from radiant_core.errors import BadInput
@@ -75,7 +75,7 @@ def test_masks_go_with_their_photographs_and_count_as_none_of_them(tmp_path: Pat
     assert [path.relative_to(place).as_posix() for path in place.rglob("*.png")] == ["a/b.jpg.png"]
     (tmp_path / "device" / "photos").mkdir()
     (tmp_path / "device" / "photos" / "whole.jpg").write_bytes(b"123")
-    counts = received([tmp_path / "device" / "photos", place])
+    counts = count_received([tmp_path / "device" / "photos", place])
     size_bytes = (place / "a" / "b.jpg.png").stat().st_size
     assert counts == {"num_photographs": 1, "photograph_bytes": 3, "other_bytes": size_bytes}
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.cloud_planning import cloud_task, placed_by_raster, planned_at_cloud, planned_from_raster, run_regions
+from radiant_app.run.cloud_planning import cloud_task, place_edges_by_raster, planned_at_cloud, planned_from_raster, run_regions
 from radiant_app.run.config import PlanOptions, RunConfig
 from radiant_app.workers.field_nodes import told_raster
 from radiant_core.errors import BadInput
@@ -50,7 +50,7 @@ def test_a_device_tells_how_many_lie_in_a_cell_and_no_position(cell_m: float) ->
 
 def test_the_cloud_answers_from_its_task_alone(tmp_path: Path) -> None:
     positions = enu_from_geodetic(captured(), ORIGIN)[:, :2]
-    system = placed_by_raster(even_system(3, 2), positions, None, 20.0, 0)
+    system = place_edges_by_raster(even_system(3, 2), positions, None, 20.0, 0)
     task = cloud_task(count_raster(positions, 20.0), system, "exact")
     text = json.dumps(task)
     assert not any(device.id in text for device in system.devices) and "device" not in text
@@ -67,7 +67,7 @@ def test_the_cloud_answers_from_its_task_alone(tmp_path: Path) -> None:
 
 def test_what_the_edges_cannot_hold_is_refused_with_its_reason() -> None:
     positions = enu_from_geodetic(captured(), ORIGIN)[:, :2]
-    system = placed_by_raster(even_system(2, 1), positions, None, 20.0, 0)
+    system = place_edges_by_raster(even_system(2, 1), positions, None, 20.0, 0)
     task = cloud_task(count_raster(positions, 20.0), system, "exact")
     for edge in task["edges"]:
         edge["max_cameras"] = 20
