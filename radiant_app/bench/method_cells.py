@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPoint, Point
 
-from radiant_app.workers.sources import scored_scene_of
+from radiant_app.workers.sources import load_scored_scene
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.choices import PlanMethod
@@ -137,7 +137,7 @@ class BenchScene:
 
 def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
     """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput where nothing can be held out."""
-    scene, _, images = scored_scene_of(source)
+    scene, _, images = load_scored_scene(source)
     held = held_out_mask(scene.cameras.names)
     if held.sum() < 2 or (~held).sum() < 8:
         raise BadInput(f"{source} has {len(scene.cameras)} placed photographs: at least 2 are held out and 8 trained on.")

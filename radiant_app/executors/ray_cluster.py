@@ -82,7 +82,7 @@ def require_cluster(address: str) -> None:
         raise BadInput(f"no Ray cluster answers at {address} ({error}): start it by `ray start --head`, or correct --address.") from error
 
 
-def place_of(node: Tree) -> str:
+def resource_of(node: Tree) -> str:
     """The custom resource that the machine of a node offers, where one does: an edge renders its teachers, a device scores too."""
     parts = node.id.split("/")
     if len(parts) < 2:
@@ -123,7 +123,7 @@ class _Cluster:
         except BaseException:
             self.__exit__()
             raise
-        self._send(leaves=[place_of(node) for node in self.tree if not node.children])
+        self._send(leaves=[resource_of(node) for node in self.tree if not node.children])
 
     def __exit__(self, *exc_info: object) -> None:
         assert self.process is not None and self.process.stdin is not None and self.process.stdout is not None
@@ -150,7 +150,7 @@ class _Cluster:
             command=self.command(task),
             folder=str(task.folder.resolve()),
             task_sha256=file_sha256(record) if record.is_file() else None,
-            place=place_of(node),
+            place=resource_of(node),
             gpu=record.is_file() and read_json(record).get("backend") == "gsplat",
         )
         return False

@@ -13,10 +13,10 @@ from typing import Any
 
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.photographs import Photographs
-from radiant_app.workers.delivering import DELIVERIES, give_task, introduce, introduce_teacher
+from radiant_app.workers.delivering import DELIVERIES, exchange_keys, identify_teacher, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
-from radiant_app.workers.nodes import forget_cut
-from radiant_app.workers.sources import masks_of_scene
+from radiant_app.workers.nodes import unseal_cut_scene
+from radiant_app.workers.sources import masks_folder_of
 from radiant_app.workers.tasks import SIGNED, TeacherTask
 from radiant_app.workers.training import MASKS
 from radiant_core import __version__
@@ -73,7 +73,7 @@ class Dealer:
         if kind in SIGNED:
             # Files in an inbox were signed by their senders.
             signed = [path.relative_to(folder).as_posix() for path in inputs if path.name != "inbox"]
-            give_task(self.run, self._parent_of(node), node.id, SIGNED[kind], folder, [TASK_NAME, *signed])
+            sign_task(self.run, self._parent_of(node), node.id, SIGNED[kind], folder, [TASK_NAME, *signed])
         self.keys[node.id] = key
         return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
@@ -88,16 +88,16 @@ class Dealer:
         """Create a node's key and exchange keys with its parent."""
         if node.tier == "teacher":
             (device,) = node.children
-            introduce_teacher(self.run, node.id, self._parent_of(device), device.name)
+            identify_teacher(self.run, node.id, self._parent_of(device), device.name)
             return
-        introduce(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.recipe.edge_plans])
+        exchange_keys(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.recipe.edge_plans])
         if node.tier == "cloud":
             return
         edge = node.id if node.tier == "edge" else self._parent_of(node)
         devices = next(plan.device_ids for plan in self.recipe.edge_plans if f"edges/{plan.edge_id}" == edge)
-        introduce(self.run, edge, "cloud", [f"devices/{device}" for device in devices])
+        exchange_keys(self.run, edge, "cloud", [f"devices/{device}" for device in devices])
         if node.tier == "device":
-            introduce(self.run, node.id, edge)
+            exchange_keys(self.run, node.id, edge)
 
     def _parent_of(self, node: Tree) -> str:
         """The node that signs the tasks of a device or edge."""
@@ -139,7 +139,7 @@ class Dealer:
         self._empty_inbox(folder)
         if not edges:
             return None
-        forget_cut(folder)
+        unseal_cut_scene(folder)
         num_dealt = {edge.name: sum(map(self.photographs.num_dealt, self._delivered_devices(edge))) for edge in edges}
         for edge in edges:
             self._deliver(edge.id, folder, folder / "inbox" / edge.name)
@@ -226,7 +226,7 @@ def deal_files(source: Path, names: Sequence[str], target: Path) -> None:
 
 def deal_masks(run: Path, names: Sequence[str], folder: Path) -> list[Path]:
     """Copy the masks of the named photographs from the run's scene to masks/ in `folder`; [that folder], or [] without masks."""
-    masks, place = masks_of_scene(run), folder / MASKS
+    masks, place = masks_folder_of(run), folder / MASKS
     shutil.rmtree(place, ignore_errors=True)
     masked = [] if masks is None else [mask_name(name) for name in names if (masks / mask_name(name)).is_file()]
     if masks is None or not masked:

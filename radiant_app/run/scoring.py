@@ -17,8 +17,8 @@ from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.run.stages import Progress
-from radiant_app.workers.delivering import give_task, introduce_scoring
-from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, region_width, summary_of
+from radiant_app.workers.delivering import identify_scoring, sign_task
+from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, region_width, summarize_scores
 from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
@@ -97,9 +97,9 @@ class _Scorer:
         )
         save_task(folder, task)
         edge = f"edges/{recipe.plan_of(device).edge_id}"
-        introduce_scoring(run, node.id, f"devices/{device}", edge)
+        identify_scoring(run, node.id, f"devices/{device}", edge)
         given = [f"inbox/{path.name}" for path in sorted((folder / "inbox").iterdir())]
-        give_task(run, edge, f"devices/{device}", "score_task", folder, [TASK_NAME, *given])
+        sign_task(run, edge, f"devices/{device}", "score_task", folder, [TASK_NAME, *given])
         inputs = [folder / "inbox", *(folder.parent / name for name in ("held_out.safetensors", "model.safetensors"))]
         self.access_log.append({"node": node.id, "tier": "device", **count_received([folder / "inbox"])})
         return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task_key(task), *inputs))
@@ -128,7 +128,7 @@ def _collected(run: Path, devices: Sequence[str], lpips_network: LpipsNetwork | 
     seams = pooled_seam_error([np.array(result["seam_sums"]) for result in results.values()])
     plan, _ = load_plan(run / "plan.json")
     return {
-        **summary_of(images, lpips_network=lpips_network),
+        **summarize_scores(images, lpips_network=lpips_network),
         "num_unscored": num_held_out - len(images),
         "num_gaussians": len(load_ply(run / "cloud" / "scene.ply")),
         "seam_psnr_db": seams.seam_psnr_db,

@@ -27,10 +27,10 @@ from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.stages import Progress
-from radiant_app.workers.field_nodes import _placed, _placed_once, run_field, run_positions
+from radiant_app.workers.field_nodes import _place, _place_once, run_field, run_positions
 from radiant_app.workers.inbox import _are_one_group
 from radiant_app.workers.nodes import run_node
-from radiant_app.workers.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
+from radiant_app.workers.redaction import HIDDEN, NOTES_NAME, Redactor, make_redactor
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
@@ -112,11 +112,11 @@ def test_a_device_that_begins_again_makes_the_same_scene(finished: tuple[RunConf
     config, _ = finished
     shutil.copytree(config.out / "devices" / "north-1", tmp_path / "north-1")
     task = json.loads((tmp_path / "north-1" / "task.json").read_text())
-    first, second = (_placed_once(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene for _ in range(2))
+    first, second = (_place_once(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene for _ in range(2))
     assert len(first.points) > 100 and first.points.tobytes() == second.points.tobytes()
     assert first.observations.tobytes() == second.observations.tobytes()
     (tmp_path / "north-1" / "placed" / "scene.safetensors").write_bytes(b"")
-    assert len(_placed_once(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene.points) > 100
+    assert len(_place_once(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene.points) > 100
 
 
 def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> None:
@@ -354,26 +354,26 @@ def test_a_device_that_fails_names_no_photograph(hamlet: Path, tmp_path: Path) -
 def test_whatever_a_device_says_is_without_its_names(tmp_path: Path) -> None:
     for name in ("a.jpg", "a.jpg.png", "night\n.jpg", "zoo.jpg"):
         (tmp_path / name).touch()
-    names = OwnNames(notes=tmp_path / NOTES_NAME, source=tmp_path, given=("gone.jpg",))
+    names = Redactor(notes=tmp_path / NOTES_NAME, source=tmp_path, given=("gone.jpg",))
     decision = Decision(stage="devices/a.jpg", topic="a.jpg", choice="left out: a.jpg, zoo.jpg", figure=1.0, unit="px", reason="(gone.jpg)")
-    hidden = names.without_in(Decided(decision=decision))
+    hidden = names.redact_event(Decided(decision=decision))
     assert isinstance(hidden, Decided) and hidden.decision.stage == "devices/a.jpg"
     assert {hidden.decision.topic, hidden.decision.choice.removeprefix("left out: "), hidden.decision.reason[1:-1]} == {HIDDEN}
-    failed = names.without_in(
+    failed = names.redact_event(
         Failed(stage="s", message=f"cannot read {tmp_path / 'a.jpg.png'} or {'night' + chr(10) + '.jpg'!r}", exit_code=2)
     )
     assert failed == Failed(stage="s", message=f"cannot read {tmp_path}/{HIDDEN} or '{HIDDEN}'", exit_code=2)
     kept = StageProgress(stage="s", done=1, total=2, note="data.jpg of 3, a.jpgx")
-    assert names.without_in(kept) == kept, "other words stay"
+    assert names.redact_event(kept) == kept, "other words stay"
     assert "left out: a.jpg, zoo.jpg" in (tmp_path / NOTES_NAME).read_text()
 
 
 def test_a_folder_of_all_devices_has_no_secret_names(tmp_path: Path) -> None:
     write_json(tmp_path / "task.json", {"source": str(tmp_path), "names": ["a.jpg"], "held_out": [], "copy": True})
-    assert own_names("field", tmp_path).without("a.jpg is truncated") == "a.jpg is truncated"
+    assert make_redactor("field", tmp_path).redact("a.jpg is truncated") == "a.jpg is truncated"
     write_json(tmp_path / "task.json", {"source": str(tmp_path), "names": ["a.jpg"], "held_out": [], "copy": False})
-    assert own_names("field", tmp_path).without("a.jpg is truncated") == f"{HIDDEN} is truncated"
-    assert own_names("device", tmp_path).without("a.jpg is truncated") == "a.jpg is truncated"
+    assert make_redactor("field", tmp_path).redact("a.jpg is truncated") == f"{HIDDEN} is truncated"
+    assert make_redactor("device", tmp_path).redact("a.jpg is truncated") == "a.jpg is truncated"
 
 
 def test_unplaced_photographs_of_a_devices_own_folder_are_counted() -> None:
@@ -534,7 +534,7 @@ def test_a_frame_counts_the_positions_that_it_is_from(hamlet: Path, tmp_path: Pa
     task = {"source": str(photos), "copy": False, "frames": "gps", "origin": list(origin), "sfm": {"matching": "auto", "seed": 0}}
     told: list[Event] = []
     write_json(tmp_path / "task.json", task)
-    _placed(tmp_path, task, "devices/a", told.append)
+    _place(tmp_path, task, "devices/a", told.append)
     (frame,) = [event.decision for event in told if isinstance(event, Decided) and event.decision.topic == "frame"]
     assert frame.reason.startswith("from 12 positions;")
 

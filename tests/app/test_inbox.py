@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.workers.delivering import introduce
+from radiant_app.workers.delivering import exchange_keys
 from radiant_app.workers.inbox import NOTHING, numbered, read_inbox, save_frames, sim3_of, sim3_record
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import FrameUncertainty, Sim3
@@ -101,8 +101,8 @@ def test_cameras_are_a_devices_an_edges_virtual_ones_or_none(tmp_path: Path) -> 
 
 
 def test_only_signed_uploads_are_read_where_they_have_to_be(tmp_path: Path) -> None:
-    introduce(tmp_path, "edges/north", None)
-    introduce(tmp_path, "devices/a", "edges/north")
+    exchange_keys(tmp_path, "edges/north", None)
+    exchange_keys(tmp_path, "devices/a", "edges/north")
     arrive(tmp_path / "edges/north", "a")
     read = {
         signed: read_inbox(tmp_path / "edges/north", ["a"], "edges/north", lambda event: None, signed=signed) for signed in (False, True)

@@ -29,7 +29,7 @@ from radiant_app.run.pipeline import RunResult, run
 from radiant_app.workers.inbox import read_inbox
 from radiant_app.workers.memory import resident_bytes
 from radiant_app.workers.nodes import run_cloud, run_device, run_edge
-from radiant_app.workers.sources import all_files
+from radiant_app.workers.sources import list_files
 from radiant_core import __version__
 from radiant_core.aggregate.extend import NewRegion
 from radiant_core.cameras import concatenate_cameras
@@ -141,7 +141,7 @@ def test_what_is_no_photograph_and_a_touch_change_nothing_and_an_older_run_goes_
     sfm = read_json(copy / "sfm" / "task.json")["sfm"]
     (copy / "sfm" / "source.json").unlink(missing_ok=True)
     record = read_json(copy / "sfm" / "done.json")
-    write_json(copy / "sfm" / "done.json", {**record, "key": content_key(__version__, sfm, all_files(config.source, copy))})
+    write_json(copy / "sfm" / "done.json", {**record, "key": content_key(__version__, sfm, list_files(config.source, copy))})
     for changed in ([], [config.source / ".DS_Store", next(config.source.glob("*_0003*"))]):
         for path in changed:
             path.touch()

@@ -12,7 +12,7 @@ from rich.console import Console
 from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.cloud_planning import cloud_task, place_edges_by_raster, planned_at_cloud, planned_from_raster, run_regions
+from radiant_app.run.cloud_planning import cloud_task, place_edges_by_raster, plan_from_raster, plan_regions_of_task, run_regions
 from radiant_app.run.config import PlanOptions, RunConfig
 from radiant_app.workers.field_nodes import told_raster
 from radiant_core.errors import BadInput
@@ -58,9 +58,9 @@ def test_the_cloud_answers_from_its_task_alone(tmp_path: Path) -> None:
     assert run_regions(tmp_path, "planning", lambda event: None) == ["regions.json"]
     regions, edges = load_plan(tmp_path / "regions.json")
     assert edges == () and regions.counts.sum() == 60
-    again = planned_at_cloud(json.loads((tmp_path / "task.json").read_text()))
+    again = plan_regions_of_task(json.loads((tmp_path / "task.json").read_text()))
     np.testing.assert_array_equal(again.weights, regions.weights)
-    plan = planned_from_raster(system, positions, 20.0, "exact")
+    plan = plan_from_raster(system, positions, 20.0, "exact")
     np.testing.assert_array_equal(plan.weights, regions.weights)
     assert plan.counts.sum() == 60 and plan.makespan_s >= plan.lower_bound_s
 
@@ -72,7 +72,7 @@ def test_what_the_edges_cannot_hold_is_refused_with_its_reason() -> None:
     for edge in task["edges"]:
         edge["max_cameras"] = 20
     with pytest.raises(BadInput, match="can hold 40 of 60"):
-        planned_at_cloud(task)
+        plan_regions_of_task(task)
 
 
 def test_radiant_plan_from_a_raster_says_so_and_refuses_what_needs_positions(tmp_path: Path) -> None:
