@@ -16,7 +16,7 @@ import numpy as np
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, count_received, deal_files
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_app.workers.delivering import identify_scoring, sign_task
 from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, region_width, summarize_scores
 from radiant_app.workers.tasks import Move, ScoreTask
