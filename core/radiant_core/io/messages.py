@@ -132,13 +132,10 @@ def _parsed(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
 
 def _left_out(whole: Any, given: Any, place: str = "") -> str | None:
     """The path of the first key that `given` leaves to a default: pydantic demands those of the message alone, not of its parts."""
-    if isinstance(whole, list):
-        return next(
-            (path for index, pair in enumerate(zip(whole, given, strict=True)) if (path := _left_out(*pair, f"{place}[{index}]"))), None
-        )
-    for key, value in whole.items() if isinstance(whole, dict) else ():
-        path = f"{place}.{key}".lstrip(".")
-        if key not in given or (path := _left_out(value, given[key], path)):
+    parts = whole.items() if isinstance(whole, dict) else enumerate(whole) if isinstance(whole, list) else ()
+    for key, value in parts:
+        path = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
+        if (isinstance(given, dict) and key not in given) or (path := _left_out(value, given[key], path)):
             return path
     return None
 
