@@ -111,8 +111,8 @@ case "${1:-}" in
     install_project test
     install_chromium
     run_checks
-    # Two at a time even on larger machines: a worker holds up to 2 GB.
-    .venv/bin/python -m pytest -n 2
+    # Two at a time even on larger machines: a worker holds up to 2 GB. By default, one of them would be given all of tests/app at once.
+    .venv/bin/python -m pytest -n 2 --dist worksteal
     ;;
   help | --help | -h) echo "$usage" ;;
   *) fail "unknown argument '$1'. Try ./setup.sh help." ;;

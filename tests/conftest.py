@@ -7,19 +7,32 @@ away. Here jaxtyping proves each instance that any test brings about, with one m
 from __future__ import annotations
 
 import functools
+import os
+import subprocess
 from dataclasses import fields
+from types import SimpleNamespace
 from typing import Any
+
+# OpenMP reads both when torch is imported.
+os.environ.setdefault("GOMP_SPINCOUNT", "0")
+if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]))))
 
 import hypothesis
 import jaxtyping
 import numpy as np
+import pytest
 from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from torch import Tensor
 
+from radiant_app.executors import local
 from radiant_core.cameras import Cameras
 from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
+from tests import forked
+
+pytest.MonkeyPatch().setattr(local, "subprocess", SimpleNamespace(**{**vars(subprocess), "Popen": forked.popen}))
 
 # No deadline: the first example pays for imports. The same examples each time, so that a failure is a failure for everybody.
 hypothesis.settings.register_profile("radiant", deadline=None, derandomize=True, database=None)

@@ -109,6 +109,7 @@ def summary(folder: Path) -> dict:
 
 
 def test_a_batch_goes_on_after_a_crash_and_bad_input(desk: Path, finished: subprocess.CompletedProcess[str]) -> None:
+    """Alone runs a batch in real processes three deep: the batch, its jobs and their nodes."""
     assert finished.returncode == 1, finished.stderr
     record = json.loads(finished.stdout)
     assert record == summary(desk / "night") and record["exit_code"] == 1

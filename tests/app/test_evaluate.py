@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from tests.app.alex_weights import write_alex_weights
+from tests.forked import run_module
 
 TRUE_SIZE_WH = (96, 72)
 
@@ -118,8 +118,7 @@ def score(**request: Any) -> dict[str, Any]:
 
 
 def radiant(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "radiant_app", "evaluate", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return run_module("radiant_app", "evaluate", *arguments)
 
 
 @pytest.mark.parametrize("scene", ["sfm", "colmap"])

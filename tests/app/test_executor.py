@@ -27,20 +27,17 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_core.aggregate.tree import Tree
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, CannotWrite, StageFailed
+from radiant_core.io.run_store import SEAL_NAME, seal
 
 DEVICES = tuple(Tree(id=f"devices/{number}", tier="device") for number in "123")
 TREE = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=DEVICES),))
-SEAL = """
-from pathlib import Path
-from radiant_core.io.run_store import seal
-Path('made').write_text('x')
-seal(Path('.'), 'key', ['made'])
-"""
+SEAL = f"import os; os.rename('sealed', {SEAL_NAME!r})"
+"""Without the imports of the project: `preparer` seals the product beforehand and the process only says so."""
 
 
 def commands(scripts: dict[str, str]) -> Callable[[NodeTask], list[str]]:
     def command(task: NodeTask) -> list[str]:
-        return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
+        return [sys.executable, "-S", "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
 
     return command
 
@@ -52,8 +49,13 @@ def executor(scripts: dict[str, str], num_workers: int = 2) -> LocalExecutor:
 def preparer(run: Path, order: list[str]):
     def prepare(node: Tree) -> NodeTask:
         order.append(node.id)
-        (run / node.id).mkdir(parents=True, exist_ok=True)
-        return NodeTask(kind=node.tier, stage=node.id, folder=run / node.id, key="key")
+        folder = run / node.id
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / SEAL_NAME).exists():
+            (folder / "made").write_text("x")
+            seal(folder, "key", ["made"])
+            (folder / SEAL_NAME).rename(folder / "sealed")
+        return NodeTask(kind=node.tier, stage=node.id, folder=folder, key="key")
 
     return prepare
 

@@ -6,7 +6,6 @@ import io
 import json
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ from radiant_core.io.waypoints.reader import exif_waypoints, read_waypoints
 from radiant_core.plan.baselines import compare
 from radiant_core.plan.regions.edge_sites import place_edges
 from tests.core.sfm.test_gps_of_photographs import hamlet_with, without_altitude
+from tests.forked import run_module
 
 HAMLET = sample_scenes_folder() / "hamlet" / "images"
 SYSTEM = """
@@ -191,8 +191,7 @@ def test_the_command_line_prints_json_and_refuses_with_code_2(tmp_path: Path) ->
     source = grid_csv(tmp_path, 1, 1)
 
     def radiant(*arguments: object) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "radiant_app", "plan", *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        return run_module("radiant_app", "plan", *arguments)
 
     good = radiant(source, "--out", tmp_path / "plan.json", "--json")
     assert good.returncode == 0, good.stderr

@@ -74,14 +74,7 @@ def test_every_relative_link_leads_somewhere(page: Path) -> None:
     assert dead == []
 
 
-STALE = pytest.mark.xfail(
-    strict=True, reason="ARCHITECTURE.md says sfm/kept_database.py for sfm/colmap/kept_database.py: drop this with its next edit"
-)
-
-
-@pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=STALE if page.name == "ARCHITECTURE.md" else (), id=page_id(page)) for page in PAGES]
-)
+@pytest.mark.parametrize("page", PAGES, ids=page_id)
 def test_every_module_that_a_page_names_exists(page: Path) -> None:
     code = [name for _number, line in prose(page) for name in re.findall(r"`([^`]+)`", line)]
     files = [file for text in code for file in re.findall(r"(?<![\w./*-])[\w.-]+(?:/[\w.-]+)+\.(?:py|cpp|h)\b", text)]

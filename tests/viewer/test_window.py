@@ -151,7 +151,7 @@ def comparison(window):
     dock = window.docks.photo
     window.select_camera("DJI_0009.JPG")
     owner = window.run.roles.device_ids[window.run.roles.device_of_camera[9]]
-    assert not dock.picture.has_picture and f"stays with device {owner}" in dock.picture.message, dock.picture.message
+    assert dock.picture._left is None and f"stays with device {owner}" in dock.picture.message, dock.picture.message
     window.raise_dock(dock)
     dock.show_worst()
     QTest.qWait(50)
@@ -423,6 +423,7 @@ def run_python(code: str | list[str], *arguments: str, **environment: str) -> su
 
 
 def test_the_windows_of_a_run_of_one_at_work_and_of_a_ply_from_elsewhere(tmp_path: Path, display: str) -> None:
+    """Alone works the real windows: three sessions under one X server, whose imports and OpenGL contexts take most of the time."""
     pytest.importorskip("pyvistaqt", reason="the extra 'desktop' is not installed")
     save_run(tmp_path / "run", made_up_town(step_levels=60))
     save_run(tmp_path / "begun", made_up_town())

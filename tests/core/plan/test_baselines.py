@@ -12,11 +12,12 @@ from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
+from tests.seeds import for_seeds
 
 from .instances import LAYOUTS, linear_system, random_system
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_only_exact_is_at_the_bound_and_nobody_below(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system = linear_system(rng.random((5, 2)) * [500.0, 250.0], rng.uniform(1, 4, 5))

@@ -12,6 +12,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.capped_transport import _Boxes, _boxes, _guess, _within, deal_within
 from radiant_core.plan.regions.transport import Dealt
+from tests.seeds import for_seeds
 
 from .instances import LAYOUTS
 
@@ -39,7 +40,7 @@ def hungarian_cost(positions: FloatArray, sites: FloatArray, capacities: np.ndar
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("seed", range(25))
+@for_seeds(25)
 def test_cost_equals_the_hungarian_method(layout: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_cameras, num_edges = int(rng.integers(1, 60)), int(rng.integers(1, 9))

@@ -9,6 +9,7 @@ from scipy.optimize import nnls
 from radiant_core.errors import BadInput
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.curve_fit import FittedCurve, falls, fit_curve
+from tests.seeds import for_seeds
 
 COUNTS = np.array([10, 20, 50, 100, 200, 400])
 
@@ -30,7 +31,7 @@ def test_the_generating_curve_is_found_again(curve: CostCurve) -> None:
     assert (fitted.smallest_count, fitted.largest_count) == (10, 400)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_noise_of_five_percent_moves_predictions_by_little_more(seed: int) -> None:
     rng = np.random.default_rng(seed)
     curve = CostCurve(constant=rng.uniform(1, 50), linear=rng.uniform(0.1, 2))

@@ -14,6 +14,7 @@ from radiant_core.plan.counts import deadline
 from radiant_core.plan.counts.deadline import device_time_s, edge_table, edge_tables, fastest_counts
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import Edge, System
+from tests.seeds import for_seeds
 
 from .instances import linear_system, random_curve, random_edge, random_system
 
@@ -29,7 +30,7 @@ def slowest_device_s(edge: Edge, quotas: Sequence[int] | np.ndarray) -> float:
     return max(float(device_time_s(device, quota)) for device, quota in zip(edge.devices, quotas, strict=True))
 
 
-@pytest.mark.parametrize("seed", range(150))
+@for_seeds(150)
 def test_quotas_are_as_fast_as_the_best_of_all_quotas(seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_cameras = int(rng.integers(1, 9))
@@ -45,7 +46,7 @@ def test_quotas_are_as_fast_as_the_best_of_all_quotas(seed: int) -> None:
         assert slowest_device_s(edge, quotas) == pytest.approx(min(slowest_s), abs=SECONDS_TOLERANCE)
 
 
-@pytest.mark.parametrize("seed", range(50))
+@for_seeds(50)
 def test_edge_time_is_training_plus_aggregation_plus_sending(seed: int) -> None:
     rng = np.random.default_rng(seed)
     edge = random_edge(rng, "e", 3, limits=(2, 30))
@@ -57,7 +58,7 @@ def test_edge_time_is_training_plus_aggregation_plus_sending(seed: int) -> None:
         assert table.edge_time_s[count] == pytest.approx(expected_s, rel=1e-12, abs=SECONDS_TOLERANCE)
 
 
-@pytest.mark.parametrize("seed", range(50))
+@for_seeds(50)
 def test_an_edge_whose_cameras_one_device_has_pays_for_no_retraining(seed: int) -> None:
     rng = np.random.default_rng(seed)
     edge = random_edge(rng, "e", int(rng.integers(1, 4)), limits=(0, 30))
@@ -72,7 +73,7 @@ def test_an_edge_whose_cameras_one_device_has_pays_for_no_retraining(seed: int) 
         assert table.edge_time_s[count] == pytest.approx(expected_s, rel=1e-12, abs=SECONDS_TOLERANCE)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_tables_never_fall_and_quotas_only_grow(seed: int) -> None:
     rng = np.random.default_rng(seed)
     table = edge_table(random_edge(rng, "e", 4), 300)
@@ -82,7 +83,7 @@ def test_tables_never_fall_and_quotas_only_grow(seed: int) -> None:
     assert (np.diff(quotas, axis=0) >= 0).all()
 
 
-@pytest.mark.parametrize("seed", range(150))
+@for_seeds(150)
 def test_counts_are_as_fast_as_the_best_of_all_counts(seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_cameras = int(rng.integers(1, 10))
@@ -115,7 +116,7 @@ def test_devices_whose_time_does_not_depend_on_cameras_share_them_evenly() -> No
     np.testing.assert_array_equal(edge_table(replace(edge, devices=tuple(flat)), 30).quotas(30), [10, 10, 10])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_the_order_of_edges_does_not_change_the_bound(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system = random_system(rng, 5)

@@ -7,6 +7,7 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.regions.transport import deal_with_counts
+from tests.seeds import for_seeds
 
 from .instances import LAYOUTS
 from .transport_twin import assign_with_counts
@@ -30,7 +31,7 @@ def test_cost_equals_the_twin(layout: str, seed: int) -> None:
     assert dealt.violation_m2 <= 1e-12 * cost.max()
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_a_count_raster_is_dealt_as_its_cameras(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cells = np.stack(np.divmod(np.arange(100), 10), axis=1) * 10.0

@@ -16,6 +16,7 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.power_diagram import polygon_area_m2, rectangle
 from radiant_core.plan.regions.region_plan import plan_regions
+from tests.seeds import for_seeds
 
 from .instances import LAYOUTS, random_edge, random_system
 
@@ -32,7 +33,7 @@ def rotated(points: FloatArray, angle: float) -> FloatArray:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_a_whole_plan_gives_every_camera_to_one_device_within_its_land(layout: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     positions, system = LAYOUTS[layout](rng, 70), random_system(rng, 4, limits=(20, 40))
@@ -51,7 +52,7 @@ def test_a_whole_plan_gives_every_camera_to_one_device_within_its_land(layout: s
         assert edge_plan.device_time_s.max() <= plan.edge_time_s[index]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_cameras_lie_in_their_device_s_strip_and_strips_follow_one_another(seed: int) -> None:
     positions = LAYOUTS["uniform"](np.random.default_rng(seed), 60)
     plan = split(positions, num_devices=4, seed=seed)
@@ -83,7 +84,7 @@ def test_the_cut_is_midway_between_the_cameras_beside_it() -> None:
     assert (plan.strips[second] @ axis).min() == pytest.approx(cut, abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_the_axis_is_that_of_the_smallest_rectangle_found_by_trying_all_angles(seed: int) -> None:
     points = rotated(np.random.default_rng(seed).normal(size=(25, 2)) * [30.0, 10.0], seed * 0.3)
     axis = long_axis(points)

@@ -11,6 +11,7 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.edge_sites import place_edges, separate_sites
 from radiant_core.plan.system import System
+from tests.seeds import for_seeds
 
 from .instances import LAYOUTS, linear_system
 
@@ -36,7 +37,7 @@ def test_seeded_edges_stand_inside_the_cameras_box_and_repeat(layout: str, num_e
     np.testing.assert_array_equal(sites, sites_of(place_edges(unplaced(num_edges), positions, None, seed=3)))
 
 
-@pytest.mark.parametrize("seed", range(12))
+@for_seeds(12)
 def test_clusters_far_apart_get_an_edge_each(seed: int) -> None:
     rng = np.random.default_rng(1)
     centres = np.array([[0.0, 0.0], [1000.0, 0.0], [0.0, 1000.0], [1000.0, 1000.0]])
@@ -84,7 +85,7 @@ def test_poisoned_cameras_are_refused(positions: FloatArray) -> None:
         place_edges(unplaced(2), positions, None, seed=0)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_separated_sites_differ_and_those_apart_do_not_move(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sites = rng.choice([0.0, 50.0, 100.0, 150.0], (30, 2))

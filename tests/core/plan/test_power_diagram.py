@@ -9,6 +9,7 @@ import shapely
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.regions.power_diagram import assign, bounds, cell_polygons, clip_polygon, polygon_area_m2, rectangle
+from tests.seeds import for_seeds
 
 OUTLINE = rectangle(np.array([0.0, 0.0]), np.array([500.0, 250.0]))
 # Clipping rounds corners by about 1e-13 m; times 500 m of border and a few borders.
@@ -28,7 +29,7 @@ def is_convex_counter_clockwise(polygon: FloatArray) -> bool:
     return bool((turns >= -AREA_TOLERANCE_M2).all())
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_cells_cover_the_outline_without_overlap(seed: int) -> None:
     sites, weights = random_diagram(seed)
     cells = cell_polygons(sites, weights, OUTLINE)
@@ -39,7 +40,7 @@ def test_cells_cover_the_outline_without_overlap(seed: int) -> None:
     assert whole.area == pytest.approx(500 * 250, abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_points_lie_in_the_polygon_of_their_cell(seed: int) -> None:
     sites, weights = random_diagram(seed)
     points = np.random.default_rng(seed).random((300, 2)) * [500.0, 250.0]
@@ -48,7 +49,7 @@ def test_points_lie_in_the_polygon_of_their_cell(seed: int) -> None:
         assert shapely.Polygon(cells[owner]).distance(shapely.Point(point)) < 1e-9  # metres
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_utm_coordinates_give_the_same_cells_to_a_micrometre(seed: int) -> None:
     sites, weights = random_diagram(seed)
     utm_m = np.array([500_000.0, 9_999_000.0])
@@ -98,7 +99,7 @@ def test_poisoned_sites_and_weights_are_refused(sites: list, weights: list) -> N
         cell_polygons(sites, weights, OUTLINE)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_a_cut_polygon_is_what_shapely_cuts(seed: int) -> None:
     rng = np.random.default_rng(seed)
     angles = np.sort(rng.uniform(0, 2 * np.pi, 7))

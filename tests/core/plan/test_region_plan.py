@@ -32,6 +32,7 @@ from radiant_core.plan.regions.region_plan import (
     regions_with_counts,
 )
 from radiant_core.plan.system import Edge, System
+from tests.seeds import for_seeds
 
 from .instances import LAYOUTS, linear_system, random_system
 
@@ -55,7 +56,7 @@ def outline_area_m2(positions: FloatArray) -> float:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("seed", range(25))
+@for_seeds(25)
 def test_exact_reaches_the_bound_with_a_certificate(layout: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_cameras, num_edges = int(rng.integers(1, 150)), int(rng.integers(1, 10))
@@ -66,7 +67,7 @@ def test_exact_reaches_the_bound_with_a_certificate(layout: str, seed: int) -> N
     assert plan.status == "optimal"
 
 
-@pytest.mark.parametrize("seed", range(100))
+@for_seeds(100)
 def test_no_assignment_at_all_is_faster_or_of_these_counts_nearer(seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_cameras, num_edges = int(rng.integers(1, 7)), int(rng.integers(1, 4))
@@ -105,7 +106,7 @@ def sending_alike(system: System) -> System:
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("seed", range(15))
+@for_seeds(15)
 def test_no_method_beats_the_bound_and_times_follow_from_the_counts(seed: int, method: PlanMethod) -> None:
     rng = np.random.default_rng(seed)
     system = random_system(rng, 5)
@@ -122,7 +123,7 @@ def test_no_method_beats_the_bound_and_times_follow_from_the_counts(seed: int, m
     assert (plan.status == "optimal") == (plan.makespan_s == plan.lower_bound_s)
 
 
-@pytest.mark.parametrize("seed", range(15))
+@for_seeds(15)
 def test_moving_borders_never_ends_slower_than_it_started(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system, positions = random_system(rng, 4), LAYOUTS["uniform"](rng, 200)
@@ -163,7 +164,7 @@ def test_even_is_what_the_paper_divides_equally_for_each_device() -> None:
         even_quotas(replace(edges[0], devices=(replace(slow, max_cameras=2),)), 3)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_stored_sites_and_weights_give_each_camera_its_edge(seed: int) -> None:
     rng = np.random.default_rng(seed)
     utm_m = np.array([500_000.0, 9_999_000.0])
@@ -314,7 +315,7 @@ def test_a_tolerance_leaves_nearest_edges_alone_where_they_are_good_enough() -> 
         plan_regions(positions, system, tolerance=-0.1)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@for_seeds(60)
 def test_even_counts_are_the_most_equal_that_capacities_allow(seed: int) -> None:
     """Water-filling by one camera at a time: always to the device that has least and still has room, of equals the first of its edge."""
     rng = np.random.default_rng(seed)

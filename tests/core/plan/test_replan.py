@@ -22,6 +22,7 @@ from radiant_core.plan.revision import replan as replan_module
 from radiant_core.plan.revision.assigned import hull_of
 from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, extend_system, replan
 from radiant_core.plan.system import Device, Edge, System
+from tests.seeds import for_seeds
 
 
 def device(name: str, speed: float = 1.0, most: int | None = None) -> Device:
@@ -416,7 +417,7 @@ def test_a_part_of_what_is_gained_is_shared_in_proportion(gains: list[int], tota
     assert (np.abs(shared - exact) < 1).all() and np.abs(shared - exact).sum() <= np.abs(np.array(parts) - exact).sum() + 1e-9
 
 
-@pytest.mark.parametrize("seed", range(12))
+@for_seeds(12)
 def test_the_linear_program_is_the_best_of_all_choices_and_so_is_the_native_way(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points, centres = rng.random((6, 2)) * 100, rng.random((4, 2)) * 100

@@ -12,6 +12,7 @@ from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.revision import replan_counts
 from radiant_core.plan.revision.replan_counts import EdgeLoad, MachineLoad, new_counts
 from radiant_core.plan.system import Device, Edge
+from tests.seeds import for_seeds
 
 
 def machine(name: str, seconds: float, now: int, fixed: int = 0, most: int = 99, **more: object) -> MachineLoad:
@@ -86,7 +87,7 @@ def random_loads(rng: np.random.Generator) -> tuple[list[EdgeLoad], int]:
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.25])
-@pytest.mark.parametrize("seed", range(60))
+@for_seeds(60)
 def test_no_other_quotas_are_faster_or_make_fewer_leave(seed: int, tolerance: float) -> None:
     loads, total = random_loads(np.random.default_rng(seed))
     found, choices = new_counts(loads, total, tolerance), all_choices(loads, total)
@@ -164,7 +165,7 @@ def test_a_machine_is_ready_after_what_it_already_does() -> None:
     assert [closed.time_s(quota) for quota in (0, 1, 4)] == [0.0, 7.0, 7.0]
 
 
-@pytest.mark.parametrize("seed", range(25))
+@for_seeds(25)
 def test_where_devices_send_unequally_quotas_keep_the_fastest_deadline_and_what_is_fixed(seed: int) -> None:
     """Nothing is proved of moves there; the makespan is that of the quickest quotas all the same."""
     rng = np.random.default_rng(seed)

@@ -13,6 +13,7 @@ import simpy
 from radiant_core.errors import BadInput
 from radiant_core.plan.counts.deadline import edge_tables, fastest_counts
 from radiant_core.plan.timeline.simulate import BandwidthTrace, Fleet, fleet_of, simulate
+from tests.seeds import for_seeds
 
 from .instances import random_system
 
@@ -82,7 +83,7 @@ def played(fleet: Fleet, trace: BandwidthTrace) -> list[float]:
     return done
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_the_timeline_is_that_of_simpy(seed: int) -> None:
     rng = np.random.default_rng(seed)
     fleet, trace = random_fleet(rng, 20, 100), random_trace(rng)
@@ -116,7 +117,7 @@ def test_a_constant_half_of_the_bandwidth_doubles_sending() -> None:
     np.testing.assert_allclose(slow.device_done_s[alive] - whole.device_done_s[alive], sending_s[alive], rtol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@for_seeds(10)
 def test_an_undisturbed_fleet_takes_the_planned_times(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system = random_system(rng, 6)

@@ -13,6 +13,7 @@ from radiant_core.plan.devices import strip_order
 from radiant_core.plan.devices.device_split import long_axis, split_edge
 from radiant_core.plan.devices.strip_order import MAX_EXCHANGED, chords_across, shortest_order
 from radiant_core.plan.regions.power_diagram import polygon_area_m2
+from tests.seeds import for_seeds
 
 from .instances import random_edge
 
@@ -35,7 +36,7 @@ def shortest_of_all(quotas: np.ndarray, chords_m: FloatArray) -> float:
     return min(seams_m(np.array(order), quotas, chords_m) for order in permutations(np.flatnonzero(quotas)))
 
 
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_no_permutation_has_shorter_seams(seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_devices = int(rng.integers(1, 8))
@@ -96,7 +97,7 @@ def test_land_without_area_has_no_seams() -> None:
     assert chords_across(np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]), np.array([1.0, 0.0]), np.array([0.5])).tolist() == [0.0]
 
 
-@pytest.mark.parametrize("seed", range(15))
+@for_seeds(15)
 def test_strips_of_a_plan_have_the_shortest_seams_of_all_orders(seed: int) -> None:
     rng = np.random.default_rng(seed)
     border = convex_border(rng)

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from radiant_core.numerics import FloatArray
+from tests.seeds import for_seeds
 
 from .instances import LAYOUTS
 from .transport_twin import assign_with_counts, largest_violation, separating_weights
@@ -30,7 +31,7 @@ def hungarian_cost(cost: FloatArray, counts: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("seed", range(20))
+@for_seeds(20)
 def test_cost_equals_the_hungarian_method(layout: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_cameras, num_edges = int(rng.integers(1, 70)), int(rng.integers(1, 9))
@@ -43,7 +44,7 @@ def test_cost_equals_the_hungarian_method(layout: str, seed: int) -> None:
     assert own == pytest.approx(hungarian_cost(cost, counts), rel=1e-12)  # the same sum in another order
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_every_camera_of_a_scattered_scene_lies_strictly_inside_its_own_cell(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cost = squared_distances(rng.random((200, 2)), rng.random((6, 2)))

@@ -22,6 +22,7 @@ from radiant_core.plan.counts.wide_deadline import (
 )
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.system import System
+from tests.seeds import for_seeds
 
 from .instances import linear_system, random_curve, random_device, random_edge, random_system
 
@@ -31,7 +32,7 @@ def _never_small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wide_deadline, "SMALL_TABLE_ENTRIES", 0)
 
 
-@pytest.mark.parametrize("seed", range(120))
+@for_seeds(120)
 def test_the_makespan_is_that_of_whole_tables(seed: int) -> None:
     rng = np.random.default_rng(seed)
     num_cameras = int(np.exp(rng.uniform(0, np.log(3000))))
@@ -42,7 +43,7 @@ def test_the_makespan_is_that_of_whole_tables(seed: int) -> None:
         system = System(edges=tuple(edges))
     tables = edge_tables(system, num_cameras)
     if sum(table.capacity for table in tables) < num_cameras:
-        pytest.skip("memory cannot hold this instance, which the caller checks first")
+        return  # Memory cannot hold this instance, which the caller checks first.
     _, bound_s = fastest_counts(tables, num_cameras)
     found = fastest_edge_counts(system, num_cameras)
     assert found.counts.sum() == num_cameras
@@ -122,7 +123,7 @@ def some_fleet(seed: int, num_cameras: int = 400) -> tuple[System, _Fleet]:
     return system, _Fleet(system, num_cameras)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@for_seeds(12)
 def test_all_devices_at_once_cost_what_each_costs_by_itself(seed: int) -> None:
     system, fleet = some_fleet(seed)
     counts = np.array([0, 1, 2, 7, 40])
@@ -138,7 +139,7 @@ def test_all_devices_at_once_cost_what_each_costs_by_itself(seed: int) -> None:
         np.testing.assert_allclose(fleet.aggregate(counts, np.full(5, index)), joined, rtol=1e-14)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@for_seeds(40)
 def test_alone_is_the_fastest_device_until_the_next_could_do_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
     edge = random_edge(rng, "e", int(rng.integers(1, 4)), (0, 60) if seed % 2 else None)
@@ -163,7 +164,7 @@ def test_interpolated_is_numpys_row_by_row_and_0_before_the_first() -> None:
     assert _interpolated(np.array([[np.inf, np.inf]]), np.array([[1.0, 2.0]]), np.array([3.0])).tolist() == [0.0]
 
 
-@pytest.mark.parametrize("seed", range(30))
+@for_seeds(30)
 def test_quotas_of_the_guess_are_near_the_best_and_sum_to_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     system = linear_system(rng.random((6, 2)), rng.uniform(0.5, 5, 6), 900 if seed % 2 else None)
@@ -177,13 +178,13 @@ def test_quotas_of_the_guess_are_near_the_best_and_sum_to_all(seed: int) -> None
     assert not fleet._of_all_cameras(np.zeros(6)).any()
 
 
-@pytest.mark.parametrize("seed", range(60))
+@for_seeds(60)
 def test_any_window_gives_the_optimum_or_nothing(seed: int) -> None:
     """Windows about the best quotas, too narrow, shifted or as wide as all: what is said to be proved is the optimum."""
     system, fleet = some_fleet(seed % 12, 150)
     tables = edge_tables(system, 150)
     if sum(table.capacity for table in tables) < 150:
-        pytest.skip("memory cannot hold this instance, which the caller checks first")
+        return  # Memory cannot hold this instance, which the caller checks first.
     counts, bound_s = fastest_counts(tables, 150)
     quotas = np.concatenate([table.quotas(int(count)) for table, count in zip(tables, counts, strict=True)])
     rng = np.random.default_rng(seed)

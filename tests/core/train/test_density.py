@@ -159,11 +159,12 @@ class TestSchedule:
         splats = SplatTensors.from_splats(ground_splats(5))
         config = replace(train_preset("standard"), num_steps=3_000)
         policy = AdaptiveDensity(Adc(), config, EXTENT, splats)
+        optimizer = SelectiveAdam({}, {})
         edits, resets = [], []
         monkeypatch.setattr(policy, "_edit", lambda moment, splats, optimizer: edits.append(moment.step) or splats)
         for step in range(1, config.num_steps + 1):
             before = policy.counts.num_resets
-            policy.after_update(moment(step, step * 10.0), splats, SelectiveAdam({}, {}))
+            policy.after_update(moment(step, step * 10.0), splats, optimizer)
             resets += [step] if policy.counts.num_resets > before else []
         assert edits == list(range(100, 1_500, 100)) and resets == [300, 600, 900, 1_200]
 
