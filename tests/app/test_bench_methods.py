@@ -63,14 +63,14 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     assert stamps == {path: path.stat().st_mtime_ns for path in (bench.out / "joined").iterdir()}
 
 
-def test_ours_in_a_runs_cell_is_the_scene_that_the_run_wrote_bit_for_bit(tmp_path: Path) -> None:
+def test_ours_in_a_runs_cell_is_the_scene_that_the_run_wrote_bit_for_bit(bench: MethodBench, tmp_path: Path) -> None:
     train = TrainOptions(preset="draft", long_side_px=96, num_steps=30, max_num_splats=1500)
     system = tmp_path / "system.toml"
     system.write_text(UNEQUAL)
-    source, out = sample_scenes_folder() / "hamlet" / "images", tmp_path / "run"
-    run(RunConfig(source=source, out=out, system=system, seed=3, train=train))
-    bench = MethodBench(scene=out, out=tmp_path / "out", layout=layout_of("run"), methods=("crop", "ours", "even"))
-    rows, _ = bench_methods(bench)
+    out = tmp_path / "run"
+    run(RunConfig(source=bench.scene.parent / "hamlet", out=out, system=system, seed=3, train=train))
+    of_run = MethodBench(scene=out, out=tmp_path / "out", layout=layout_of("run"), methods=("crop", "ours", "even"))
+    rows, _ = bench_methods(of_run)
     assert [(row.cell, row.arm, row.seed) for row in rows] == [("run-run-s3", name, 3) for name in ("centralised", "crop", "ours", "even")]
     (model,) = (tmp_path / "out" / "joined").glob("run-run-s3-ours-*.safetensors")
     save_ply(tmp_path / "ours.ply", load_splats(model))
@@ -79,7 +79,7 @@ def test_ours_in_a_runs_cell_is_the_scene_that_the_run_wrote_bit_for_bit(tmp_pat
     ours = next(row for row in rows if row.arm == "ours")
     assert ours.training_px == num_steps[-1] * 96 * 72 > 0 and num_steps[:-1] == [0, 0]
     with pytest.raises(BadInput, match="no edge that received models"):
-        bench_methods(replace(bench, scene=out / "sfm", out=tmp_path / "other"))
+        bench_methods(replace(of_run, scene=out / "sfm", out=tmp_path / "other"))
 
 
 def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:
