@@ -214,10 +214,10 @@ def _dsm(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
 def _surface(request: ExportRequest, display: ProgressDisplay) -> tuple[Surface, RunView]:
     from radiant_app.commands.steps import stage_bar
     from radiant_core.geometry.surface import extract_surface
-    from radiant_viewer.runs.run_view import required_splats
+    from radiant_viewer.runs.run_view import require_splats
 
     run = _run_of(request)
-    splats = required_splats(run)
+    splats = require_splats(run)
     with stage_bar(display, "surface") as report:
         surface = extract_surface(
             splats,

@@ -15,7 +15,7 @@ from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.records import PlanFile, load_plan, load_plan_file
 from radiant_core.plan.system import System
 from radiant_viewer.runs.run_view import SCENE_NAME
-from radiant_viewer.runs.unplanned import kind_of
+from radiant_viewer.runs.unplanned import folder_kind
 
 if TYPE_CHECKING:
     from radiant_core.scene import SfmScene
@@ -105,7 +105,7 @@ def save_picture(source: Path, view: str | None, path: Path, picture: Picture = 
 def run_setting(run: Path, system: Path | None = None) -> PlanSetting:
     """With which machines the plan of a run may be changed: those it was planned for."""
     reason = f"The plan cannot be changed: {run.name} has no {SYSTEM_NAME}, it was planned by an earlier version; name one by --system."
-    if kind_of(run) != "run":
+    if folder_kind(run) != "run":
         reason = f"There is no plan to change: {run.name} was made without one."
     own = run / SYSTEM_NAME
     return _setting(_machines(system, [own], reason), run / f"plan{EDITS}")
@@ -134,14 +134,14 @@ def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[
         return None, f"The plan cannot be changed: {error}"
 
 
-def _setting(machines: tuple[System | None, str], keep_in: Path, plan: PlanFile | None = None) -> PlanSetting:
+def _setting(machines: tuple[System | None, str], edits_path: Path, plan: PlanFile | None = None) -> PlanSetting:
     from radiant_viewer.editing.plan_files import PlanSetting
 
     system, reason = machines
     return PlanSetting(
         system=system,
         reason=reason,
-        keep_in=keep_in,
+        edits_path=edits_path,
         waypoints=None if plan is None else plan.waypoints,
         ground_m=None if plan is None else plan.ground_m,
         system_text=dump_system,

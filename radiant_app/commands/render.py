@@ -30,7 +30,7 @@ from radiant_core.render.trajectories import Lens, along_border, cameras_looking
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.movie import ENDINGS, NOT_FOR_BROWSERS, MovieWriter
 from radiant_viewer.runs.run_view import RunView, load_run_view
-from radiant_viewer.runs.unplanned import kind_of, seen_box
+from radiant_viewer.runs.unplanned import folder_kind, scene_box
 
 OTHER_FILMS = (".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".wmv", ".apng", ".webp")
 """Endings that no one means for a folder of frames."""
@@ -128,7 +128,7 @@ def _cameras(request: RenderRequest) -> Cameras:
         raise BadInput(f"{request.model} is a model alone: say from where to look by --trajectory orbit, --cameras or --keyframes.")
     if request.cameras is not None:
         return load_cameras(request.cameras)
-    if kind_of(request.model) == "training":
+    if folder_kind(request.model) == "training":
         return held_out_of_training(load_run_view(request.model))
     require_run(request.model, "evaluation/cameras.safetensors")
     return load_cameras(request.model / "evaluation" / "cameras.safetensors")
@@ -141,7 +141,7 @@ def held_out_of_training(run: RunView) -> Cameras:
 
 
 def _flight(request: RenderRequest, lens: Lens) -> Cameras:
-    from radiant_viewer.runs.run_pictures import ground_height
+    from radiant_viewer.runs.run_layers import ground_height
 
     if not request.model.is_dir():
         _require_orbit(request, "is a model alone")
@@ -150,7 +150,7 @@ def _flight(request: RenderRequest, lens: Lens) -> Cameras:
     run = load_run_view(request.model)
     if run.kind != "run":
         _require_orbit(request, "was made without a plan")
-        return _orbit_around(seen_box(run.scene), request.num_frames, lens)
+        return _orbit_around(scene_box(run.scene), request.num_frames, lens)
     ground = ground_height(run.scene)
     corners = np.concatenate([border for border in run.cloud_plan.borders if len(border)])
     low, high = corners.min(axis=0), corners.max(axis=0)

@@ -25,12 +25,12 @@ from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.plan.borders.footprints import Optics
 from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_core.plan.waypoints import Waypoints
-from radiant_viewer.editing.edited_plan import dragged_weight_m2
+from radiant_viewer.editing.edited_plan import border_weight_m2
 from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import FixWeight, LockRegion, PinCameras
-from radiant_viewer.editing.plan_files import load_other_plan, save_edited_plan, subject_of
-from radiant_viewer.runs.plan_view import likely_ground_m, load_plan_view
-from radiant_viewer.window.subject import subject_of_run
+from radiant_viewer.editing.plan_files import load_other_plan, plan_subject, save_edited_plan
+from radiant_viewer.runs.plan_view import estimate_ground_m, load_plan_view
+from radiant_viewer.window.subject import run_subject
 from tests.app.test_plan_command import grid_csv, make_plan
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -58,10 +58,10 @@ def test_an_edited_plan_is_what_plan_and_run_read(planned: Path) -> None:
     assert (abs(run.scene.cameras.centers[:, 2] - 50) < 15).all()
     forward = run.scene.cameras.cam_from_world[:, 2, :3]
     np.testing.assert_allclose(forward, np.tile([0, 0, -1.0], (300, 1)), atol=1e-9)  # straight down
-    editor = PlanEditor(subject_of(run), setting.system, (run.cloud_plan, run.edge_plans), setting.keep_in)
+    editor = PlanEditor(plan_subject(run), setting.system, (run.cloud_plan, run.edge_plans), setting.edits_path)
     editor.apply(LockRegion(edge="east"))
     editor.apply(PinCameras(cameras=editor.subject.names[:4], edge="south"))
-    editor.apply(FixWeight(edge="north", weight_m2=dragged_weight_m2(editor.state.cloud, "north", "south", 30.0)))
+    editor.apply(FixWeight(edge="north", weight_m2=border_weight_m2(editor.state.cloud, "north", "south", 30.0)))
     written = save_edited_plan(planned / "mine.json", editor.subject, editor.state, setting)
     beside = {f"mine{ending}" for ending in (".json", "_system.toml", "_start.json", "_constraints.toml", "_waypoints", "_regions.geojson")}
     assert {path.name for path in written} == beside
@@ -120,7 +120,7 @@ def test_a_run_on_the_globe_gives_a_plan_that_another_run_can_take(tmp_path: Pat
     assert setting.system is None and "name one by --system" in setting.reason
     save_plan(tmp_path / "plan.json", town.cloud_plan, town.edge_plans)
     run = load_plan_view(tmp_path / "plan.json", town.scene)
-    subject = subject_of(run)
+    subject = plan_subject(run)
     system = load_system(_write_system(tmp_path / "town.toml"))
     editor = PlanEditor(subject, system, (town.cloud_plan, town.edge_plans))
     written = save_edited_plan(tmp_path / "out.json", subject, editor.state, plan_setting(tmp_path / "plan.json", tmp_path / "town.toml"))
@@ -143,7 +143,7 @@ def test_lists_of_a_run_hold_heights_above_its_ground_and_absolute_altitudes_bes
     frame = replace(town.scene.frame, origin_lat_lon_alt=np.array([47.37, 8.54, 414.0]))
     town = replace(town, scene=replace(town.scene, observations=seen, frame=frame))
     save_plan(tmp_path / "plan.json", town.cloud_plan, town.edge_plans)
-    subject = subject_of(load_plan_view(tmp_path / "plan.json", town.scene))
+    subject = plan_subject(load_plan_view(tmp_path / "plan.json", town.scene))
     setting = plan_setting(tmp_path / "plan.json", _write_system(tmp_path / "town.toml"))
     editor = PlanEditor(subject, setting.system, (town.cloud_plan, town.edge_plans))  # type: ignore[arg-type]
     save_edited_plan(tmp_path / "out.json", subject, editor.state, setting)
@@ -162,7 +162,7 @@ def test_lists_of_a_run_hold_heights_above_its_ground_and_absolute_altitudes_bes
     assert kept is not None and kept.absolute and kept.ground_m == pytest.approx(414.1, abs=0.05), "for replan, and for the window"
     # A run in the field shows Gaussians, which float anywhere: nothing tells its ground.
     unseen = replace(town.scene, observations=np.zeros((0, 2), np.int64))
-    save_edited_plan(tmp_path / "field.json", subject_of(load_plan_view(tmp_path / "plan.json", unseen)), editor.state, setting)
+    save_edited_plan(tmp_path / "field.json", plan_subject(load_plan_view(tmp_path / "plan.json", unseen)), editor.state, setting)
     header = (tmp_path / "field_waypoints" / lists[0].name).read_text().split("\n")[0].strip()
     assert header == "latitude,longitude,altitude_absolute(m),name"
 
@@ -181,7 +181,7 @@ def test_lists_of_a_run_without_altitudes_hold_heights_above_its_ground_alone(tm
         ("out", seen, "latitude,longitude,altitude(m),name"),
         ("field", np.zeros((0, 2), np.int64), "latitude,longitude,name"),
     ):
-        subject = subject_of(load_plan_view(tmp_path / "plan.json", replace(scene, observations=points_seen)))
+        subject = plan_subject(load_plan_view(tmp_path / "plan.json", replace(scene, observations=points_seen)))
         editor = PlanEditor(subject, setting.system, (town.cloud_plan, town.edge_plans))  # type: ignore[arg-type]
         save_edited_plan(tmp_path / f"{name}.json", subject, editor.state, setting)
         lists = sorted((tmp_path / f"{name}_waypoints").iterdir())
@@ -208,7 +208,7 @@ def test_what_cannot_be_opened_is_one_sentence(tmp_path: Path, planned: Path) ->
     save_plan(tmp_path / "empty.json", empty, nobody)
     bare = town.scene.restricted_to(np.zeros(0, np.int64))
     with pytest.raises(BadInput, match="the plan has no cameras"):
-        subject_of(load_plan_view(tmp_path / "empty.json", bare))
+        plan_subject(load_plan_view(tmp_path / "empty.json", bare))
     with pytest.raises(BadInput, match="cannot be read"):
         plan_setting(tmp_path / "empty.json", tmp_path / "none.toml")
 
@@ -226,12 +226,12 @@ def test_cameras_of_a_plan_stand_over_its_ground(planned: Path) -> None:
     run, setting = load_plan_view(planned / "given.json"), plan_setting(planned / "given.json")
     # The grid flies at 490 m and curves down with the globe by some millimetres.
     np.testing.assert_allclose(run.scene.cameras.centers[:, 2], 30, atol=0.1)
-    editor = PlanEditor(subject_of(run), setting.system, (run.cloud_plan, run.edge_plans))  # type: ignore[arg-type]
+    editor = PlanEditor(plan_subject(run), setting.system, (run.cloud_plan, run.edge_plans))  # type: ignore[arg-type]
     save_edited_plan(planned / "again.json", editor.subject, editor.state, setting)
     np.testing.assert_array_equal(load_plan_view(planned / "again.json").scene.cameras.centers, run.scene.cameras.centers)
-    assert not [layer.name for layer in subject_of_run(run).layers if "Gaussians" in layer.name or "points" in layer.name]
+    assert not [layer.name for layer in run_subject(run).layers if "Gaussians" in layer.name or "points" in layer.name]
     high = Waypoints(names=("a", "b"), lat_lon_alt=[[47.37, 8.54, 100.0], [47.3704, 8.54, 100.0]])
-    assert likely_ground_m(high, Optics()) == 0, "images 44 m apart overlap by 70 % from 100 m"
+    assert estimate_ground_m(high, Optics()) == 0, "images 44 m apart overlap by 70 % from 100 m"
 
 
 def test_a_run_with_a_broken_system_opens_and_one_without_manifest_says_so(tmp_path: Path) -> None:

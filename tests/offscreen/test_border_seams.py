@@ -22,7 +22,7 @@ from radiant_core.splats import SH_C0, Splats
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.pictures.offscreen import draw_map
-from radiant_viewer.splats.open3d_splats import render_open3d_splats
+from tests.offscreen.open3d_splats import render_open3d_splats
 from tests.offscreen.test_open3d_parity import needs_vulkan
 
 SITES, WEIGHTS = np.array([[3.0, -12.0], [-3.0, 12.0]]), np.zeros(2)

@@ -17,8 +17,8 @@ from radiant_core.io.ply import save_ply
 from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import SH_BASES, Splats
-from radiant_viewer.splats.open3d_splats import render_open3d_splats
 from tests.core.scenes import cameras_above, ground_splats
+from tests.offscreen.open3d_splats import render_open3d_splats
 
 TILE_PX = 16
 CAMERA = cameras_above([(0.3, -0.2)], height_m=7.0, size_wh=(320, 240))

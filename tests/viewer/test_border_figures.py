@@ -46,7 +46,7 @@ def to_the_rim(town: Town) -> BorderFigures:
 def test_the_worst_place_is_where_photographs_are_and_not_at_a_false_step_beyond_them() -> None:
     town = flown_over_the_west()
     figures = to_the_rim(town)
-    assert figures.has_verdict and figures.steps
+    assert figures.has_verdict and figures.has_step
     assert figures.step_levels == pytest.approx(TRUE_LEVELS, abs=4)
     assert 0.3 * figures.border.length_m < figures.observed_length < 0.9 * figures.border.length_m
     stop = next(stop for stop in seam_stops(town.scene, town.cloud_plan, town.splats) if stop.figures.names == figures.names)
@@ -118,9 +118,9 @@ def test_a_step_that_drowns_in_texture_is_not_told() -> None:
         for splats in (town.splats, checkered(town.splats, 60))
     )
     names = ("north", "harbour")
-    assert clear[names].steps and clear[names].told_levels == 10
-    assert drowned[names].told_levels > clear[names].step_levels
-    assert not drowned[names].steps and str(round(drowned[names].told_levels)) in drowned[names].verdict
+    assert clear[names].has_step and clear[names].detectable_levels == 10
+    assert drowned[names].detectable_levels > clear[names].step_levels
+    assert not drowned[names].has_step and str(round(drowned[names].detectable_levels)) in drowned[names].verdict
 
 
 def test_the_shares_are_those_of_the_images_that_show_a_place() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.charts.curve_chart import CurvePoint, _apart, curve_picture
+from radiant_viewer.charts.curve_chart import CurvePoint, _spread_labels, curve_picture
 
 
 def points(offset_db: float) -> list[CurvePoint]:
@@ -22,9 +22,9 @@ def test_both_variants_are_drawn_in_their_colours() -> None:
 
 
 def test_labels_keep_apart_and_the_smallest_is_there() -> None:
-    kept = _apart([49_000, 68_000, 120_000, 130_000, 140_000, 150_000, 160_000, 200_000])
+    kept = _spread_labels([49_000, 68_000, 120_000, 130_000, 140_000, 150_000, 160_000, 200_000])
     assert kept[0] == 49_000 and (np.diff(np.log(kept)) > 0.14 * np.log(200 / 49)).all() and len(kept) >= 4
-    assert _apart([5.0]) == [5.0] and _apart([5.0, 5.0]) == [5.0]
+    assert _spread_labels([5.0]) == [5.0] and _spread_labels([5.0, 5.0]) == [5.0]
 
 
 def test_a_single_point_is_drawn_and_nothing_or_poison_is_refused() -> None:

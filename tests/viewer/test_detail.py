@@ -13,7 +13,7 @@ from radiant_viewer.layers.detail import MOVING_POINTS, even_subset, is_thinned,
 from radiant_viewer.layers.drawing import add_layer
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.point_detail import REST_S, PointDetail
-from radiant_viewer.pictures.offscreen import draw_map, draw_view, egl_window
+from radiant_viewer.pictures.offscreen import draw_map, draw_view, egl_rendering
 
 
 def ground_with_a_dense_spot(count: int, seed: int = 0) -> np.ndarray:
@@ -118,7 +118,7 @@ def test_a_view_that_moves_shows_few_points_and_all_when_it_rests() -> None:
     assert is_thinned(layer)
     assert moving_note(layer) == "at most 50,000 of 120,000 while the view moves"
     waiting: list[tuple[float, Callable[[], None]]] = []
-    with egl_window():
+    with egl_rendering():
         plotter = pv.Plotter(off_screen=True, window_size=[160, 120])
     detail = PointDetail(plotter, later=lambda seconds, call: waiting.append((seconds, call)))
     (actor,) = add_layer(plotter, layer, np.zeros(3), detail=detail)

@@ -17,9 +17,9 @@ from radiant_core.io.records import save_cameras, save_plan, save_scene
 from radiant_core.io.run_store import write_json
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_figures import image_figures
-from radiant_viewer.runs.run_pictures import comparisons, screenshot
+from radiant_viewer.runs.run_pictures import comparisons_picture, screenshot
 from radiant_viewer.runs.run_view import RunView, load_run_view
-from radiant_viewer.window.subject import subject_of_run
+from radiant_viewer.window.subject import run_subject
 from tests.viewer.made_up_run import made_up_town
 from tests.viewer.test_window import run_python
 
@@ -77,7 +77,7 @@ def test_the_figures_that_went_up_are_there_without_the_places_they_were_measure
     assert run.photographs[: len(run.scene.cameras)] == run.scene.cameras.names
     assert {run.owner(index_of(run, name)) for name in PSNR_DB} == {HERE, ELSEWHERE}
     # No camera has a figure: there is no layer of PSNR, and the other layers are as ever.
-    names = [layer.name for layer in subject_of_run(run).layers]
+    names = [layer.name for layer in run_subject(run).layers]
     assert "Cameras by PSNR" not in names and "Cameras by split" in names
 
 
@@ -99,7 +99,7 @@ def test_numbers_have_names_of_files_only_where_the_devices_folder_is_here(run: 
 
 def test_pictures_that_stayed_are_named_with_the_way_to_have_them(run: RunView) -> None:
     with pytest.raises(BadInput, match=f"{WORST}.* stayed with device {HERE}.*--single-owner"):
-        comparisons(run)
+        comparisons_picture(run)
     assert screenshot(run.folder, "cameras").std() > 5
 
 
@@ -140,12 +140,10 @@ from radiant_viewer.runs.run_figures import image_figures
 from radiant_viewer.runs.run_view import load_run_view
 
 class Window(QMainWindow):
-    def tell(self, sentence):
-        print("told:", sentence)
+    def show_status(self, message):
+        print("status:", message)
     def select_camera(self, name):
         self.dock.show_camera(run.photographs.index(name))
-    def raise_dock(self, dock):
-        pass
 
 application = QApplication([])
 run, window = load_run_view(Path(sys.argv[1]), with_files=True), Window()

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.ply import save_ply
 from radiant_viewer.layers.palette import GREY, INK, heat_table
-from radiant_viewer.layers.themes import DARK, LIGHT, themed
+from radiant_viewer.layers.themes import DARK, LIGHT, apply_theme
 from radiant_viewer.pictures.measure import area_text, length_text, path_length, polygon_area
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_feeds import StageState
@@ -124,19 +124,19 @@ def contrast(color: ArrayLike, ground: ArrayLike) -> float:
 def test_dark_draws_ink_light_and_fills_dark_and_leaves_what_is_data(tmp_path: Path) -> None:
     save_run(tmp_path / "run", made_up_town())
     layers = {layer.name: layer for layer in load_subject(tmp_path / "run").layers}
-    regions = themed(layers["Regions"], DARK)
+    regions = apply_theme(layers["Regions"], DARK)
     assert (layers["Regions"].segment_colors == INK).all()
     assert (regions.segment_colors == DARK.ink).all()
     assert regions.polygon_colors.mean() < 0.6 * layers["Regions"].polygon_colors.mean()
     cameras, loads = layers["Cameras by device"], layers["Edge loads"]
-    assert np.array_equal(themed(cameras, DARK).point_colors, cameras.point_colors)
+    assert np.array_equal(apply_theme(cameras, DARK).point_colors, cameras.point_colors)
     filled = ~(loads.polygon_colors == 255).all(axis=1)
     assert 0 < filled.sum() < len(filled)
-    assert np.array_equal(themed(loads, DARK).polygon_colors[filled], loads.polygon_colors[filled])
-    assert (themed(loads, DARK).polygon_colors[~filled] == DARK.field).all()
+    assert np.array_equal(apply_theme(loads, DARK).polygon_colors[filled], loads.polygon_colors[filled])
+    assert (apply_theme(loads, DARK).polygon_colors[~filled] == DARK.field).all()
     # The lowest value of a heat scale can be seen, and the legend shows the colours that are drawn.
     for name in ("Seams", "Overlap"):
-        seen = themed(layers[name], DARK)
+        seen = apply_theme(layers[name], DARK)
         assert seen.heat is not None
         table = heat_table(seen.heat.start)
         drawn = np.concatenate([seen.segment_colors, seen.polygon_colors])
@@ -144,7 +144,7 @@ def test_dark_draws_ink_light_and_fills_dark_and_leaves_what_is_data(tmp_path: P
         drawn = drawn[(drawn != GREY).any(axis=1)]
         assert (drawn[:, None] == table).all(axis=2).any(axis=1).all()
         assert contrast(table[0], DARK.view) > 3 > contrast(heat_table()[0], DARK.view)
-    assert themed(layers["Regions"], LIGHT) is layers["Regions"]
+    assert apply_theme(layers["Regions"], LIGHT) is layers["Regions"]
 
 
 def test_a_ply_from_elsewhere_is_shown_and_a_broken_one_refused(tmp_path: Path) -> None:

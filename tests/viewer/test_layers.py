@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.camera_layer import camera_layer, pyramid_segments
 from radiant_viewer.layers.camera_roles import NOBODY, camera_roles
-from radiant_viewer.layers.layer import Layer, drawn_positions
+from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.palette import BLUE, VERMILLION, category_colors, heat_colors
 from radiant_viewer.layers.region_layer import duration_text, edge_site_layer, region_layer, strip_layer
 from radiant_viewer.layers.seam_layer import color_steps, seam_layer, seam_pieces
 from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
-from radiant_viewer.pictures.measure import nice_length
+from radiant_viewer.pictures.measure import scale_bar_length
 from tests.viewer.made_up_run import HALF_WH, made_up_town
 
 TOWN = made_up_town()
@@ -37,15 +37,15 @@ def test_a_layer_refuses_colours_that_do_not_match_in_number() -> None:
 
 def test_layers_without_geometry_are_nothing_to_draw() -> None:
     with pytest.raises(BadInput, match="nothing to draw"):
-        drawn_positions([Layer(name="empty")])
+        framing_positions([Layer(name="empty")])
 
 
 def test_strays_among_many_points_do_not_widen_the_picture_but_every_camera_counts() -> None:
     points = np.concatenate([TOWN.scene.points, [[1e6, 0, 0], [0, -1e6, 0]]])
     layer = Layer(name="points", points=points, point_colors=np.zeros((len(points), 3), np.uint8))
-    assert np.abs(drawn_positions([layer])).max() <= max(HALF_WH)
+    assert np.abs(framing_positions([layer])).max() <= max(HALF_WH)
     few = Layer(name="cameras", points=points[-30:], point_colors=np.zeros((30, 3), np.uint8))
-    assert np.abs(drawn_positions([few])).max() == 1e6
+    assert np.abs(framing_positions([few])).max() == 1e6
 
 
 def test_the_far_sky_of_a_model_does_not_shrink_borders_and_towers_stay_in_the_picture() -> None:
@@ -56,8 +56,8 @@ def test_the_far_sky_of_a_model_does_not_shrink_borders_and_towers_stay_in_the_p
     model = Layer(name="model", points=cloud, point_colors=np.zeros((len(cloud), 3), np.uint8))
     border = np.array([[[-10.0, 0, 0], [10.0, 0, 0]]])
     seam = Layer(name="seam", segments=border, segment_colors=np.zeros((1, 3), np.uint8))
-    assert np.abs(drawn_positions([model])[:, :2]).max() <= max(HALF_WH)
-    both = drawn_positions([model, seam])
+    assert np.abs(framing_positions([model])[:, :2]).max() <= max(HALF_WH)
+    both = framing_positions([model, seam])
     assert np.ptp(both[:, 0]) <= 1.5 * 20
     assert both[:, 2].max() >= 4.5
 
@@ -75,7 +75,7 @@ def test_a_higher_value_is_never_darker_on_the_heat_scale(values: list[float], l
 
 @given(st.floats(1e-6, 1e9))
 def test_a_scale_bar_is_1_2_or_5_times_a_power_of_ten_and_fills_at_least_two_fifths_of_its_room(limit: float) -> None:
-    length = nice_length(limit)
+    length = scale_bar_length(limit)
     assert 0.4 * limit * (1 - 1e-6) <= length <= limit * (1 + 1e-6)
     assert f"{length:.0e}"[0] in "125"
 

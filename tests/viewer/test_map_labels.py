@@ -8,13 +8,13 @@ import pyvista as pv
 from radiant_viewer.layers.layer import Label
 from radiant_viewer.layers.map_labels import LIFT_PX, add_map_labels
 from radiant_viewer.layers.themes import LIGHT
-from radiant_viewer.pictures.offscreen import egl_window
+from radiant_viewer.pictures.offscreen import egl_rendering
 
 SIZE = 200
 
 
 def test_a_label_keeps_off_its_mark_at_every_zoom() -> None:
-    with egl_window():
+    with egl_rendering():
         plotter = pv.Plotter(off_screen=True, window_size=[SIZE, SIZE])
     plotter.background_color = pv.Color("black")
     place, origin = np.array([5e5 + 3.0, 5e6 - 2.0, 0.0]), np.array([5e5, 5e6, 0.0])

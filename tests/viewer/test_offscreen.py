@@ -13,11 +13,12 @@ from radiant_core.errors import BadInput
 from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.camera_roles import camera_roles
 from radiant_viewer.layers.layer import Layer
-from radiant_viewer.layers.palette import WHITE, ColorArray, category_colors, tinted
+from radiant_viewer.layers.palette import WHITE, ColorArray, category_colors, tint
 from radiant_viewer.layers.region_layer import FILL_TINT, region_layer
 from radiant_viewer.pictures.images import Drawing, Image, load_image, save_png
 from radiant_viewer.pictures.offscreen import draw_map, draw_view, render_map, render_view
-from radiant_viewer.runs.run_pictures import plan_layers, plan_picture
+from radiant_viewer.runs.run_layers import plan_layers
+from radiant_viewer.runs.run_pictures import plan_picture
 from tests.viewer.made_up_run import made_up_town
 
 SIZE_WH = (320, 220)
@@ -35,7 +36,7 @@ def share_of_color(image: Image, color: np.ndarray) -> float:
 
 def test_a_regions_share_of_the_pixels_is_its_share_of_the_area() -> None:
     drawing = draw_map([region_layer(TOWN.cloud_plan)], SIZE_WH)
-    fills = tinted(category_colors(3), WHITE, FILL_TINT)
+    fills = tint(category_colors(3), WHITE, FILL_TINT)
     counted = np.array([share_of_color(drawing.image, fill) for fill in fills])
     areas = np.array([Polygon(border).area for border in TOWN.cloud_plan.borders])
     # 2 %: the border line hides a strip along each region's rim, longer for its area in smaller regions.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from radiant_core.errors import BadInput
-from radiant_viewer.editing.plan_files import save_plan_geojson, subject_of
+from radiant_viewer.editing.plan_files import plan_subject, save_plan_geojson
 from radiant_viewer.runs.photo_reasons import reason_text, tilts_deg
 from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run
@@ -31,7 +31,7 @@ def test_a_camera_that_sees_nothing_and_looks_level_says_so(tmp_path: Path) -> N
 def test_regions_go_to_a_gis_where_the_cameras_are_on_the_globe(tmp_path: Path) -> None:
     save_run(tmp_path / "run", made_up_town())
     run = load_run_view(tmp_path / "run")
-    subject = subject_of(run)
+    subject = plan_subject(run)
     plan = (run.cloud_plan, run.edge_plans)
     out = tmp_path / "regions.geojson"
     with pytest.raises(BadInput, match=r"ends in \.geojson"):

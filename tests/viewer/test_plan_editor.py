@@ -15,8 +15,8 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.system import System
-from radiant_viewer.editing.edit_log import KeptEdits, edit_of_record, edit_record, load_edits, plan_key, save_edits
-from radiant_viewer.editing.edited_plan import PlanSubject, dragged_weight_m2
+from radiant_viewer.editing.edit_log import EditHistory, edit_record, load_edits, parse_edit, plan_key, save_edits
+from radiant_viewer.editing.edited_plan import PlanSubject, border_weight_m2
 from radiant_viewer.editing.plan_difference import plan_difference
 from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import (
@@ -50,13 +50,13 @@ def planned(num_cameras: int = 120, num_edges: int = 4, shift: tuple[float, floa
     return subject, system, (cloud, split_edges(subject.on_map, cloud, system))
 
 
-def editor_of(keep_in: Path | None = None, **options: object) -> PlanEditor:
+def editor_of(edits_path: Path | None = None, **options: object) -> PlanEditor:
     subject, system, plan = planned(**options)  # type: ignore[arg-type]
-    return PlanEditor(subject, system, plan, keep_in)
+    return PlanEditor(subject, system, plan, edits_path)
 
 
 def drag(editor: PlanEditor, edge: str, other: str, distance: float) -> FixWeight:
-    return FixWeight(edge=edge, weight_m2=dragged_weight_m2(editor.state.cloud, edge, other, distance))
+    return FixWeight(edge=edge, weight_m2=border_weight_m2(editor.state.cloud, edge, other, distance))
 
 
 def same(first: Plan, second: Plan) -> bool:
@@ -136,7 +136,7 @@ def test_a_dragged_border_moves_as_far_as_the_pointer_and_the_rest_is_dealt_anew
     along = (editor.subject.on_map - cloud.sites[0]) @ toward
     np.testing.assert_array_equal(owners(editor) == "edge-1", along <= place(cloud) + 30)
     assert editor.state.cloud.counts[0] > cloud.counts[0]
-    report = editor.since_last_edit
+    report = editor.changes_since_last_edit
     assert int(report.new_edge.sum()) == editor.state.cloud.counts[0] - cloud.counts[0]
     assert report.flows == (("edge-2", "edge-1", int(report.new_edge.sum())),)
     assert "edge-2 → edge-1" in report.text and "makespan" in report.text
@@ -259,7 +259,7 @@ def test_kept_edits_of_another_plan_or_broken_ones_are_set_aside(tmp_path: Path)
         assert not path.exists()
     editor = editor_of(tmp_path / "nowhere" / "edits.json")
     editor.apply(LockRegion(edge="edge-1"))
-    assert editor.keeping_failed.startswith("Edits are not kept:") and len(editor.edits) == 1
+    assert editor.save_error.startswith("Edits are not kept:") and len(editor.edits) == 1
 
 
 def test_every_kind_of_edit_is_written_and_read_back(tmp_path: Path) -> None:
@@ -279,7 +279,7 @@ def test_every_kind_of_edit_is_written_and_read_back(tmp_path: Path) -> None:
         ReleaseAll(),
     )
     adopted = AdoptPlan(name="other", cloud=plan[0], edges=plan[1])
-    save_edits(tmp_path / "e.json", "k", KeptEdits(done=(*edits, adopted)))
+    save_edits(tmp_path / "e.json", "k", EditHistory(done=(*edits, adopted)))
     kept, told = load_edits(tmp_path / "e.json", "k")
     assert told == "" and kept.done[:-1] == edits
     last = kept.done[-1]
@@ -292,7 +292,7 @@ def test_every_kind_of_edit_is_written_and_read_back(tmp_path: Path) -> None:
         {**edit_record(edits[4]), "position": [1.0, True]},
     ):
         with pytest.raises((BadInput, TypeError, ValueError)):
-            edit_of_record(record)
+            parse_edit(record)
 
 
 def test_a_whole_plan_can_be_adopted_and_two_plans_compared() -> None:

@@ -11,7 +11,7 @@ from radiant_core.plan.borders.borders import shared_borders
 from radiant_core.plan.regions.constraints import PlanConstraints
 from radiant_viewer.editing.plan_editor import PlanEditor
 from radiant_viewer.editing.plan_edits import FixWeight, MoveEdge, PinCameras
-from radiant_viewer.editing.plan_files import subject_of
+from radiant_viewer.editing.plan_files import plan_subject
 from radiant_viewer.runs.run_view import load_run_view
 from tests.viewer.made_up_run import made_up_town, save_run
 from tests.viewer.test_plan_editor import editor_of
@@ -97,23 +97,23 @@ def steps(window):
     QTest.mousePress(view, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier, low)
     QTest.mouseMove(view, high)
     QTest.mouseRelease(view, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier, high)
-    assert len(planning.selected) == 9, f"{len(planning.selected)} cameras lie in the box"
+    assert len(planning.actions.selected) == 9, f"{len(planning.actions.selected)} cameras lie in the box"
     planning.dock.target.setCurrentText("quarry")
     planning.dock.buttons["Pin to"].click()
     until(lambda: len(editor.edits) == 2 and not session.is_busy, "the pins never came")
-    held = [editor.state.cloud.edge_of_camera[editor.subject.names.index(name)] for name in planning.selected]
+    held = [editor.state.cloud.edge_of_camera[editor.subject.names.index(name)] for name in planning.actions.selected]
     assert (np.array(editor.state.cloud.edge_ids)[held] == "quarry").all()
-    planning.select_filtered("region = quarry and up > 1")
-    assert len(planning.selected) >= 9
-    planning.set_slack(1.2)
+    planning.actions.select_filtered("region = quarry and up > 1")
+    assert len(planning.actions.selected) >= 9
+    planning.actions.set_slack(1.2)
     until(lambda: not session.is_busy, "slack hangs")
     assert "slack is for a plan in which nothing is fixed" in planning.dock.changes.text() and len(editor.edits) == 2
-    planning.save(out / "edited.json")
-    assert planning.compare(out / "edited.json").new_edge.sum() == 0
+    planning.actions.save(out / "edited.json")
+    assert planning.actions.compare(out / "edited.json").new_edge.sum() == 0
     window.save_screenshot(out / "shot.png")
 
-    solve = plan_session.applied
-    plan_session.applied = lambda *args, **kwargs: (time.sleep(0.8), solve(*args, **kwargs))[1]
+    solve = plan_session.apply_edit
+    plan_session.apply_edit = lambda *args, **kwargs: (time.sleep(0.8), solve(*args, **kwargs))[1]
     session.edit(MoveEdge(edge="harbour", position=(60.0, 20.0)))
     session.edit(MoveEdge(edge="north", position=(-50.0, 0.0)))
     assert session.is_busy and len(editor.edits) == 2
@@ -141,7 +141,7 @@ def test_the_window_drags_pins_undoes_saves_and_loses_nothing(tmp_path: Path, di
     # Closed while two edits were on the way: all four are there at the next opening.
     run, setting = load_run_view(tmp_path / "run"), run_setting(tmp_path / "run")
     assert setting.system is not None
-    editor = PlanEditor(subject_of(run), setting.system, (run.cloud_plan, run.edge_plans), setting.keep_in)
+    editor = PlanEditor(plan_subject(run), setting.system, (run.cloud_plan, run.edge_plans), setting.edits_path)
     assert editor.restore() == ()
     assert [type(edit) for edit in editor.edits] == [FixWeight, PinCameras, MoveEdge, MoveEdge]
     assert editor.state.cloud.sites[1].tolist() == [60.0, 20.0]

@@ -13,7 +13,7 @@ from radiant_core.choices import View
 from radiant_viewer.layers.seam_layer import color_steps, seam_pieces
 from radiant_viewer.runs.border_figures import seam_band_width
 from radiant_viewer.runs.run_pictures import screenshot
-from radiant_viewer.runs.run_view import load_run_view, required_splats
+from radiant_viewer.runs.run_view import load_run_view, require_splats
 
 RUNS = sample_scenes_folder() / "runs"
 
@@ -27,7 +27,7 @@ def test_every_view_draws_the_tiny_run(view: str) -> None:
 def border_step(run: Path) -> float:
     view = load_run_view(run)
     width = seam_band_width(view.cloud_plan)
-    steps = color_steps(required_splats(view), seam_pieces(view.cloud_plan, width), width, pooled_widths=np.inf).levels
+    steps = color_steps(require_splats(view), seam_pieces(view.cloud_plan, width), width, pooled_widths=np.inf).levels
     assert np.isfinite(steps).all() and np.ptp(steps) < 1e-9, "two regions share one border, which has one figure"
     return float(steps[0])
 

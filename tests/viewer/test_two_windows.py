@@ -77,7 +77,7 @@ def test_taking_over_keeps_the_others_edits_beside_and_tells_the_other(tmp_path:
 
 def test_taking_theirs_shows_their_plan_and_keeps_mine_beside(tmp_path: Path) -> None:
     first, second, path = two_editors(tmp_path)
-    (sentence,) = second.take_theirs()
+    (sentence,) = second.adopt_other()
     assert "edits_1.json" in sentence and second.conflict == ""
     assert second.edits == first.edits
     assert second.state.wishes.constraints.locked == ("edge-1",)

@@ -19,8 +19,9 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.palette import VERMILLION
+from radiant_viewer.runs.run_layers import run_layers
 from radiant_viewer.runs.run_view import load_run_view
-from radiant_viewer.web.rows import camera_headers, camera_rows, layer_row, pictures_of, run_camera_figures, run_layers
+from radiant_viewer.web.rows import camera_headers, camera_pictures, camera_rows, layer_row, run_camera_figures
 from radiant_viewer.web.server import address_text, open_page, require_web
 from tests.viewer.made_up_run import made_up_town, save_run
 
@@ -94,7 +95,7 @@ def until(page: Any, view: str, is_there: Callable[[np.ndarray], bool], what: st
     pytest.fail(f"within {DEADLINE_S} s the view {view!r} did not show that {what}")
 
 
-def settled(page: Any, view: str) -> np.ndarray:
+def conflict_resolved(page: Any, view: str) -> np.ndarray:
     """A view that shows something and has not changed for three looks, more than the half second after which a frame is sent again."""
     looks = [picture(page, view)]
 
@@ -125,7 +126,7 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     page.goto(address)
     # The seams are measured last: from here on nothing changes by itself.
     page.locator("[data-layer='Seams']").wait_for()
-    first = settled(page, "Map")
+    first = conflict_resolved(page, "Map")
     box = page.locator("[data-layer='Regions'] input")
     assert box.is_checked()
     box.click()
@@ -190,7 +191,7 @@ def test_rows_say_every_figure_once_with_its_unit(run_folder: Path) -> None:
     assert len(rows) == 24
     assert rows[8]["psnr_db"] == "21.00"
     assert rows[1]["psnr_db"] == ""
-    layers = {row["name"]: row for row in map(layer_row, run_layers(run))}
+    layers = {row["name"]: row for row in map(layer_row, run_layers(run, with_seams=False))}
     heat = layers["Cameras by PSNR"]["heat"]
     assert (heat["label"], heat["low"], heat["high"]) == ("PSNR of held-out photographs (dB)", "20", "22")
     assert heat["gradient"].startswith("linear-gradient(to right, #440154"), "the bar is not the colours of the layer"
@@ -199,7 +200,7 @@ def test_rows_say_every_figure_once_with_its_unit(run_folder: Path) -> None:
 
 def test_pictures_come_only_where_this_machine_may_see_them(run_folder: Path) -> None:
     run = load_run_view(run_folder)
-    held_out, trained = pictures_of(run, 8), pictures_of(run, 1)
+    held_out, trained = camera_pictures(run, 8), camera_pictures(run, 1)
     assert all(held_out[kind].startswith("data:image/jpeg;base64,") for kind in ("photograph", "render", "difference"))
     assert (trained["photograph"], trained["render"]) == ("", "")
     assert "stays with device" in trained["reason"]

@@ -151,7 +151,7 @@ def comparison(window):
     dock = window.docks.photo
     window.select_camera("DJI_0009.JPG")
     owner = window.run.roles.device_ids[window.run.roles.device_of_camera[9]]
-    assert not dock.picture.has_picture and f"stays with device {owner}" in dock.picture.message, dock.picture.message
+    assert dock.picture._left is None and f"stays with device {owner}" in dock.picture.message, dock.picture.message
     window.raise_dock(dock)
     dock.show_worst()
     QTest.qWait(50)

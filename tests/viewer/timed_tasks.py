@@ -52,7 +52,7 @@ def find_worst_photograph(user: User, out: Path) -> dict[str, Any]:
     window, dock = user.window, user.window.docks.photo
     assert dock is not None
     user.press("W")
-    until(lambda: dock.picture.has_picture, "no photograph came")
+    until(lambda: dock.picture._left is not None, "no photograph came")
     user.choose(dock.mode, "Difference")
     until(lambda: dock.mode.currentText() == "Difference", "nothing was chosen")
     user.press("Return")
@@ -88,12 +88,12 @@ def compare_plans(user: User, out: Path) -> dict[str, Any]:
     user.click_tab("Plan")
     user.will_name(out / "other.json")
     user.click(planning.dock.buttons["Compare…"], "Compare…")
-    until(lambda: planning.comparison is not None, "nothing was compared")
-    assert planning.comparison is not None
+    until(lambda: planning.actions.comparison is not None, "nothing was compared")
+    assert planning.actions.comparison is not None
     return {
         "text": planning.dock.changes.text(),
         "marked_px": vermillion() - before,
-        "different": np.flatnonzero(planning.comparison.new_edge).tolist(),
+        "different": np.flatnonzero(planning.actions.comparison.new_edge).tolist(),
     }
 
 

@@ -49,7 +49,7 @@ def move(user: User, out: Path) -> None:
     user.press("Ctrl+Shift+P")
     user.window.raise_dock(user.window.planning.loads if user.window.planning else None)
     assert user.window.planning is not None
-    user.window.tell(f"Drag of a border: {user.window.planning.dock.changes.text()}")
+    user.window.show_status(f"Drag of a border: {user.window.planning.dock.changes.text()}")
 
 
 def two_plans(user: User, out: Path) -> None:
@@ -73,10 +73,10 @@ def plan(user: User, out: Path) -> None:
     user.drag_border(4)
     cloud = session.editor.state.cloud
     chosen = session.editor.subject.names[0]
-    planning.select((chosen,))
-    planning.pin(cloud.edge_ids[1 - int(cloud.edge_of_camera[0])])
+    planning.actions.select((chosen,))
+    planning.actions.pin(cloud.edge_ids[1 - int(cloud.edge_of_camera[0])])
     until(lambda: len(session.editor.edits) == 2 and not session.is_busy, "the pin never came")
-    planning.select_none()
+    planning.actions.select(())
     user.window.raise_dock(planning.loads)
 
 
@@ -116,7 +116,7 @@ def main(run: Path, folder: Path, names: list[str]) -> None:
                 QTest.qWait(REST_MS)
                 if splats is not None and not splats.picture.visibleRegion().isEmpty():
                     until(lambda: splats.shown_is_full, "the splats were never drawn in full")
-                window.tell(said)
+                window.show_status(said)
                 window.save_window_picture(png)
 
             use_window(copy, act)

@@ -1,1 +1,1 @@
-"""Pictures that are no maps."""
+"""Charts: pictures that are not maps."""

@@ -1,4 +1,4 @@
-"""Pictures that are no maps: the timeline of devices and edges, and photograph, render and difference side by side.
+"""The timeline of devices and edges, and photograph, render and difference side by side.
 
 Once per report or screenshot, with matplotlib's own rasteriser.
 """
@@ -12,21 +12,21 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW, tinted
+from radiant_viewer.layers.palette import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, WHITE, YELLOW, tint, unit_rgb
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.layers.themes import LIGHT, Theme, hex_color
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, new_figure
+from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, new_figure, titled_figure
 
 ROW_PX, TOP_PX, FOOT_PX, LABEL_PX, RIGHT_PX = 26, 92, 52, 150, 96
 STAGE_COLORS = {"initialise": SKY, "train": BLUE, "send": ORANGE, "aggregate": GREEN, "merge": PURPLE, "evaluate": YELLOW, "whole": GREY}
-"""Colour of the stages that every run has; others take the remaining colours in the order they come."""
-OTHER_COLORS = (VERMILLION, GREY, tinted(BLUE, WHITE, 0.55), tinted(GREEN, WHITE, 0.55), tinted(PURPLE, WHITE, 0.55))
+"""Colours of the stages of every run; other stages take the remaining colours in order."""
+OTHER_COLORS = (VERMILLION, GREY, tint(BLUE, WHITE, 0.55), tint(GREEN, WHITE, 0.55), tint(PURPLE, WHITE, 0.55))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TimelineSpan:
-    """One stage of one device, edge or the cloud. Raises BadInput when it ends before it begins or is not finite."""
+    """One stage of a device, an edge or the cloud. Raises BadInput where it ends before it begins or is not finite."""
 
     stage: str
     start_s: float
@@ -39,7 +39,7 @@ class TimelineSpan:
 
 @dataclass(frozen=True, kw_only=True)
 class TimelineRow:
-    """One line of the timeline: who, and what it did when."""
+    """One line of the timeline: a name and its spans."""
 
     name: str
     spans: tuple[TimelineSpan, ...]
@@ -48,16 +48,15 @@ class TimelineRow:
 
 
 def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width_px: int = 1280) -> Image:
-    """Bars (H,width_px,3) of what each device and edge did when, with the moment each finished; BadInput without any span."""
+    """Return the timeline (H,width_px,3): a bar per span, and the total of each row; BadInput without any span."""
     if not any(row.spans for row in rows):
         raise BadInput("there is no timeline to draw: no device or edge has a stage with a time.")
     if width_px < 640:
         raise BadInput(f"a timeline of {width_px} px was asked for, expected at least 640 px.")
     label_px = min(width_px // 3, max(LABEL_PX, 24 + int(7.2 * max(len(row.name) for row in rows))))
     height_px = TOP_PX + ROW_PX * len(rows) + FOOT_PX
-    figure = new_figure((width_px, height_px))
+    figure = titled_figure((width_px, height_px), title)
     axes = axes_at(figure, (label_px, FOOT_PX, width_px - label_px - RIGHT_PX, ROW_PX * len(rows)))
-    figure.text(16 / width_px, 1 - 14 / height_px, title, size=14, weight="bold", color=INK_COLOR, va="top")
     end_s = max(span.stop_s for row in rows for span in row.spans)
     unit_s, unit = time_unit(end_s)
     colors = stage_colors(dict.fromkeys(span.stage for row in rows for span in row.spans))
@@ -68,12 +67,11 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
     return figure_image(figure)
 
 
-def comparison_picture(
-    photo: Image, render: Image, difference: Image | None = None, captions: Sequence[str] = (), title: str = "", width_px: int | None = None
-) -> Image:
-    """Photograph, render and difference (each (H,W,3)) side by side with captions, each 380 to 560 px wide, or `width_px` for all three.
+def comparison_picture(photo: Image, render: Image, difference: Image | None = None, title: str = "", width_px: int | None = None) -> Image:
+    """Return photograph, render and difference, each (H,W,3), side by side with captions.
 
-    Without `difference` it is |photo − render| × 3. Raises BadInput when sizes differ.
+    Each is 380 to 560 px wide, or all three `width_px`; without `difference` it is |photo − render| × 3. Raises BadInput where
+    sizes differ.
     """
     if difference is None:
         _require_same_size(photo, render)
@@ -81,7 +79,7 @@ def comparison_picture(
     pictures = (photo, render, difference)
     for picture in pictures:
         _require_same_size(photo, picture)
-    texts = [*captions, *("Photograph", "Render", "Difference × 3")[len(captions) :]]
+    texts = ("Photograph", "Render", "Difference × 3")
     height, width = photo.shape[:2]
     gap, head, foot = 14, 44 if title else 14, 38
     scale = max(380 / width, min(1.0, 560 / width)) if width_px is None else max(160, (width_px - 4 * gap) // 3) / width
@@ -98,7 +96,7 @@ def comparison_picture(
     return figure_image(figure)
 
 
-def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: dict[str, tuple[float, ...]]) -> None:
+def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: dict[str, tuple[float, float, float]]) -> None:
     for span in row.spans:
         start, length = span.start_s / unit_s, (span.stop_s - span.start_s) / unit_s
         axes.barh(index, length, left=start, height=0.68, color=colors[span.stage], edgecolor="white", linewidth=0.6)
@@ -116,12 +114,12 @@ def _draw_row(axes: Axes, index: int, row: TimelineRow, unit_s: float, colors: d
 
 
 def time_unit(end_s: float) -> tuple[float, str]:
-    """Seconds of the unit in which an axis up to `end_s` is labelled, and its name."""
+    """Return the unit of an axis up to `end_s`: its seconds and its name."""
     return (1.0, "s") if end_s < 100 else (60.0, "min") if end_s < 6000 else (3600.0, "h")
 
 
 def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, label: str, theme: Theme = LIGHT) -> None:
-    """Rows, each a name and whether it is bold, from the top down; time from 0 to `end` along the bottom."""
+    """Style a time axis from 0 to `end` with rows from the top down, each a name and whether it is bold."""
     ink, soft = hex_color(theme.ink), hex_color(theme.soft_text)
     axes.set(xlim=(0, end * 1.01), ylim=(len(rows) - 0.4, -0.6))
     axes.set_facecolor("none")
@@ -138,7 +136,7 @@ def style_time_axes(axes: Axes, rows: Sequence[tuple[str, bool]], end: float, la
         spine.set_color(soft)
 
 
-def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[float, ...]]) -> None:
+def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[float, float, float]]) -> None:
     figure_axes.set(xlim=(0, width_px), ylim=(0, 34))
     figure_axes.set_axis_off()
     x = 0.0
@@ -149,17 +147,17 @@ def _draw_keys(*, figure_axes: Axes, width_px: int, colors: dict[str, tuple[floa
 
 
 def key_width_px(text: str) -> float:
-    """Room of one entry of the key."""
+    """Return the width of one entry of the key."""
     return 22 + 7.4 * len(text) + 26
 
 
-def stage_colors(found: Iterable[str]) -> dict[str, tuple[float, ...]]:
-    """Colour of each of the stages found, in the order of the key."""
+def stage_colors(found: Iterable[str]) -> dict[str, tuple[float, float, float]]:
+    """Return the colour of each stage found, in the order of the key."""
     found = list(found)
     stages = [stage for stage in STAGE_COLORS if stage in found] + [stage for stage in found if stage not in STAGE_COLORS]
     others = [stage for stage in stages if stage not in STAGE_COLORS]
     chosen = {stage: OTHER_COLORS[index % len(OTHER_COLORS)] for index, stage in enumerate(others)}
-    return {stage: tuple(channel / 255 for channel in {**STAGE_COLORS, **chosen}[stage]) for stage in stages}
+    return {stage: unit_rgb({**STAGE_COLORS, **chosen}[stage]) for stage in stages}
 
 
 def _require_same_size(photo: Image, other: Image) -> None:

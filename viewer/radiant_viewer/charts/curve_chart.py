@@ -1,4 +1,4 @@
-"""What quality costs: PSNR against CPU seconds and against Gaussians, one line per variant. Drawn once per benchmark."""
+"""The cost of quality: PSNR against CPU seconds and against Gaussians, one line per variant. Once per benchmark."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.palette import CurveStyle, curve_style
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, new_figure
+from radiant_viewer.pictures.page import axes_at, figure_image, style_axes, titled_figure
 
 WIDTH_PX, HEIGHT_PX, TOP_PX, LEFT_PX, FOOT_PX = 1100, 520, 76, 72, 58
 MIN_LABEL_GAP = 0.14
@@ -35,34 +35,28 @@ class CurvePoint:
 def curve_picture(
     curves: Mapping[str, Sequence[CurvePoint]], title: str, detail: str, time_label: str = "CPU time of training (s)"
 ) -> Image:
-    """Lines through the mean of the points with about equal seconds; every point is drawn. BadInput without points."""
+    """Return all points (H,W,3), with lines through the means of points of about equal seconds. BadInput without points."""
     if not any(curves.values()):
         raise BadInput("there is no curve to draw: give at least one point.")
-    figure = new_figure((WIDTH_PX, HEIGHT_PX))
-    figure.text(16 / WIDTH_PX, 1 - 14 / HEIGHT_PX, title, size=14, weight="bold", color=INK_COLOR, va="top")
-    figure.text(16 / WIDTH_PX, 1 - 40 / HEIGHT_PX, detail, size=10, color=SOFT_COLOR, va="top")
+    figure = titled_figure((WIDTH_PX, HEIGHT_PX), title, detail)
     for panel, (name, label) in enumerate((("cpu_s", time_label), ("num_gaussians", "Gaussians"))):
         left_px = LEFT_PX + panel * WIDTH_PX // 2
         axes = axes_at(figure, (left_px, FOOT_PX, WIDTH_PX // 2 - LEFT_PX - 20, HEIGHT_PX - TOP_PX - FOOT_PX))
         for index, (variant, points) in enumerate(curves.items()):
             _draw(axes, points, name, variant, curve_style(index))
-        axes.set_xlabel(label, color=SOFT_COLOR)
-        axes.set_ylabel("PSNR of held-out photographs (dB)", color=SOFT_COLOR)
+        style_axes(axes, label, "PSNR of held-out photographs (dB)")
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}"))
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.set_major_locator(MaxNLocator(6))
-        axes.set_xticks(_apart([getattr(point, name) for points in curves.values() for point in points]))
-        axes.tick_params(colors=SOFT_COLOR, labelsize=8)
-        axes.grid(visible=True, axis="y", color=SOFT_COLOR, alpha=0.15)
-        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_xticks(_spread_labels([getattr(point, name) for points in curves.values() for point in points]))
         if panel == 0:
             axes.legend(fontsize=9, frameon=False, loc="lower right")
     return figure_image(figure)
 
 
-def _apart(values: Sequence[float]) -> list[float]:
-    """Round values to label on a logarithmic axis, the smallest and others that leave room for the labels between them."""
+def _spread_labels(values: Sequence[float]) -> list[float]:
+    """Return rounded values to label on a logarithmic axis, the smallest first, with space for their labels."""
     rounded = sorted({float(f"{value:.2g}") for value in values})
     kept = rounded[:1]
     for value in rounded[1:]:

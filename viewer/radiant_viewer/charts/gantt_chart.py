@@ -1,6 +1,8 @@
-"""A plan as bars in time, and beside each what was measured: one line per device and edge, predicted above, measured below.
+"""A plan as bars over time, one line per device and edge, the predicted bars above the measured
+ones.
 
-Predicted bars are pale with an outline, measured ones full; colours are the timeline's. Once per plan and once per report.
+Predicted bars are pale with an outline, measured ones full; colours are the timeline's. Once per
+plan and once per report.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
 from radiant_viewer.charts.charts import LABEL_PX, RIGHT_PX, TimelineSpan, key_width_px, stage_colors, style_time_axes, time_unit
+from radiant_viewer.layers.palette import unit_rgb
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.layers.themes import LIGHT, Theme, hex_color
 from radiant_viewer.pictures.images import Image
@@ -19,35 +22,35 @@ from radiant_viewer.pictures.page import axes_at, figure_image, new_figure
 
 ROW_PX, TOP_PX, FOOT_PX = 34, 108, 52
 TITLE_PX = 34
-"""How much of the top a title takes."""
+"""Height of a title."""
 MAX_ROWS = 300
-"""A picture of more lines would be taller than 10,000 px; what is slowest is shown."""
+"""Most lines, the slowest machines; more would make a picture taller than 10,000 px."""
 PALE = 0.28
-"""Opacity of what is predicted."""
+"""Opacity of predicted bars."""
 Color = tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class GanttRow:
-    """One machine: its stages as predicted and, after a run, as measured; strong: an edge or the cloud, in bold."""
+    """One machine: its predicted stages and, after a run, the measured ones; strong: an edge or the cloud, in bold."""
 
     name: str
     predicted: tuple[TimelineSpan, ...] = ()
     measured: tuple[TimelineSpan, ...] = ()
     strong: bool = False
     note: str = ""
-    """What stands behind its bars; the ends of both where it is empty."""
+    """Text after its bars; the end times where empty."""
 
     @property
     def stop_s(self) -> float:
-        """When its last bar ends."""
+        """End of its last bar."""
         return max((span.stop_s for span in (*self.predicted, *self.measured)), default=0.0)
 
 
 def gantt_picture(rows: Sequence[GanttRow], title: str, detail: str = "", width_px: int = 1280, theme: Theme = LIGHT) -> Image:
-    """Bars (H,width_px,3) of what each machine is to do when, and did; the slowest `MAX_ROWS` lines. BadInput without any span.
+    """Return the Gantt chart (H,width_px,3) of the slowest `MAX_ROWS` machines.
 
-    An empty title, as where a tab says the same, takes no room.
+    An empty title takes no space. Raises BadInput without any span.
     """
     spans = [span for row in rows for span in (*row.predicted, *row.measured)]
     if not spans:
@@ -113,7 +116,7 @@ def _draw_row(axes: Axes, index: int, row: GanttRow, unit_s: float, colors: dict
 
 
 def _draw_keys(axes: Axes, width_px: int, colors: dict[str, Color], kinds: Sequence[str], theme: Theme) -> None:
-    ink, grey = hex_color(theme.ink), tuple(channel / 255 for channel in theme.soft_text)
+    ink, grey = hex_color(theme.ink), unit_rgb(theme.soft_text)
     axes.set(xlim=(0, width_px), ylim=(0, 34))
     axes.set_axis_off()
     x = 0.0

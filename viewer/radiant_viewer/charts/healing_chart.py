@@ -1,4 +1,4 @@
-"""One border as several ways of joining show it, beside the photograph, with what each gets wrong under it. Once per benchmark."""
+"""A border in the results of several ways of joining, beside the photograph, above their errors. Once per benchmark."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_
 
 CELL_PX, GAP_PX, TOP_PX, CAPTION_PX, FOOT_PX = 330, 12, 68, 26, 12
 GAIN = 3
-"""By which differences are shown brighter."""
+"""Factor by which differences are brightened."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Healed:
-    """What one way of joining shows (H,W,3) uint8, and its caption."""
+    """The render (H,W,3) uint8 of one way of joining, and its caption."""
 
     caption: str
     image: Image
 
 
 def healing_picture(photograph: Image, band: NDArray[np.bool_], shown: Sequence[Healed], title: str, detail: str = "") -> Image:
-    """The photograph (H,W,3) and all that is `shown`, above its band (H,W) and |shown − photograph| × 3, as (H',W',3).
+    """Return the photograph (H,W,3) and the renders `shown`, above the band (H,W) and |shown − photograph| × 3.
 
-    Raises BadInput with nothing to show or where sizes differ.
+    Raises BadInput without renders, or where sizes differ.
     """
     if not shown or 0 in photograph.shape:
         raise BadInput("there is no border to draw: give a photograph and at least one picture of it.")
@@ -67,7 +67,7 @@ def _draw(axes: Axes, image: Image) -> None:
 
 
 def _outline(axes: Axes, band: NDArray[np.bool_]) -> None:
-    """White on black, so that it shows on bright and on dark ground."""
+    """Draw white on black, visible on bright and on dark ground."""
     if band.any() and not band.all():
         axes.contour(band.astype(float), levels=[0.5], colors="black", linewidths=2.2)
         axes.contour(band.astype(float), levels=[0.5], colors="white", linewidths=1.0)

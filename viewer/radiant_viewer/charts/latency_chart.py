@@ -1,6 +1,8 @@
-"""How long each device works under one plan and under another, side by side. Once per comparison of plans.
+"""Training time of each device under one plan and another, side by side. Once per comparison of
+plans.
 
-Solid bars are measured, outlined ones predicted, one pair per device; the vertical line is the device that everybody waits for.
+Solid bars are measured, outlined ones predicted, one pair per device; the vertical line is the
+slowest device.
 """
 
 from __future__ import annotations
@@ -12,13 +14,13 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.palette import BLUE, ORANGE
+from radiant_viewer.layers.palette import BLUE, ORANGE, unit_rgb
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, new_figure
+from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, titled_figure
 
 PANEL_PX, LABEL_PX, RIGHT_PX, ROW_PX, TOP_PX, HEAD_PX, FOOT_PX = 420, 176, 20, 40, 70, 46, 78
-COLORS = tuple((red / 255, green / 255, blue / 255) for red, green, blue in (ORANGE, BLUE))
-"""Of the plans, in turn."""
+COLORS = tuple(map(unit_rgb, (ORANGE, BLUE)))
+"""Colours of the plans, in turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +38,7 @@ class DeviceLatency:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanLatency:
-    """A plan's devices from the top down, and what is said beside its name."""
+    """A plan's devices from the top down, and a note below its name."""
 
     name: str
     note: str
@@ -49,14 +51,12 @@ class PlanLatency:
 
 
 def latency_picture(plans: Sequence[PlanLatency], title: str, detail: str) -> Image:
-    """One panel of bars per plan (H,W,3), all over the same seconds; BadInput without plans or devices."""
+    """Return one panel of bars per plan (H,W,3), on the same time axis; BadInput without plans or devices."""
     if not plans or not all(plan.devices for plan in plans):
         raise BadInput("there is no latency to draw: give at least one plan, each with at least one device.")
     rows = max(len(plan.devices) for plan in plans)
     width, height = len(plans) * (LABEL_PX + PANEL_PX + RIGHT_PX), TOP_PX + HEAD_PX + rows * ROW_PX + FOOT_PX
-    figure = new_figure((width, height))
-    figure.text(16 / width, 1 - 14 / height, title, size=14, weight="bold", color=INK_COLOR, va="top")
-    figure.text(16 / width, 1 - 40 / height, detail, size=9.5, color=SOFT_COLOR, va="top")
+    figure = titled_figure((width, height), title, detail)
     longest_s = max(max(device.measured_s, device.predicted_s) for plan in plans for device in plan.devices)
     for index, plan in enumerate(plans):
         left = LABEL_PX + index * (LABEL_PX + PANEL_PX + RIGHT_PX)

@@ -1,6 +1,8 @@
-"""Partitions side by side: who owns which camera by each method, and how long each region takes. Once per comparison.
+"""Partitions side by side: the region of each camera by each method, and the time of each region.
+Once per comparison.
 
-One row of maps, each above its bars: one bar per region with its predicted time, so that an even row of bars is a balanced plan.
+One row of maps, each above its bars: one bar per region with its predicted time, so that an even
+row of bars is a balanced plan.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_
 COLUMNS, CELL_PX, GAP_PX, BARS_PX, HEAD_PX, TITLE_PX, FOOT_PX = 4, 300, 24, 124, 46, 76, 30
 MAX_DOTS = 6000
 MAX_NAMED = 8
-"""With more regions bars carry no names and no figures."""
+"""With more regions bars have no names and figures."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +40,7 @@ class Partition:
 def partitions_picture(
     positions: FloatArray, partitions: Sequence[Partition], edge_ids: Sequence[str], title: str, unit: str = "m"
 ) -> Image:
-    """Maps and bars (H,W,3) of partitions of the same cameras (C,2); BadInput without any, or when one is of other cameras or edges."""
+    """Return maps and bars (H,W,3) of partitions of the same cameras (C,2); BadInput without any, or for other cameras or edges."""
     positions = checked_array("positions", positions, (None, 2))
     if not partitions or not len(positions):
         raise BadInput("there is no partition to draw: give at least one method and one camera.")

@@ -1,4 +1,4 @@
-"""What slack buys, drawn: distance and border length against the makespan. Once per plan where somebody asks."""
+"""The effect of slack: distance and border length against the makespan. Once per plan, on request."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from matplotlib.ticker import MaxNLocator
 
 from radiant_core.errors import BadInput
 from radiant_core.plan.counts.slack_curve import SlackPoint
-from radiant_viewer.layers.palette import BLUE, ORANGE
+from radiant_viewer.layers.palette import BLUE, ORANGE, unit_rgb
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.pictures.page import INK_COLOR, SOFT_COLOR, axes_at, figure_image, new_figure
+from radiant_viewer.pictures.page import INK_COLOR, axes_at, figure_image, style_axes, titled_figure
 
 WIDTH_PX, HEIGHT_PX, TOP_PX, LEFT_PX, FOOT_PX = 1100, 460, 76, 72, 58
 MIN_GAP = 0.05
@@ -20,19 +20,16 @@ MIN_GAP = 0.05
 
 
 def slack_picture(points: Sequence[SlackPoint]) -> Image:
-    """Two panels over the makespan, one dot per slack with its factor; BadInput without points."""
+    """Return two panels over the makespan (H,W,3), one dot per slack with its factor; BadInput without points."""
     if not points:
         raise BadInput("there is no slack curve to draw: give at least one point.")
-    figure = new_figure((WIDTH_PX, HEIGHT_PX))
-    figure.text(16 / WIDTH_PX, 1 - 14 / HEIGHT_PX, "What slack buys", size=14, weight="bold", color=INK_COLOR, va="top")
     detail = "Each dot is the plan of least Σ distance² whose makespan is at most slack times the shortest"
-    figure.text(16 / WIDTH_PX, 1 - 40 / HEIGHT_PX, detail, size=10, color=SOFT_COLOR, va="top")
+    figure = titled_figure((WIDTH_PX, HEIGHT_PX), "What slack buys", detail)
     panels = (("rms_distance_m", "Distance from camera to edge, rms (m)", BLUE), ("border_m", "Borders between regions (m)", ORANGE))
-    for panel, (name, label, (red, green, blue)) in enumerate(panels):
+    for panel, (name, label, color) in enumerate(panels):
         axes = axes_at(figure, (LEFT_PX + panel * WIDTH_PX // 2, FOOT_PX, WIDTH_PX // 2 - LEFT_PX - 20, HEIGHT_PX - TOP_PX - FOOT_PX))
-        _draw(axes, points, name, (red / 255, green / 255, blue / 255))
-        axes.set_xlabel("Predicted makespan (s)", color=SOFT_COLOR)
-        axes.set_ylabel(label, color=SOFT_COLOR)
+        _draw(axes, points, name, unit_rgb(color))
+        style_axes(axes, "Predicted makespan (s)", label)
     return figure_image(figure)
 
 
@@ -50,6 +47,3 @@ def _draw(axes: Axes, points: Sequence[SlackPoint], name: str, color: tuple[floa
     axes.margins(x=0.08, y=0.15)
     axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.yaxis.set_major_locator(MaxNLocator(6))
-    axes.tick_params(colors=SOFT_COLOR, labelsize=8)
-    axes.grid(visible=True, axis="y", color=SOFT_COLOR, alpha=0.15)
-    axes.spines[["top", "right"]].set_visible(False)

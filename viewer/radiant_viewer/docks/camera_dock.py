@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QItemSelection, QSortFilterProxyModel, Qt
+from PySide6.QtCore import QItemSelection, QSortFilterProxyModel, Qt, Signal
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QComboBox,
@@ -21,11 +20,9 @@ from PySide6.QtWidgets import (
 )
 
 from radiant_viewer.docks.camera_table import SORT_ROLE, CameraTable
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.runs.run_figures import ImageFigures
 from radiant_viewer.runs.run_view import RunView
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 COLORINGS = {
     "Region": "Cameras by region",
@@ -33,16 +30,18 @@ COLORINGS = {
     "Held-out": "Cameras by split",
     "PSNR": "Cameras by PSNR",
 }
-"""What cameras can be coloured by, and the layer that shows it."""
+"""Choice of colouring → the layer that shows it."""
 
 
 class CameraDock(QDockWidget):
-    """Tells `window.select_index` which camera is chosen; a double click flies there."""
+    """Emits `chosen` with the index of the photograph whose row is selected; a double click flies there."""
 
-    def __init__(self, window: InspectorWindow, run: RunView, figures: ImageFigures) -> None:
-        super().__init__("Cameras", window)
+    chosen = Signal(int)
+
+    def __init__(self, host: Host, run: RunView, figures: ImageFigures) -> None:
+        super().__init__("Cameras")
         self.setObjectName("cameras")
-        self._window, self._run = window, run
+        self._host, self._run = host, run
         self.cameras = CameraTable(run, figures)
         self.sorted_cameras = QSortFilterProxyModel(self)
         self.sorted_cameras.setSourceModel(self.cameras)
@@ -57,13 +56,13 @@ class CameraDock(QDockWidget):
         self.count = QLabel()
         self.count.setProperty("soft", "true")
         self.coloring = QComboBox()
-        present = [layer.name for layer in window.layers]
+        present = [layer.name for layer in host.layers]
         self.coloring.addItems([name for name, layer in COLORINGS.items() if layer in present])
         self.coloring.setToolTip("What the colours of the cameras say in both views")
         self.coloring.currentTextChanged.connect(self.color_by)
         self.fly = QPushButton("Fly to")
         self.fly.setToolTip("See the scene from the selected camera (Return, or double click)")
-        self.fly.clicked.connect(window.fly_to_selected)
+        self.fly.clicked.connect(host.fly_to_selected)
         export = QPushButton("CSV…")
         export.setToolTip("Save the rows as they are filtered and sorted")
         export.clicked.connect(self._ask_csv)
@@ -88,28 +87,28 @@ class CameraDock(QDockWidget):
         self.table.selectRow(row.row())
         self.table.scrollTo(row, QAbstractItemView.ScrollHint.PositionAtCenter)
 
-    def take_run(self, run: RunView) -> None:
-        """Show the same cameras with another plan; sorting, filter and selection stay."""
+    def show_run(self, run: RunView) -> None:
+        """Show the same cameras with another plan; sorting, filter and selection are kept."""
         self._run = run
-        self.cameras.take_run(run)
+        self.cameras.show_run(run)
 
     def color_by(self, what: str) -> None:
-        """Show cameras in the colours of "Region", "Device", "Held-out" or "PSNR" alone."""
+        """Colour the cameras by a key of `COLORINGS`; the layers of the others are hidden."""
         for name, layer in COLORINGS.items():
             if self.coloring.findText(name) >= 0:
-                self._window.set_layer_visible(layer, name == what)
+                self._host.set_layer_visible(layer, name == what)
         self.coloring.setCurrentText(what)
 
     def shown_order(self) -> list[int]:
-        """Indices of the cameras as they are filtered and sorted."""
+        """Return the indices of the cameras as they are filtered and sorted."""
         model = self.sorted_cameras
         return [model.mapToSource(model.index(row, 0)).row() for row in range(model.rowCount())]
 
     def save_csv(self, path: Path) -> None:
-        """Write the shown rows; BadInput when it cannot be written."""
+        """Write the shown rows; BadInput where the file cannot be written."""
         order = self.shown_order()
         self.cameras.save_csv(path, order)
-        self._window.tell(f"Saved {len(order)} cameras to {path}")
+        self._host.show_status(f"Saved {len(order)} cameras to {path}")
 
     def _table(self) -> QTableView:
         table = QTableView()
@@ -123,12 +122,12 @@ class CameraDock(QDockWidget):
         table.verticalHeader().setVisible(False)
         table.resizeColumnsToContents()
         table.selectionModel().selectionChanged.connect(self._on_selection)
-        table.doubleClicked.connect(lambda _: self._window.fly_to_selected())
+        table.doubleClicked.connect(lambda _: self._host.fly_to_selected())
         return table
 
     def _on_selection(self, selected: QItemSelection) -> None:
         if selected.indexes():
-            self._window.mark_camera(self.sorted_cameras.mapToSource(selected.indexes()[0]).row())
+            self.chosen.emit(self.sorted_cameras.mapToSource(selected.indexes()[0]).row())
 
     def _on_filter(self, words: str) -> None:
         self.sorted_cameras.setFilterFixedString(words)
@@ -137,4 +136,4 @@ class CameraDock(QDockWidget):
     def _ask_csv(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save cameras", str(Path.cwd() / "cameras.csv"), "CSV (*.csv)")
         if path:
-            self._window.attempt(lambda: self.save_csv(Path(path)))
+            self._host.attempt(lambda: self.save_csv(Path(path)))

@@ -21,8 +21,10 @@ Index = QModelIndex | QPersistentModelIndex
 
 
 class CameraTable(QAbstractTableModel):
-    """One row per camera in the scene's order, then one per held-out photograph whose camera stayed with its device: name, region, device,
-    use, PSNR, the other figures that were measured, position, and the file where a number stands for it."""
+    """One row per camera of the scene, then one per held-out photograph whose pose stayed with its device.
+
+    Columns: name, region, device, use, PSNR, other measured figures, position, and the file where the name is a number.
+    """
 
     def __init__(self, run: RunView, figures: ImageFigures | None = None) -> None:
         super().__init__()
@@ -43,8 +45,8 @@ class CameraTable(QAbstractTableModel):
         self._keys, self._figures = [figure.key for figure in more], figures or {}
         self.rows = _rows(run, self._keys, self._figures)
 
-    def take_run(self, run: RunView) -> None:
-        """The same cameras with another plan."""
+    def show_run(self, run: RunView) -> None:
+        """Show the same cameras with another plan."""
         self.rows = _rows(run, self._keys, self._figures)
         self.dataChanged.emit(self.index(0, 0), self.index(len(self.rows) - 1, len(self.headings) - 1))
 
@@ -81,11 +83,11 @@ class CameraTable(QAbstractTableModel):
         text = io.StringIO(newline="")
         writer = csv.writer(text)
         writer.writerow(self.headings)
-        writer.writerows([_written(cell) for cell in self.rows[index]] for index in order)
+        writer.writerows([_csv_cell(cell) for cell in self.rows[index]] for index in order)
         write_atomic(path, text.getvalue().encode())
 
 
-def _written(cell: str | float | None) -> str | float:
+def _csv_cell(cell: str | float | None) -> str | float:
     return "" if cell is None else cell_of_text(cell) if isinstance(cell, str) else cell
 
 
@@ -95,11 +97,11 @@ def _rows(run: RunView, more: Sequence[str], figures: ImageFigures) -> list[tupl
     for index, (name, center) in enumerate(zip(run.photographs, centers + [(None,) * 3] * len(run.unplaced), strict=True)):
         measured = (psnr_db.get(name), *(figures.get(name, {}).get(key) for key in more))
         file = [run.files.get(name, "")] if run.files else []
-        rows.append((name, *_who(run, index), *measured, *center, *file))
+        rows.append((name, *_owner_cells(run, index), *measured, *center, *file))
     return rows
 
 
-def _who(run: RunView, index: int) -> tuple[str, str, str]:
+def _owner_cells(run: RunView, index: int) -> tuple[str, str, str]:
     """Region, device and use of a photograph."""
     roles, device = run.roles, run.owner(index)
     if index < len(run.scene.cameras):

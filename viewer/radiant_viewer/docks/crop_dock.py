@@ -1,12 +1,12 @@
-"""The crop box: hides what lies outside it in both views and in the splat view, and exports what is inside. `desktop` extra.
+"""The crop box: hides what lies outside it in all views, and exports what lies inside. Needs the
+`desktop` extra.
 
-Clouds are cut by clipping planes of the graphics card, so that dragging the box costs no copy of the points.
+The graphics card clips the clouds, so dragging the box copies no points.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtWidgets import QCheckBox, QDockWidget, QDoubleSpinBox, QFileDialog, QGridLayout, QLabel, QPushButton, QWidget
@@ -18,25 +18,23 @@ from radiant_core.io.ply import save_ply
 from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_viewer.host.canvas import Canvas
-from radiant_viewer.layers.layer import CLOUD_SIZE, drawn_positions
+from radiant_viewer.host.protocols import Host
+from radiant_viewer.layers.layer import CLOUD_SIZE, framing_positions
 from radiant_viewer.splats.splat_worker import inside_box
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 SIDES = (("West", "East"), ("South", "North"), ("Low", "High"))
 SHARE = 0.5
-"""The first box holds so much of the scene's extent to each side."""
+"""Share of the scene's extent that the first box holds, per horizontal axis."""
 
 
 class CropDock(QDockWidget):
-    """`box` (2,3) is its lower and upper corner in the world; it hides only while its box is ticked."""
+    """`box` (2,3) is the lower and upper corner in the world; it clips only while `active` is ticked."""
 
-    def __init__(self, window: InspectorWindow, splats: Splats | None, unit: str) -> None:
-        super().__init__("Crop", window)
+    def __init__(self, host: Host, splats: Splats | None, unit: str) -> None:
+        super().__init__("Crop")
         self.setObjectName("crop")
-        self._window, self._splats = window, splats
-        drawn = drawn_positions(window.layers)
+        self._host, self._splats = host, splats
+        drawn = framing_positions(host.layers)
         self._extent = np.stack([drawn.min(axis=0), drawn.max(axis=0)])
         self.active = QCheckBox("Hide what lies outside the box")
         self.active.setToolTip("Show and cut by the box; drag its handles in the 3D view, or type its sides (B)")
@@ -75,11 +73,11 @@ class CropDock(QDockWidget):
 
     @property
     def active_box(self) -> FloatArray | None:
-        """The box where it hides something, else None."""
+        """The box while it clips, else None."""
         return self.box if self.active.isChecked() else None
 
     def set_box(self, box: FloatArray) -> None:
-        """Move the box; corners are put in order."""
+        """Set the box from two opposite corners."""
         ordered = np.sort(np.asarray(box, np.float64), axis=0)
         for pair, sides in zip(self._fields, ordered.T, strict=True):
             for field, value in zip(pair, sides, strict=True):
@@ -89,9 +87,9 @@ class CropDock(QDockWidget):
         self._apply()
 
     def apply_to(self, canvas: Canvas) -> None:
-        """Cut the clouds that a canvas draws now."""
+        """Clip the clouds that a canvas draws now."""
         planes = self._planes(canvas) if self.active.isChecked() else []
-        for layer in self._window.layers:
+        for layer in self._host.layers:
             if len(layer.points) < CLOUD_SIZE or layer.point_rim:
                 continue
             # Labels have no place in space that could be cut.
@@ -102,19 +100,19 @@ class CropDock(QDockWidget):
                     mapper.AddClippingPlane(plane)
 
     def save_inside(self, path: Path) -> int:
-        """Write the Gaussians inside the box and return their number; BadInput where there are none, or it cannot be written."""
+        """Write the Gaussians inside the box and return their number; BadInput where there are none or the file cannot be written."""
         if self._splats is None:
             raise BadInput("this run has no model yet: there is nothing to export.")
         inside = np.flatnonzero(inside_box(self._splats.means, self.box.tolist()))
         if not len(inside):
             raise BadInput("the crop box holds no Gaussian: make it larger.")
         save_ply(path, self._splats.select(inside))
-        self._window.tell(f"Saved {len(inside):,} Gaussians to {path}")
+        self._host.show_status(f"Saved {len(inside):,} Gaussians to {path}")
         return len(inside)
 
     def _first_box(self) -> FloatArray:
         middle, half = self._extent.mean(axis=0), np.ptp(self._extent, axis=0) / 2
-        # All heights: a tower cut off by a box that nobody drew yet would look like a hole.
+        # All heights: a tower cut by the default box would look like a hole.
         shares = np.array([SHARE, SHARE, 1.0])
         return np.stack([middle - shares * half, middle + shares * half])
 
@@ -133,17 +131,17 @@ class CropDock(QDockWidget):
         self._apply()
 
     def _apply(self) -> None:
-        for canvas in (self._window.map, self._window.view):
+        for canvas in (self._host.map, self._host.view):
             self.apply_to(canvas)
         if self.active.isChecked():
             self._show_widget(True)
         if self._splats is not None:
             inside = int(inside_box(self._splats.means, self.box.tolist()).sum())
             self.count.setText(f"{inside:,} of {len(self._splats):,} Gaussians inside")
-        self._window.render_views()
+        self._host.render_views()
 
     def _show_widget(self, active: bool) -> None:
-        plotter = self._window.view.plotter
+        plotter = self._host.view.plotter
         box = self.box if active else None
         before = self._widget_box
         if (box is None and before is None) or (box is not None and before is not None and np.array_equal(box, before)):
@@ -151,7 +149,7 @@ class CropDock(QDockWidget):
         plotter.clear_box_widgets()
         self._widget_box = box
         if box is not None:
-            bounds = (box - self._window.origin).T.ravel()
+            bounds = (box - self._host.origin).T.ravel()
             plotter.add_box_widget(
                 self._on_dragged,
                 bounds=bounds,
@@ -163,9 +161,9 @@ class CropDock(QDockWidget):
             )
 
     def _on_dragged(self, shape: object) -> None:
-        bounds = np.array(shape.bounds).reshape(3, 2).T + self._window.origin  # type: ignore[attr-defined]
+        bounds = np.array(shape.bounds).reshape(3, 2).T + self._host.origin  # type: ignore[attr-defined]
         if self._widget_box is not None and not np.allclose(bounds, self._widget_box, atol=1e-3):
-            # The widget stands where it was dragged to: it must not be made anew under the pointer.
+            # The widget is where it was dragged to: creating it again under the pointer would end the drag.
             self._widget_box = bounds
             for pair, sides in zip(self._fields, bounds.T, strict=True):
                 for field, value in zip(pair, sides, strict=True):
@@ -176,9 +174,9 @@ class CropDock(QDockWidget):
             self._apply()
 
     def _planes(self, canvas: Canvas) -> list[vtkPlane]:
-        low, high = self.box - self._window.origin
+        low, high = self.box - self._host.origin
         planes = []
-        # On the map everything lies at the height of its layer.
+        # On the map heights only order the layers.
         for axis in range(2 if canvas.is_map else 3):
             for corner, sign in ((low, 1.0), (high, -1.0)):
                 plane = vtkPlane()
@@ -190,4 +188,4 @@ class CropDock(QDockWidget):
     def _ask_export(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Export what is inside", str(Path.cwd() / "inside.ply"), "3DGS PLY (*.ply)")
         if path:
-            self._window.attempt(lambda: self.save_inside(Path(path)))
+            self._host.attempt(lambda: self.save_inside(Path(path)))

@@ -1,4 +1,4 @@
-"""A film that is being written frame by frame through Qt's event loop, and who draws its frames. Needs the `desktop` extra."""
+"""Writes a film frame by frame through Qt's event loop, and the two sources of its frames. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from radiant_core.errors import RadiantError
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.drawing import add_layer
 from radiant_viewer.layers.layer import Layer
-from radiant_viewer.layers.themes import Theme, themed
+from radiant_viewer.layers.themes import Theme, apply_theme
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
@@ -28,7 +28,7 @@ class FrameSource(Protocol):
     """Draws frames one at a time."""
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """Call `ready` as soon as `ask` may be called, `drawn` once per frame, `failed` with a sentence where it cannot go on."""
+        """Call `ready` once `ask` may be called, `drawn` per frame, and `failed` with a sentence on an error."""
         ...
 
     def ask(self, pose: ViewPose) -> None:
@@ -36,58 +36,53 @@ class FrameSource(Protocol):
         ...
 
     def end(self) -> None:
-        """Free what was taken."""
+        """Free its resources."""
         ...
 
 
 class SplatFrames:
-    """The model by our own renderer, in a process of its own."""
+    """Frames of the model from our own renderer, in a separate process."""
 
     def __init__(self, parent: QObject, ply_path: Path, size_wh: tuple[int, int], theme: Theme, box: FloatArray | None) -> None:
         self._parent, self._ply_path, self._size_wh, self._theme, self._box = parent, ply_path, size_wh, theme, box
         self._process: SplatProcess | None = None
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """See `FrameSource`."""
         self._process = SplatProcess(self._parent, "own", self._ply_path)
         self._process.ready.connect(ready)
         self._process.drawn.connect(lambda frame: drawn(_image(frame)))
         self._process.failed.connect(failed)
 
     def ask(self, pose: ViewPose) -> None:
-        """See `FrameSource`."""
         assert self._process is not None
         self._process.ask(0, pose.camera(self._size_wh), self._theme.view, self._box)
 
     def end(self) -> None:
-        """See `FrameSource`."""
         if self._process is not None:
             self._process.end()
 
 
 class LayerFrames:
-    """Layers in 3D, drawn without a window."""
+    """Frames of layers in 3D, drawn offscreen."""
 
     def __init__(self, layers: Sequence[Layer], size_wh: tuple[int, int], origin: FloatArray, theme: Theme) -> None:
         self._origin = origin
         self._plotter = pv.Plotter(off_screen=True, window_size=list(size_wh))
         self._plotter.background_color = pv.Color(theme.view)
         for layer in layers:
-            add_layer(self._plotter, themed(layer, theme), origin)
+            add_layer(self._plotter, apply_theme(layer, theme), origin)
         self._drawn: Drawn = lambda image: None
 
     def begin(self, ready: Callable[[], None], drawn: Drawn, failed: Failed) -> None:
-        """See `FrameSource`."""
         self._drawn = drawn
         QTimer.singleShot(0, ready)
 
     def ask(self, pose: ViewPose) -> None:
-        """See `FrameSource`."""
         camera = self._plotter.camera
         camera.position, camera.focal_point = tuple(pose.position - self._origin), tuple(pose.focal_point - self._origin)
         camera.up, camera.view_angle = tuple(pose.up), pose.angle_deg
         self._plotter.renderer.reset_camera_clipping_range()
-        # A picture alone would be of the frame drawn last, which is the first one's for the whole flight.
+        # Without it, every screenshot would show the first frame.
         self._plotter.render()
         pixels = self._plotter.screenshot(return_img=True)
         assert pixels is not None
@@ -96,13 +91,12 @@ class LayerFrames:
         QTimer.singleShot(0, lambda: self._drawn(image))
 
     def end(self) -> None:
-        """See `FrameSource`."""
         self._drawn = lambda image: None
         self._plotter.close()
 
 
 class FlightJob(QObject):
-    """Writes `poses` one after the other; `ended` comes once, with what was written or why nothing was."""
+    """Writes a frame per pose; emits `ended` once, with what was written or why nothing was."""
 
     progressed = Signal(int)
     ended = Signal(str)
@@ -114,11 +108,11 @@ class FlightJob(QObject):
         self._is_over = False
 
     def begin(self) -> None:
-        """Ask for the first frame."""
+        """Request the first frame."""
         self._frames.begin(self._ask, self._on_drawn, self._on_failed)
 
     def give_up(self) -> None:
-        """Leave nothing of the film."""
+        """Cancel the film and delete its file."""
         self._on_failed("given up")
 
     def _ask(self) -> None:

@@ -1,13 +1,13 @@
-"""Keyframed flights: views are collected, played in the 3D view, and written as MP4, WebM or GIF. Needs the `desktop` extra.
+"""Keyframed flights: collected from the 3D view, played in it, and written as MP4, WebM or GIF.
+Needs the `desktop` extra.
 
-Frames come from our own splat renderer in a process of its own, or from the visible layers; one at a time through the event loop, so the
-window stays usable and a closed window leaves no half film behind.
+Frames come from our own renderer in a separate process or from the visible layers, one at a time
+through the event loop: the window stays usable, and closing it leaves no partial film.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import (
@@ -25,24 +25,23 @@ from PySide6.QtWidgets import (
 )
 
 from radiant_viewer.docks.flight_job import FlightJob, FrameSource, LayerFrames, SplatFrames
-from radiant_viewer.pictures.fly_through import flight
+from radiant_viewer.docks.splat_dock import SplatDock
+from radiant_viewer.host.protocols import Host
+from radiant_viewer.pictures.fly_through import flight_poses
 from radiant_viewer.pictures.movie import MovieWriter
 from radiant_viewer.pictures.view_pose import ViewPose
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 SIZES = {"640 × 360": (640, 360), "1280 × 720": (1280, 720), "1920 × 1080": (1920, 1080)}
 SPLATS, LAYERS = "Splats", "Layers as visible"
 
 
 class FlyDock(QDockWidget):
-    """`keyframes` are flown through in order; `job` is a film that is being written."""
+    """`keyframes` in the order of the flight; `job` is the film being written, or None."""
 
-    def __init__(self, window: InspectorWindow) -> None:
-        super().__init__("Fly-through", window)
+    def __init__(self, host: Host, splat_dock: SplatDock | None) -> None:
+        super().__init__("Fly-through")
         self.setObjectName("fly-through")
-        self._window = window
+        self._host, self._splat_dock = host, splat_dock
         self.keyframes: list[ViewPose] = []
         self.job: FlightJob | None = None
         self.list = QListWidget()
@@ -51,7 +50,7 @@ class FlyDock(QDockWidget):
         self.seconds, self.rate = _spin(3.0, 0.1, 60, " s per leg"), _spin(24.0, 1, 60, " frames/s")
         self.frame_size, self.source = QComboBox(), QComboBox()
         self.frame_size.addItems(list(SIZES))
-        self.source.addItems([SPLATS, LAYERS] if window.docks.splats is not None else [LAYERS])
+        self.source.addItems([SPLATS, LAYERS] if splat_dock is not None else [LAYERS])
         self.source.setToolTip("What the film shows: the model by our own renderer, or the layers that are visible now")
         self.add, self.remove, self.play = QPushButton("Add view"), QPushButton("Remove"), QPushButton("Play")
         self.add.setToolTip("Add the 3D view as the next keyframe (K)")
@@ -72,38 +71,37 @@ class FlyDock(QDockWidget):
         self._update()
 
     def add_view(self) -> None:
-        """Take the 3D view as it stands as the last keyframe."""
-        self.add_keyframe(self._window.view.pose)
+        """Append the present 3D view as a keyframe."""
+        self.add_keyframe(self._host.view.pose)
 
     def add_keyframe(self, pose: ViewPose) -> None:
-        """Fly through a pose last."""
+        """Append a keyframe."""
         self.keyframes.append(pose)
         x, y, z = pose.position
         self.list.addItem(f"{len(self.keyframes)}:  east {x:.1f}, north {y:.1f}, up {z:.1f}")
         self._update()
 
     def poses(self) -> list[ViewPose]:
-        """All frames of the flight; BadInput for fewer than two keyframes."""
-        return flight(self.keyframes, self.seconds.value(), self.rate.value())
+        """Return the poses of all frames; BadInput for fewer than two keyframes."""
+        return flight_poses(self.keyframes, self.seconds.value(), self.rate.value())
 
     def play_or_stop(self) -> None:
-        """Fly through the keyframes in the 3D view, or stop that."""
+        """Play the flight in the 3D view, or stop it."""
         if self._timer.isActive():
             self._timer.stop()
             self.play.setText("Play")
             return
-        self._window.attempt(self._play)
+        self._host.attempt(self._play)
 
     def write(self, path: Path, *, source: str | None = None, size_wh: tuple[int, int] | None = None) -> None:
-        """Begin to write the flight; BadInput when it cannot be. `job.ended` tells how it went."""
+        """Start writing the flight; BadInput where that is not possible. `job.ended` carries the result."""
         size = size_wh or SIZES[self.frame_size.currentText()]
         poses = self.poses()
         writer = MovieWriter(path, size, self.rate.value())
-        dock = self._window.docks.splats
-        if (source or self.source.currentText()) == SPLATS and dock is not None:
-            frames: FrameSource = SplatFrames(self, dock.ply_path, size, self._window.theme, self._window.crop_box)
+        if (source or self.source.currentText()) == SPLATS and self._splat_dock is not None:
+            frames: FrameSource = SplatFrames(self, self._splat_dock.ply_path, size, self._host.theme, self._host.crop_box)
         else:
-            frames = LayerFrames(self._window.visible_layers(), size, self._window.origin, self._window.theme)
+            frames = LayerFrames(self._host.visible_layers(), size, self._host.origin, self._host.theme)
         self.job = FlightJob(self, poses, writer, frames)
         self.job.progressed.connect(self.bar.setValue)
         self.job.ended.connect(self._on_ended)
@@ -113,7 +111,7 @@ class FlyDock(QDockWidget):
         self.job.begin()
 
     def stop(self) -> None:
-        """Give up a film that is being written, and leave nothing of it; stop playing."""
+        """Stop playing, and cancel a film that is being written."""
         self._timer.stop()
         if self.job is not None:
             self.job.give_up()
@@ -122,7 +120,7 @@ class FlyDock(QDockWidget):
         self.job = None
         self._update()
         self.note.setText(message)
-        self._window.tell(message)
+        self._host.show_status(message)
 
     def _play(self) -> None:
         self._playing = self.poses()
@@ -133,13 +131,13 @@ class FlyDock(QDockWidget):
         if not self._playing:
             self.play_or_stop()
             return
-        self._window.view.set_pose(self._playing.pop(0))
-        self._window.view.render()
+        self._host.view.set_pose(self._playing.pop(0))
+        self._host.view.render()
 
     def _go_to_current(self) -> None:
         if 0 <= (row := self.list.currentRow()) < len(self.keyframes):
-            self._window.view.set_pose(self.keyframes[row])
-            self._window.render_views()
+            self._host.view.set_pose(self.keyframes[row])
+            self._host.render_views()
 
     def _remove_current(self) -> None:
         row = self.list.currentRow() if self.list.currentRow() >= 0 else len(self.keyframes) - 1
@@ -163,7 +161,7 @@ class FlyDock(QDockWidget):
         kinds = "WebM for browsers and players (*.webm);;MP4 for desktop players, not for browsers (*.mp4);;GIF (*.gif)"
         path, _ = QFileDialog.getSaveFileName(self, "Export flight", str(Path.cwd() / "flight.webm"), kinds)
         if path:
-            self._window.attempt(lambda: self.write(Path(path)))
+            self._host.attempt(lambda: self.write(Path(path)))
 
     def _lay_out(self) -> None:
         body = QWidget()

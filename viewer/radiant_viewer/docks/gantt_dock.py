@@ -1,8 +1,6 @@
-"""The Gantt chart of the plan and, after a run, of what happened, as the report draws it. Needs the `desktop` extra."""
+"""The Gantt chart of the plan and of the measured run, as in the report. Needs the `desktop` extra."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent, QShowEvent
@@ -11,23 +9,21 @@ from PySide6.QtWidgets import QDockWidget, QLabel, QScrollArea
 from radiant_core.errors import RadiantError
 from radiant_viewer.charts.gantt_chart import gantt_picture
 from radiant_viewer.host.picture_label import pixmap_of
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.themes import ThemeName
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.runs.run_feeds import RunFeeds
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 MIN_WIDTH_PX = 900
 
 
 class GanttDock(QDockWidget):
-    """Draws when it is first seen, and when its width changes."""
+    """Draws when it is first shown, and when its width changes."""
 
-    def __init__(self, window: InspectorWindow, feeds: RunFeeds) -> None:
-        super().__init__("Timeline", window)
+    def __init__(self, host: Host, feeds: RunFeeds) -> None:
+        super().__init__("Timeline")
         self.setObjectName("timeline")
-        self._window, self._feeds = window, feeds
+        self._host, self._feeds = host, feeds
         self.image: Image | None = None
         self._drawn: tuple[int, ThemeName] | None = None
         self.label = QLabel("")
@@ -38,12 +34,12 @@ class GanttDock(QDockWidget):
         self.setWidget(area)
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Qt calls it when the tab is opened."""
+        """Draw when the tab is opened."""
         super().showEvent(event)
         self._draw()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Qt calls it when the window is resized."""
+        """Draw for the new width."""
         super().resizeEvent(event)
         if self.isVisible():
             self._draw()
@@ -53,14 +49,8 @@ class GanttDock(QDockWidget):
         if self.isVisible():
             self._draw()
 
-    def reload(self) -> None:
-        """Read plan and times anew."""
-        self._drawn = None
-        if self.isVisible():
-            self._draw()
-
     def _draw(self) -> None:
-        width_px, theme = max(MIN_WIDTH_PX, self.width() - 24), self._window.theme
+        width_px, theme = max(MIN_WIDTH_PX, self.width() - 24), self._host.theme
         if self._drawn == (width_px, theme.name):
             return
         self._drawn = (width_px, theme.name)

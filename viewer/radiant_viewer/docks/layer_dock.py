@@ -1,4 +1,4 @@
-"""The layer tree: a box to show or hide each layer, one to see it alone, and its legend. Needs the `desktop` extra."""
+"""The layer tree: per layer a box to show it, a box to show it alone, and its legend. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from textwrap import fill
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QIcon, QImage, QPainter, QPen, QPixmap
-from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidgetItem, QWidget
+from PySide6.QtWidgets import QDockWidget, QHeaderView, QTreeWidget, QTreeWidgetItem
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.detail import moving_note
@@ -19,14 +19,14 @@ NAME, SOLO = 0, 1
 MAX_OPEN_ROWS = 8
 ICON_PX, HEAT_PX = 14, 64
 LEGEND_COLUMNS = 36
-"""Longer texts of a legend take a second line: the dock is some 40 letters wide in a window of 1280 px."""
+"""Longer legend texts are wrapped: the dock holds some 40 letters in a window of 1280 px."""
 
 
 class LayerDock(QDockWidget):
-    """Calls `changed` whenever what is visible changes; `is_visible` says what is."""
+    """Calls `changed` whenever the set of visible layers changes; `is_visible` answers for one layer."""
 
-    def __init__(self, parent: QWidget, layers: Sequence[Layer], hidden: frozenset[str], changed: Callable[[], None]) -> None:
-        super().__init__("Layers", parent)
+    def __init__(self, layers: Sequence[Layer], hidden: frozenset[str], changed: Callable[[], None]) -> None:
+        super().__init__("Layers")
         self.setObjectName("layers")
         self._changed = changed
         self.tree = QTreeWidget()
@@ -45,7 +45,7 @@ class LayerDock(QDockWidget):
         self.setWidget(self.tree)
 
     def is_visible(self, name: str) -> bool:
-        """Whether a layer is to be drawn; what is no row of the tree, as marks, always is."""
+        """Whether a layer is shown; marks, which are not in the tree, always are."""
         if name not in self._items:
             return True
         solo = self.solo
@@ -53,19 +53,19 @@ class LayerDock(QDockWidget):
 
     @property
     def solo(self) -> str | None:
-        """The layer that is seen alone."""
+        """The layer that is shown alone, or None."""
         return next((name for name, item in self._items.items() if item.checkState(SOLO) == Qt.CheckState.Checked), None)
 
     def checked(self) -> dict[str, bool]:
-        """Whether the box of each layer is ticked."""
+        """Return for each layer whether its box is ticked."""
         return {name: item.checkState(NAME) == Qt.CheckState.Checked for name, item in self._items.items()}
 
     def set_visible(self, name: str, visible: bool) -> None:
-        """As its check box does; BadInput for an unknown layer."""
+        """Show or hide a layer, as its check box does; BadInput for an unknown name."""
         self._item(name).setCheckState(NAME, _check_state(visible))
 
     def set_solo(self, name: str | None) -> None:
-        """See one layer alone, or all again."""
+        """Show one layer alone, or with None all ticked layers."""
         for other, item in self._items.items():
             if other != name:
                 item.setCheckState(SOLO, Qt.CheckState.Unchecked)
@@ -73,7 +73,7 @@ class LayerDock(QDockWidget):
             self._item(name).setCheckState(SOLO, Qt.CheckState.Checked)
 
     def update_legend(self, layer: Layer) -> None:
-        """Show the legend of a layer that was drawn anew, or add it on top of the tree."""
+        """Replace the legend of a layer, or add a new layer on top of the tree."""
         if layer.name not in self._items:
             self._add(layer, visible=True, on_top=True)
             return
@@ -132,7 +132,7 @@ def _check_state(checked: bool) -> Qt.CheckState:
 
 
 def marker_icon(entry: LegendEntry) -> QIcon:
-    """How a layer draws what an entry is about: a fill, a stroke, a dot, or a mark with a dark rim."""
+    """Return the marker of a legend entry: a fill, a stroke, a dot, or a dot with a dark rim."""
     picture = QPixmap(ICON_PX, ICON_PX)
     picture.fill(Qt.GlobalColor.transparent)
     painter = QPainter(picture)
@@ -153,7 +153,7 @@ def marker_icon(entry: LegendEntry) -> QIcon:
 
 
 def heat_icon(start: float) -> QIcon:
-    """The colours of a heat scale from left to right, with a grey rim."""
+    """Return the colours of a heat scale from left to right, with a grey rim."""
     icon = np.tile(np.array(GREY, np.uint8), (ICON_PX, HEAT_PX, 1))
     columns = np.linspace(0, 255, HEAT_PX - 2).round().astype(int)
     icon[1:-1, 1:-1] = heat_table(start)[columns]

@@ -1,12 +1,11 @@
-"""The selected camera's photograph and, where it was held out, its render and the difference, wiped against each other with a slider.
+"""The photograph of the selected camera and, where it was held out, its render and their
+difference, compared by a wipe.
 
-Held-out pictures are walked worst first. A photograph that is not on this machine is not shown; a sentence says with whom it stays.
-Needs the `desktop` extra.
+Held-out photographs are visited worst first. For a photograph that is not on this machine, a
+sentence names its device. Needs the `desktop` extra.
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,14 +14,12 @@ from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSlid
 
 from radiant_core.errors import BadInput
 from radiant_viewer.host.picture_label import PictureLabel
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.photo_reasons import reason_text
 from radiant_viewer.runs.run_figures import FIGURES, ImageFigures
 from radiant_viewer.runs.run_view import RunView, comparison_paths
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 PAIRS = (("Photograph", "Render"), ("Photograph", "Difference"), ("Render", "Difference"))
 SINGLES = ("Photograph", "Render", "Difference")
@@ -32,17 +29,17 @@ STEPS = 1000
 
 
 class PhotoDock(QDockWidget):
-    """Shows what `window` has selected."""
+    """Shows the selected photograph."""
 
-    def __init__(self, window: InspectorWindow, run: RunView, figures: ImageFigures) -> None:
-        super().__init__("Photograph", window)
+    def __init__(self, host: Host, run: RunView, figures: ImageFigures) -> None:
+        super().__init__("Photograph")
         self.setObjectName("photograph")
-        self._window, self._run, self._figures = window, run, figures
+        self._host, self._run, self._figures = host, run, figures
         psnr_db = run.psnr_db or {}
         self.worst_first = sorted(psnr_db, key=lambda name: psnr_db[name])
         self._pictures: dict[str, Image] = {}
         self.at = ""
-        """Name of the photograph that is shown."""
+        """Name of the photograph on show."""
         self.name = QLabel("No camera selected")
         self.name.setStyleSheet("font-weight: 600")
         self.name.setSizePolicy(self.name.sizePolicy().horizontalPolicy().Ignored, self.name.sizePolicy().verticalPolicy())
@@ -77,7 +74,7 @@ class PhotoDock(QDockWidget):
         self._set_enabled(False)
 
     def show_camera(self, index: int) -> None:
-        """Show the photograph of camera `index`, or of `RunView.photographs`, with its comparison where there is one."""
+        """Show photograph `index` of `RunView.photographs`, with its comparison where there is one."""
         name = self._run.photographs[index]
         self.at = name
         file = self._run.files.get(name)
@@ -102,32 +99,33 @@ class PhotoDock(QDockWidget):
     def show_worst(self) -> None:
         """Select the held-out photograph with the lowest PSNR and show why it is the worst."""
         if not self.worst_first:
-            self._window.tell(NO_FIGURES)
+            self._host.show_status(NO_FIGURES)
             return
-        self._window.select_camera(self.worst_first[0])
-        self._window.raise_dock(self)
+        self._host.select_camera(self.worst_first[0])
+        self.show()
+        self.raise_()
 
     def step(self, by: int) -> None:
-        """Go `by` photographs towards better ones among those that were held out."""
+        """Move by `by` held-out photographs towards better ones."""
         if not self.worst_first:
-            self._window.tell(NO_FIGURES)
+            self._host.show_status(NO_FIGURES)
             return
         at = self.worst_first.index(self.at) + by if self.at in self.worst_first else 0
-        self._window.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
+        self._host.select_camera(self.worst_first[int(np.clip(at, 0, len(self.worst_first) - 1))])
 
     def _comparison(self, name: str) -> tuple[dict[str, Image], str]:
-        """The three pictures by name; none for a camera that was trained on, or, with a sentence, where they stayed elsewhere."""
+        """Return the three pictures by name, empty for a training camera; with a sentence where they are on another machine."""
         if name not in (self._run.psnr_db or {}):
             return {}, ""
         try:
             paths = comparison_paths(self._run, name)
             return {kind: load_image(path) for kind, path in zip(SINGLES, paths, strict=True)}, ""
         except BadInput as error:
-            # With whom a photograph stays is said by its preview where photographs are pooled.
+            # Where photographs are pooled, the preview names the device.
             return {}, f"{str(error)[0].upper()}{str(error)[1:]}" if self._run.in_field else ""
 
     def _reasons(self, index: int, apart: str) -> str:
-        """What the camera saw beside the others, and what of it is not here."""
+        """Return what the camera saw beside the other cameras, and what is missing here."""
         if index < len(self._run.scene.cameras):
             return reason_text(self._run.scene, index)
         return f"{apart} The place of its camera stayed with device {self._run.owner(index)}, too.".strip()
@@ -155,7 +153,7 @@ class PhotoDock(QDockWidget):
             if figure.key in known
         ]
         if name in self.worst_first:
-            parts.insert(0, f"{_place(self.worst_first.index(name) + 1)} of {len(self.worst_first)}")
+            parts.insert(0, f"{_rank_text(self.worst_first.index(name) + 1)} of {len(self.worst_first)}")
         return "   ·   ".join(parts) or "Trained on: figures are measured on held-out photographs."
 
     def _set_enabled(self, compares: bool) -> None:
@@ -181,12 +179,12 @@ class PhotoDock(QDockWidget):
         self.figures_text.setToolTip("\n".join(f"{figure.heading}: {figure.meaning}" for figure in FIGURES))
 
 
-def _place(rank: int) -> str:
+def _rank_text(rank: int) -> str:
     return "worst" if rank == 1 else f"{rank}. worst"
 
 
 def _preview(image: Image) -> Image:
-    """At most 1,600 px a side: a window shows no more, and a photograph of 45 megapixels takes 135 MB."""
+    """Scale to at most 1,600 px a side: a photograph of 45 megapixels takes 135 MB."""
     scale = MAX_PREVIEW_PX / max(image.shape[:2])
     if scale >= 1:
         return image

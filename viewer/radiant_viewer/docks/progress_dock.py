@@ -1,8 +1,6 @@
-"""How a run that is at work stands: a bar per stage, warnings, time left, asked for once a second. Needs the `desktop` extra."""
+"""Progress of a running run: a bar per stage, warnings, time left, polled once a second. Needs the `desktop` extra."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QTimer, Signal
 from PySide6.QtWidgets import (
@@ -19,32 +17,29 @@ from PySide6.QtWidgets import (
 )
 
 from radiant_core.errors import RadiantError
+from radiant_viewer.host.protocols import StatusHost
 from radiant_viewer.layers.region_layer import duration_text
 from radiant_viewer.runs.run_feeds import RunFeeds, RunProgress, StageState
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.waiting_window import WaitingWindow
-    from radiant_viewer.window.window import InspectorWindow
 
 POLL_MS = 1000
 HEADINGS = ("Stage", "State", "", "Doing")
 
 
 class ProgressDock(QDockWidget):
-    """`shown` is what was last read; `polled` comes after every reading but the first."""
+    """`shown` is the last reading; `polled` is emitted after every reading but the first."""
 
     polled = Signal()
 
-    def __init__(self, window: InspectorWindow | WaitingWindow, feeds: RunFeeds) -> None:
-        super().__init__("Progress", window)
+    def __init__(self, host: StatusHost, feeds: RunFeeds) -> None:
+        super().__init__("Progress")
         self.setObjectName("progress")
-        self._window, self._feeds = window, feeds
+        self._host, self._feeds = host, feeds
         self.shown = RunProgress()
         self._filled: tuple[StageState, ...] = ()
         self.summary = QLabel("")
         self.reload = QPushButton("Reload")
         self.reload.setToolTip("Read the run's plan, model and figures anew (F5)")
-        self.reload.clicked.connect(window.reload)
+        self.reload.clicked.connect(host.reload)
         self.table = QTableWidget(0, len(HEADINGS))
         self.table.setHorizontalHeaderLabels(HEADINGS)
         self.table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
@@ -67,15 +62,15 @@ class ProgressDock(QDockWidget):
         self.read()
 
     def end(self) -> None:
-        """Ask no more."""
+        """Stop polling."""
         self._timer.stop()
 
     def read(self) -> None:
-        """Ask how the run stands and show it; one that ended may be resumed, so it is asked all the same."""
+        """Read the progress and show it; a run that ended may be resumed, so polling goes on."""
         try:
             now = self._feeds.progress()
         except RadiantError as error:
-            # It may be in the middle of writing.
+            # The run may be in the middle of writing.
             self.summary.setText(str(error))
             return
         was_running, had_ended = self.shown.is_running, bool(self.shown.status) and not self.shown.is_running
@@ -85,9 +80,9 @@ class ProgressDock(QDockWidget):
         self.summary.setText(_summary(now))
         self.summary.setToolTip("\n".join(now.warnings))
         if was_running and not now.is_running:
-            self._window.tell(f"The run ended ({now.status}).")
+            self._host.show_status(f"The run ended ({now.status}).")
         if now.is_running and had_ended:
-            self._window.tell("The run goes on.")
+            self._host.show_status("The run goes on.")
 
     def _poll(self) -> None:
         self.read()
@@ -106,7 +101,7 @@ class ProgressDock(QDockWidget):
                 bar.setFixedWidth(160)
                 self.table.setCellWidget(row, 2, bar)
             share = stage.share
-            # Qt moves a bar without a range to say that something is going on.
+            # Qt animates a bar without a range.
             bar.setRange(0, 0 if share is None and stage.state == "running" else 100)
             bar.setValue(0 if share is None else round(100 * share))
             self.table.setItem(row, 3, QTableWidgetItem(stage.note))

@@ -1,8 +1,6 @@
-"""The seam tour: all borders, worst first; each stop flies both views to its worst place. Needs the `desktop` extra."""
+"""The seam tour: all borders, worst first; each stop moves both views to its worst place. Needs the `desktop` extra."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import Qt
@@ -18,15 +16,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.layer import Layer, LegendEntry
 from radiant_viewer.layers.palette import VERMILLION, WHITE
-from radiant_viewer.runs.run_pictures import ground_height
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
-from radiant_viewer.runs.seam_findings import part_text, step_text
+from radiant_viewer.runs.seam_findings import observed_text, step_text
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 HEADINGS = ("", "Border", "Step (levels)", "Texture", "Median piece", "Worst piece", "Observed", "Verdict")
 TIPS = (
@@ -43,12 +39,12 @@ MARK = "Border of the tour"
 
 
 class SeamDock(QDockWidget):
-    """A table of stops with previous and next; `at` is the index of the stop, None before the tour begins."""
+    """A table of stops; `at` is the index of the present stop, None before the tour begins."""
 
-    def __init__(self, window: InspectorWindow, run: RunView, stops: tuple[SeamStop, ...]) -> None:
-        super().__init__("Seams", window)
+    def __init__(self, host: Host, run: RunView, stops: tuple[SeamStop, ...]) -> None:
+        super().__init__("Seams")
         self.setObjectName("seams")
-        self._window, self._unit = window, run.unit
+        self._host, self._unit = host, run.unit
         self._ground = ground_height(run.scene)
         self.stops = stops
         self.at: int | None = None
@@ -74,24 +70,24 @@ class SeamDock(QDockWidget):
         self.setWidget(body)
 
     def step(self, by: int) -> None:
-        """Go `by` stops on, from the last to the first again."""
+        """Move by `by` stops, round from the last to the first."""
         self.go(0 if self.at is None else (self.at + by) % len(self.stops))
 
     def go(self, index: int) -> None:
-        """Fly both views to stop `index` and mark its border."""
+        """Move both views to stop `index` and mark its border."""
         self.at = index
         stop = self.stops[index]
-        self._window.draw_mark(_mark(stop, self._ground))
-        self._window.map.center_on(stop.worst, max(stop.length, 1e-6) * 0.4)
-        self._window.view.set_pose(stop.view(self._ground))
-        self._window.render_views()
+        self._host.draw_mark(_mark(stop, self._ground))
+        self._host.map.center_on(stop.worst, max(stop.length, 1e-6) * 0.4)
+        self._host.view.set_pose(stop.view(self._ground))
+        self._host.render_views()
         self.table.blockSignals(True)
         self.table.selectRow(index)
         self.table.blockSignals(False)
         figures = stop.figures
         self.text.setText(f"{index + 1} of {len(self.stops)}: {stop.title}. Verdict: {figures.verdict}")
-        part = part_text(figures.observed_length, stop.length, self._unit)
-        self._window.tell(f"Border {stop.title}: colour step {step_text(figures)}; observed: {part}")
+        part = observed_text(figures.observed_length, stop.length, self._unit)
+        self._host.show_status(f"Border {stop.title}: colour step {step_text(figures)}; observed: {part}")
 
     def _table(self) -> QTableWidget:
         table = QTableWidget(len(self.stops), len(HEADINGS))
@@ -117,16 +113,16 @@ class SeamDock(QDockWidget):
         return table
 
 
-def seam_dock(window: InspectorWindow, run: RunView) -> SeamDock | None:
-    """The dock of a run with a model and two regions or more; None where there is no seam to visit."""
+def make_seam_dock(host: Host, run: RunView) -> SeamDock | None:
+    """Return the dock of a run with a model and two regions or more; None where there is no seam."""
     if run.splats is None or len(run.cloud_plan.edge_ids) < 2:
         return None
     stops = seam_stops(run.scene, run.cloud_plan, run.splats)
-    return SeamDock(window, run, stops) if stops else None
+    return SeamDock(host, run, stops) if stops else None
 
 
 def _mark(stop: SeamStop, height: float) -> Layer:
-    """A disc at the worst place and white ones at both ends: a line would hide the colours of the seam."""
+    """Return a disc at the worst place and white discs at both ends: a line would hide the colours of the seam."""
     places = np.column_stack([[stop.worst, *stop.ends], np.full(3, height)])
     return Layer(
         name=MARK,
@@ -140,8 +136,8 @@ def _mark(stop: SeamStop, height: float) -> Layer:
 
 
 def _cells(stop: SeamStop, unit: str) -> tuple[str, ...]:
-    """The texts of one row after its number."""
+    """Return the texts of one row after its number."""
     figures = stop.figures
     levels = (figures.step_levels, figures.texture_levels, figures.median_levels, stop.worst_levels)
-    observed = part_text(figures.observed_length, stop.length, unit)
+    observed = observed_text(figures.observed_length, stop.length, unit)
     return (stop.title, *(f"{value:.1f}" if np.isfinite(value) else "–" for value in levels), observed, figures.verdict)

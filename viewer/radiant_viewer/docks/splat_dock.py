@@ -1,7 +1,9 @@
-"""The splat view: the model as the 3D view's camera sees it. Coarse while that moves, full half a second after it rests.
+"""The splat view: the model from the camera of the 3D view, coarse while that moves and full half a
+second after it rests.
 
-Which renderer draws is a `Decision`: our own is exact and starts at once; when its first full picture stands, Open3D's is started
-beside it, both draw the same picture, and the faster one stays. A crop box is always drawn by our own. Needs the `desktop` extra.
+The choice of renderer is a `Decision`: our own is exact and starts at once; after its first full
+picture Open3D's is started, both draw the same picture, and the faster one is kept. A crop box is
+always drawn by our own. Needs the `desktop` extra.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ import tempfile
 import time
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QComboBox, QDockWidget, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
@@ -20,29 +22,27 @@ from radiant_core.decisions import Decision
 from radiant_core.io.ply import save_ply
 from radiant_core.splats import Splats
 from radiant_viewer.host.picture_label import PictureLabel
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.splats.splat_process import Frame, Kind, SplatProcess
 
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
-
 POLL_MS, REST_S = 60, 0.4
 COARSE = 3
-"""While the view moves, a picture has so many times fewer pixels a side."""
+"""Divisor of the picture's sides while the view moves."""
 TRIALS = 3
-"""Pictures that a renderer draws to be timed; the last counts, since the first ones build what later ones reuse."""
+"""Pictures per renderer in the timing; the last counts, since the first ones fill caches."""
 NAMES: dict[Kind, str] = {"own": "Own renderer", "open3d": "Open3D"}
 CHOICES = ("Automatic", *NAMES.values())
 
 
 class SplatDock(QDockWidget):
-    """Follows `window.view`; hidden, it draws nothing."""
+    """Draws what the 3D view sees; hidden, it draws nothing."""
 
-    def __init__(self, window: InspectorWindow, splats: Splats) -> None:
-        super().__init__("Splats", window)
+    def __init__(self, host: Host, splats: Splats) -> None:
+        super().__init__("Splats")
         self.setObjectName("splats")
-        self._window = window
-        # Of what the strict reader took, and in a place of its own: the run may be written to while the window is open.
+        self._host = host
+        # A copy of what the strict reader accepted: the run may be written to while the window is open.
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
         self._splats = splats
         self.picture = PictureLabel()
@@ -76,23 +76,23 @@ class SplatDock(QDockWidget):
 
     @cached_property
     def ply_path(self) -> Path:
-        """The model for the processes that draw it; written when it is first asked for, which many a window never does."""
+        """The model as a file for the renderer processes; written at its first use."""
         path = Path(self._folder.name) / "model.ply"
         save_ply(path, self._splats)
         return path
 
     @property
     def kind(self) -> Kind:
-        """Who draws now."""
+        """The renderer in use."""
         index = self.choice.currentIndex()
-        if self._window.crop_box is not None:
+        if self._host.crop_box is not None:
             return "own"
         if index > 0:
             return get_args(Kind)[index - 1]
         return "open3d" if self.decision is not None and self.decision.choice == NAMES["open3d"] else "own"
 
     def end(self) -> None:
-        """Stop the processes; called when the window closes."""
+        """Stop the renderer processes; call it when the window closes."""
         self._timer.stop()
         for process in self._processes.values():
             process.end()
@@ -116,15 +116,15 @@ class SplatDock(QDockWidget):
             # Open3D makes a new renderer for another size: it draws all pictures in full.
             full = rests or process.kind == "open3d"
             self._asked = (key, full)
-            process.ask(0, camera if full else self._camera(COARSE)[0], self._window.theme.view, self._window.crop_box)
+            process.ask(0, camera if full else self._camera(COARSE)[0], self._host.theme.view, self._host.crop_box)
 
     def _camera(self, coarse: int) -> tuple[Cameras, bytes]:
-        """The 3D view's camera at the size of the dock, `coarse` times smaller a side, and what tells one picture from another."""
+        """Return the camera of the 3D view at the size of the dock over `coarse`, and a key that identifies the picture."""
         scale = self.picture.devicePixelRatioF() / coarse
         size = max(32, round(self.picture.width() * scale)), max(32, round(self.picture.height() * scale))
-        camera = self._window.view.pose.camera(size)
-        box = self._window.crop_box
-        key = camera.cam_from_world.tobytes() + camera.Ks.tobytes() + self._window.theme.name.encode() + self.kind.encode()
+        camera = self._host.view.pose.camera(size)
+        box = self._host.crop_box
+        key = camera.cam_from_world.tobytes() + camera.Ks.tobytes() + self._host.theme.name.encode() + self.kind.encode()
         return camera, key + (b"" if box is None else box.tobytes())
 
     def _process(self, kind: Kind) -> SplatProcess:
@@ -142,16 +142,16 @@ class SplatDock(QDockWidget):
         self.last_image = frame.image
         self.picture.show_picture(frame.image)
         self._drawn = self._asked
-        # A full picture of where the view was before it moved is none of where it is.
+        # The view may have moved since this picture was requested.
         self.shown_is_full = self._drawn == (self._last_key, True)
         width, height = frame.image.shape[1], frame.image.shape[0]
         detail = "full" if self._drawn is not None and self._drawn[1] else "coarse while moving"
-        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms\n{detail}{self._why()}")
+        self.note.setText(f"{NAMES[kind]}, {width}×{height} px, {1000 * frame.seconds:.0f} ms\n{detail}{self._reason_text()}")
         reason = "" if self.decision is None else f"\n{self.decision.reason}"
         self.note.setToolTip(f"{self.note.text()}{reason}")
 
-    def _why(self) -> str:
-        """What decided between the renderers, where that decided."""
+    def _reason_text(self) -> str:
+        """Return the times that decided between the renderers, empty where the user chose."""
         if self.decision is None or self.choice.currentIndex():
             return ""
         others = [
@@ -160,18 +160,18 @@ class SplatDock(QDockWidget):
         return f" ({', '.join(others) or 'the other does not run here'})"
 
     def _compare(self) -> None:
-        """Once a full picture stands, let both renderers draw it in turn and take the faster one."""
-        if self.decision is not None or self.choice.currentIndex() or self._window.crop_box is not None:
+        """Time both renderers on the full picture in turn, and keep the faster one."""
+        if self.decision is not None or self.choice.currentIndex() or self._host.crop_box is not None:
             return
         kind, number = self._trial or ("own", 0)
         process = self._process(kind)
         if process.is_ready and not process.is_busy:
             self._trial = (kind, number)
-            process.ask(1, self._camera(1)[0], self._window.theme.view, None)
+            process.ask(1, self._camera(1)[0], self._host.theme.view, None)
 
     def _on_trial(self, kind: Kind, frame: Frame) -> None:
         if self._trial is None:
-            # Somebody chose a renderer while it was tried.
+            # The user chose a renderer during the timing.
             return
         self._seconds[kind] = frame.seconds
         number = self._trial[1] + 1
@@ -196,7 +196,7 @@ class SplatDock(QDockWidget):
         )
         idle: Kind = "open3d" if faster == "own" else "own"
         self._end_process(idle)
-        # The picture stands; only its note changes.
+        # Draw again, so that the note shows the decision.
         self._drawn = None
 
     def _on_failed(self, kind: Kind, reason: str) -> None:
@@ -229,8 +229,7 @@ class SplatDock(QDockWidget):
 
 
 def _note() -> QLabel:
-    """Of two lines whatever it says, and cut off rather than wrapped: were it higher at times, the picture above it would change its size
-    with every text, which counts as a movement, and would never come to rest."""
+    """Return a label of fixed height: a change of height would resize the picture above it, which counts as a movement."""
     note = QLabel("")
     note.setProperty("soft", "true")
     note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)

@@ -1,9 +1,10 @@
-"""The edits of a plan as a file beside it: written before an edit is solved, so that closing a window in the middle loses nothing.
+"""The edits of a plan as a file: written before an edit is solved, so that closing the window in
+between loses nothing.
 
     {"schema": "radiant.edits", "version": 1, "base": key of the plan they were made on, "done": [edit…], "undone": [edit…]}
 
-A plan is a function of its edits, so the edits are kept and not the plans. A file that is broken or was made on another plan is set
-aside under another name, never overwritten. Written once per edit, some milliseconds.
+A plan is a function of its edits, so edits are stored, not plans. A file that is broken or belongs
+to another plan is renamed, never overwritten. Written once per edit, some milliseconds.
 """
 
 from __future__ import annotations
@@ -24,55 +25,55 @@ from radiant_viewer.editing.plan_edits import EDITS, AdoptPlan, Edit
 
 SCHEMA, VERSION = "radiant.edits", 1
 MAX_LOG_BYTES = 512 * 2**20
-"""As a plan, which an edit may hold."""
+"""That of a plan, which an edit may contain."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class KeptEdits:
-    """Edits in the order they were made, and those that were undone, the next to redo last."""
+class EditHistory:
+    """Edits in order, and the undone ones, of which the last is the next to redo."""
 
     done: tuple[Edit, ...] = ()
     undone: tuple[Edit, ...] = ()
 
 
 def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
-    """The same for the same plan of the same machines, whatever file it lies in."""
+    """Return a key that depends on the plan and its machines alone, not on its file."""
     return content_key(cloud, tuple(edges))
 
 
-def save_edits(path: Path, base: str, kept: KeptEdits) -> None:
-    """Write the edits whole or not at all; BadInput where the folder cannot be written."""
+def save_edits(path: Path, base: str, kept: EditHistory) -> None:
+    """Write the edits atomically; BadInput where the folder cannot be written."""
     record = {"done": [edit_record(edit) for edit in kept.done], "undone": [edit_record(edit) for edit in kept.undone]}
     write_json(path, {"schema": SCHEMA, "version": VERSION, "base": base, **record})
 
 
-def load_edits(path: Path, base: str) -> tuple[KeptEdits, str]:
-    """The edits kept for the plan with this key, and one sentence where there were some that cannot be used, which are set aside."""
+def load_edits(path: Path, base: str) -> tuple[EditHistory, str]:
+    """Return the stored edits of the plan with this key, and a sentence if the file was unusable and renamed."""
     if not path.exists():
-        return KeptEdits(), ""
+        return EditHistory(), ""
     try:
         with name_file_in_errors(path):
             record = read_json(path, ("schema", "version", "base", "done", "undone"), MAX_LOG_BYTES)
             if (record["schema"], record["version"]) != (SCHEMA, VERSION):
                 raise BadInput(f"it is {record['schema']!r} {record['version']!r}, expected {SCHEMA!r} {VERSION}.")
             if record["base"] == base:
-                return KeptEdits(done=_edits(record["done"]), undone=_edits(record["undone"])), ""
+                return EditHistory(done=_edits(record["done"]), undone=_edits(record["undone"])), ""
             reason = "were made on another plan"
     except (BadInput, StoreDamaged):
         reason = "cannot be read"
     aside = move_aside(path)
-    return KeptEdits(), f"The edits in {path.name} {reason}: they are kept as {aside.name}, this plan is shown as it was made."
+    return EditHistory(), f"The edits in {path.name} {reason}: they are kept as {aside.name}, this plan is shown as it was made."
 
 
 def edit_record(edit: Edit) -> dict[str, Any]:
-    """An edit as JSON's values, with its kind."""
+    """Return an edit as JSON values, with its kind."""
     if isinstance(edit, AdoptPlan):
         return {"edit": "AdoptPlan", "name": edit.name, **plan_record(edit.cloud, edit.edges)}
     return {"edit": type(edit).__name__, **asdict(edit)}
 
 
-def edit_of_record(record: Any) -> Edit:
-    """The edit that `edit_record` wrote; BadInput for anything else."""
+def parse_edit(record: Any) -> Edit:
+    """Return the edit that `edit_record` wrote; BadInput for anything else."""
     kinds = {kind.__name__: kind for kind in EDITS}
     if not isinstance(record, Mapping) or record.get("edit") not in kinds:
         raise BadInput(f"{record!r:.80} is no edit of a plan: expected one of {', '.join(kinds)}.")
@@ -89,7 +90,7 @@ def edit_of_record(record: Any) -> Edit:
 def _edits(records: Any) -> tuple[Edit, ...]:
     if not isinstance(records, list):
         raise BadInput("the edits are no list.")
-    return tuple(edit_of_record(record) for record in records)
+    return tuple(parse_edit(record) for record in records)
 
 
 def _value(name: str, value: Any) -> Any:
@@ -117,8 +118,8 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def name_aside(path: Path) -> Path:
-    """A name beside `path` that nothing has yet."""
+def free_path_beside(path: Path) -> Path:
+    """Return an unused path beside `path`."""
     number = 1
     while (aside := path.with_name(f"{path.stem}_{number}{path.suffix}")).exists():
         number += 1
@@ -126,8 +127,8 @@ def name_aside(path: Path) -> Path:
 
 
 def move_aside(path: Path) -> Path:
-    """Give a file another name, which is returned; BadInput where that cannot be."""
-    aside = name_aside(path)
+    """Rename a file to an unused path and return it; BadInput where that fails."""
+    aside = free_path_beside(path)
     try:
         path.rename(aside)
     except OSError as error:

@@ -20,8 +20,8 @@ from radiant_core.plan.system import System
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSubject:
-    """What is planned: names (C) unique; positions (C,3) in `unit`; origin (3,) lat lon alt where they are on the globe; ground, its
-    height in the positions' z, where the scene tells it.
+    """The cameras to plan: names (C) unique; positions (C,3) in `unit`; origin (3,) lat lon alt if they are on the globe; ground, its
+    height in the positions' z, if the scene has it.
 
     Raises BadInput without cameras, for positions that are not finite and for names that come twice.
     """
@@ -32,7 +32,7 @@ class PlanSubject:
     origin: FloatArray | None = None
     ground: float | None = None
     altitude_known: bool = True
-    """Whether the origin's altitude is one, as a frame's."""
+    """Whether the origin has a true altitude, as in `Frame`."""
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -49,7 +49,7 @@ class PlanSubject:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanWishes:
-    """What decides a plan: the system, what is fixed, locked and pinned, the slack, and the plan that weights and locks refer to."""
+    """The inputs of a plan: system, constraints, slack, and the plan that fixed weights and locks refer to."""
 
     system: System
     constraints: PlanConstraints
@@ -59,19 +59,19 @@ class PlanWishes:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EditedPlan:
-    """A plan with the wishes it fulfils; edges is empty while its cameras are not dealt to devices, as during a drag."""
+    """A plan and the wishes it fulfils; `edges` is empty while its cameras are not dealt to devices, as during a drag."""
 
     wishes: PlanWishes
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...] = ()
 
 
-def first_state(subject: PlanSubject, system: System, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> EditedPlan:
-    """A plan as it is found, bit for bit; its edges stand where it has them. BadInput when plan, cameras and system are not of one kind."""
+def initial_plan(subject: PlanSubject, system: System, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> EditedPlan:
+    """Return an existing plan unchanged, with its edges at its own sites; BadInput where plan, cameras and system do not fit."""
     require_plan_of(len(subject.names), cloud, edges)
     require_same_system(edges, system)
     wishes = PlanWishes(
-        system=_at_sites(system, cloud),
+        system=_move_to_sites(system, cloud),
         constraints=PlanConstraints(),
         slack=cloud.slack if cloud.status == "slack" else None,
         reference=cloud,
@@ -79,8 +79,8 @@ def first_state(subject: PlanSubject, system: System, cloud: CloudPlan, edges: t
     return EditedPlan(wishes=wishes, cloud=cloud, edges=edges)
 
 
-def planned_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) -> EditedPlan:
-    """The regions that the wishes call for, from a similar plan on; BadInput with the planner's sentence where there are none."""
+def solve_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) -> EditedPlan:
+    """Solve the regions for the wishes, starting from a similar plan; BadInput with the planner's sentence where there are none."""
     if wishes.slack is not None and wishes.constraints:
         raise BadInput("slack is for a plan in which nothing is fixed, locked or pinned: free these first, or take the slack back.")
     constraints = wishes.constraints or None
@@ -96,19 +96,19 @@ def planned_regions(subject: PlanSubject, wishes: PlanWishes, start: CloudPlan) 
     return EditedPlan(wishes=wishes if constraints else replace(wishes, reference=found), cloud=found)
 
 
-def with_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
-    """The same plan with its cameras dealt to devices."""
+def add_strips(subject: PlanSubject, plan: EditedPlan) -> EditedPlan:
+    """Deal the cameras of a plan to devices."""
     return plan if plan.edges else replace(plan, edges=split_edges(subject.on_map, plan.cloud, plan.wishes.system))
 
 
-def dragged_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -> float:
-    """The weight with which the border of `edge` towards `other` lies `distance` farther out; negative draws it in."""
+def border_weight_m2(cloud: CloudPlan, edge: str, other: str, distance: float) -> float:
+    """Return the weight that moves the border of `edge` towards `other` outwards by `distance`, inwards where negative."""
     first, second = cloud.edge_ids.index(edge), cloud.edge_ids.index(other)
     return float(cloud.weights[first] + 2 * np.linalg.norm(cloud.sites[first] - cloud.sites[second]) * distance)
 
 
-def with_closed_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: FloatArray) -> CloudPlan:
-    """The plan with one edge more that owns nothing: its weight is below what any camera would need to lie in its cell."""
+def add_empty_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: FloatArray) -> CloudPlan:
+    """Add an edge without cameras: its weight is too low for any camera to lie in its cell."""
     centre = subject.on_map.mean(axis=0)  # UTM-sized coordinates would lose half the digits when squared
     cameras, sites = subject.on_map - centre, cloud.sites - centre
     nearest = assign(cameras, sites, cloud.weights)
@@ -125,8 +125,8 @@ def with_closed_edge(cloud: CloudPlan, subject: PlanSubject, name: str, site: Fl
     )
 
 
-def without_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tuple[str, ...]) -> CloudPlan:
-    """The plan without an edge, whose cameras go to the nearest cells among edges that are not locked."""
+def remove_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tuple[str, ...]) -> CloudPlan:
+    """Remove an edge; its cameras go to the nearest cells of edges that are not locked."""
     gone = cloud.edge_ids.index(name)
     kept = np.flatnonzero(np.arange(len(cloud.edge_ids)) != gone)
     open_edges = np.array([index for index in kept.tolist() if cloud.edge_ids[index] not in locked], np.int64)
@@ -150,7 +150,7 @@ def without_edge(cloud: CloudPlan, subject: PlanSubject, name: str, locked: tupl
     )
 
 
-def _at_sites(system: System, cloud: CloudPlan) -> System:
+def _move_to_sites(system: System, cloud: CloudPlan) -> System:
     sites = [(float(x), float(y)) for x, y in cloud.sites]
     return replace(
         system, edges=tuple(replace(edge, position=site, lat_lon_deg=None) for edge, site in zip(system.edges, sites, strict=True))

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 from PySide6.QtCore import QModelIndex, QPersistentModelIndex, QRect, QSignalBlocker, Qt
 from PySide6.QtGui import QColor, QPainter
-from PySide6.QtWidgets import QDockWidget, QHeaderView, QStyledItemDelegate, QStyleOptionViewItem, QTreeWidget, QTreeWidgetItem, QWidget
+from PySide6.QtWidgets import QDockWidget, QHeaderView, QStyledItemDelegate, QStyleOptionViewItem, QTreeWidget, QTreeWidgetItem
 
 from radiant_viewer.editing.plan_report import LoadRow
-from radiant_viewer.layers.palette import category_colors, tinted
+from radiant_viewer.layers.palette import category_colors, tint
 from radiant_viewer.layers.region_layer import duration_text
 
 NAME, CAMERAS, TIME, LOAD, NOTE = range(5)
@@ -17,10 +17,10 @@ SHARE_ROLE, COLOR_ROLE = Qt.ItemDataRole.UserRole, Qt.ItemDataRole.UserRole + 1
 
 
 class LoadDock(QDockWidget):
-    """One row per edge with its devices below; a chosen row tells `chosen` the ids of edge and device."""
+    """One row per edge with its devices below; selecting a row calls `chosen` with the ids of edge and device."""
 
-    def __init__(self, parent: QWidget, chosen: Callable[[str, str | None], None]) -> None:
-        super().__init__("Edges and devices", parent)
+    def __init__(self, chosen: Callable[[str, str | None], None]) -> None:
+        super().__init__("Edges and devices")
         self.setObjectName("loads")
         self._chosen = chosen
         self.tree = QTreeWidget()
@@ -38,16 +38,16 @@ class LoadDock(QDockWidget):
         self.setWidget(self.tree)
 
     def show_rows(self, rows: Sequence[LoadRow]) -> None:
-        """Show these loads; what was expanded and chosen stays so."""
+        """Show these loads; expanded and selected rows are kept."""
         if [(row.name, row.is_edge) for row in rows] != [(row.name, row.is_edge) for row in self._rows]:
             self._rebuild(rows)
         self._rows = tuple(rows)
-        # Told of every cell, Qt would measure all columns anew: 12 ms of a frame of a drag with 16 edges.
+        # A signal per cell would make Qt measure all columns again: 12 ms per frame of a drag with 16 edges.
         with QSignalBlocker(self.tree.model()):
             self._fill(rows)
         for column in (CAMERAS, TIME):
             self.tree.resizeColumnToContents(column)
-            # Before the window is shown its headings are measured in a narrower font.
+            # Before the window is shown, Qt measures the headings in a narrower font.
             self.tree.setColumnWidth(column, self.tree.columnWidth(column) + 8)
         self.tree.viewport().update()
 
@@ -56,7 +56,7 @@ class LoadDock(QDockWidget):
         edge = -1
         for item, row in zip(self._items, rows, strict=True):
             edge += row.is_edge
-            red, green, blue = (int(value) for value in (colors[edge] if row.is_edge else tinted(colors[edge], (255, 255, 255), 0.45)))
+            red, green, blue = (int(value) for value in (colors[edge] if row.is_edge else tint(colors[edge], (255, 255, 255), 0.45)))
             item.setText(CAMERAS, "" if row.time_s is None else f"{row.num_cameras:,}")
             item.setText(TIME, "" if row.time_s is None else duration_text(row.time_s))
             item.setText(NOTE, row.note)
@@ -96,7 +96,7 @@ class _LoadBar(QStyledItemDelegate):
     """A bar from the left for the share, with its percentage."""
 
     def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex) -> None:
-        """Qt draws a cell."""
+        """Draw a cell: the bar, and its percentage."""
         super().paint(painter, option, index)
         share, color = index.data(SHARE_ROLE), index.data(COLOR_ROLE)
         if share is None or color is None:

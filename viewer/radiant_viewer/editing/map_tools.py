@@ -1,17 +1,17 @@
-"""What the mouse does on the map while a plan is edited. Needs the `desktop` extra.
+"""Mouse tools on the map while a plan is edited. Needs the `desktop` extra.
 
-    drag an edge's square              the edge moves
-    drag a border                      the rim of the region it is grabbed from moves; it keeps what lies inside, the rest is dealt anew
-    Shift and drag                     selects the cameras inside the box; with Ctrl as well, adds them
-    Escape while dragging              gives the drag up
+    drag an edge's square              moves the edge
+    drag a border                      moves the rim of the region that was grabbed: it owns what lies inside, the rest is replanned
+    Shift and drag                     selects the cameras inside the box; with Ctrl adds them
+    Escape while dragging              cancels the drag
 
-Everything else goes on to the view, which pans and zooms. Hit tests are pure functions of places on the map.
+All other events go to the view, which pans and zooms. Hit tests are pure functions of places on the
+map.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, QRect, QSize, Qt
@@ -22,14 +22,12 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.borders import Border, shared_borders
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.constraints import PlanConstraints
-from radiant_viewer.editing.edited_plan import dragged_weight_m2
+from radiant_viewer.editing.edited_plan import border_weight_m2
+from radiant_viewer.editing.plan_actions import PlanActions
 from radiant_viewer.editing.plan_edits import Edit, FixWeight, MoveEdge
 
-if TYPE_CHECKING:
-    from radiant_viewer.editing.planning import Planning
-
 EDGE_PX, BORDER_PX = 12, 7
-"""How near a press must be to an edge or a border."""
+"""Largest distance of a press from an edge or a border."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,14 +38,14 @@ class EdgeGrip:
     offset: FloatArray
 
     def edit(self, place: FloatArray, _: CloudPlan) -> Edit:
-        """What a drag to `place` (2,) means."""
+        """Return the edit for a drag to `place` (2,)."""
         x, y = (place + self.offset).tolist()
         return MoveEdge(edge=self.edge, position=(x, y))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderGrip:
-    """The rim of a region that was grabbed at `place` (2,), with the unit vector (2,) out of it and the region behind it."""
+    """The rim of region `edge`, grabbed at `place` (2,); `outward` (2,) is its unit normal towards region `other`."""
 
     edge: str
     other: str
@@ -55,15 +53,15 @@ class BorderGrip:
     outward: FloatArray
 
     def edit(self, place: FloatArray, cloud: CloudPlan) -> Edit:
-        """What a drag to `place` (2,) means for the plan that was there at the press."""
+        """Return the edit for a drag to `place` (2,), applied to the plan at the time of the press."""
         distance = float((place - self.place) @ self.outward)
-        return FixWeight(edge=self.edge, weight_m2=dragged_weight_m2(cloud, self.edge, self.other, distance))
+        return FixWeight(edge=self.edge, weight_m2=border_weight_m2(cloud, self.edge, self.other, distance))
 
 
 def grip_at(
     place: FloatArray, cloud: CloudPlan, constraints: PlanConstraints, borders: tuple[Border, ...], meters_per_px: float
 ) -> EdgeGrip | BorderGrip | None:
-    """What lies under a press at `place` (2,): an edge, else a border, else nothing. A locked region's border is its neighbour's rim."""
+    """Return the edge, else the border, under a press at `place` (2,), else None. A locked region's border is its neighbour's rim."""
     away = np.linalg.norm(cloud.sites - place, axis=1)
     nearest = int(away.argmin())
     if away[nearest] <= EDGE_PX * meters_per_px:
@@ -74,7 +72,7 @@ def grip_at(
     border = borders[int(np.argmin(distances))]
     is_in_first = bool((place - border.ends[0]) @ border.toward_first >= 0)
     first, second = cloud.edge_ids[border.first], cloud.edge_ids[border.second]
-    # A region whose border was dragged before goes on being the dragged one, whichever side is grabbed.
+    # A border that was dragged before keeps its region, whichever side is grabbed.
     dragged = [name in constraints.fixed_weights_m2 for name in (first, second)]
     if dragged[0] != dragged[1]:
         is_in_first = dragged[0]
@@ -86,12 +84,12 @@ def grip_at(
 
 
 class MapTools(QObject):
-    """Watches the mouse over the map's view while `is_active`."""
+    """Filters the mouse events of the map while `is_active`."""
 
-    def __init__(self, planning: Planning) -> None:
-        super().__init__(planning.window)
-        self._planning = planning
-        self._canvas = planning.window.map
+    def __init__(self, actions: PlanActions) -> None:
+        super().__init__(actions)
+        self._actions = actions
+        self._canvas = actions.host.map
         self._widget = self._canvas.plotter
         self.is_active = False
         self._grip: EdgeGrip | BorderGrip | None = None
@@ -109,23 +107,23 @@ class MapTools(QObject):
         return self._grip is not None
 
     def set_active(self, active: bool) -> None:
-        """Take the mouse, or leave it to the view."""
+        """Start or stop using the mouse."""
         self.is_active = active
-        self._let_go()
+        self._release()
         self._widget.unsetCursor()
 
     def close(self) -> None:
-        """Stop watching: the view is about to go."""
+        """Remove the filter before the view is destroyed."""
         self.is_active = False
         self._widget.removeEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Qt asks before the view sees an event; True keeps it from the view."""
+        """Handle an event before the view; True consumes it."""
         if not self.is_active or watched is not self._widget:
             return False
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() == Qt.Key.Key_Escape and self._grip:
-            self._let_go()
-            self._planning.drop_preview()
+            self._release()
+            self._actions.drop_preview()
             return True
         if not isinstance(event, QMouseEvent):
             return False
@@ -138,9 +136,9 @@ class MapTools(QObject):
         return False
 
     def end_drag(self) -> Edit | None:
-        """Let go, and return the edit that the drag so far means, None where nothing was held."""
+        """End the drag and return its edit, None where nothing was dragged."""
         grip, cloud, place = self._grip, self._pressed_on, self._last_place
-        self._let_go()
+        self._release()
         if grip is None or cloud is None or place is None:
             return None
         return grip.edit(place, cloud)
@@ -151,12 +149,12 @@ class MapTools(QObject):
             self._band.setGeometry(QRect(self._box_from, QSize()))
             self._band.show()
             return True
-        session = self._planning.session
+        session = self._actions.session
         grip = None if session is None else self._grip_under(event.position())
         if session is None or grip is None:
             return False
         if session.is_busy:
-            self._planning.window.tell("The plan is being solved: wait a moment.")
+            self._actions.host.show_status("The plan is being solved: wait a moment.")
             return True
         self._widget.setFocus()
         self._grip, self._pressed_on = grip, session.editor.state.cloud
@@ -169,7 +167,7 @@ class MapTools(QObject):
             return True
         if self._grip is not None and self._pressed_on is not None:
             self._last_place = self._place(event.position())
-            self._planning.drag_to(self._grip.edit(self._last_place, self._pressed_on))
+            self._actions.drag_to(self._grip.edit(self._last_place, self._pressed_on))
             return True
         if not event.buttons():
             self._show_cursor(event.position())
@@ -178,10 +176,10 @@ class MapTools(QObject):
     def _on_release(self, event: QMouseEvent) -> bool:
         if self._box_from is not None:
             box = QRect(self._box_from, event.position().toPoint()).normalized()
-            self._let_go()
+            self._release()
             corners = np.stack([self._place(QPointF(box.topLeft())), self._place(QPointF(box.bottomRight()))])
             adds = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
-            self._planning.select_box(corners.min(axis=0), corners.max(axis=0), add=adds)
+            self._actions.select_box(corners.min(axis=0), corners.max(axis=0), add=adds)
             return True
         if self._grip is None:
             return False
@@ -189,10 +187,10 @@ class MapTools(QObject):
             self._last_place = self._place(event.position())
         edit = self.end_drag()
         if edit is not None:
-            self._planning.do(edit)
+            self._actions.do(edit)
         return True
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         self._grip = self._pressed_on = self._box_from = None
         self._band.hide()
 
@@ -207,7 +205,7 @@ class MapTools(QObject):
             self._widget.setCursor(Qt.CursorShape.SplitHCursor if across else Qt.CursorShape.SplitVCursor)
 
     def _grip_under(self, position: QPointF) -> EdgeGrip | BorderGrip | None:
-        session = self._planning.session
+        session = self._actions.session
         if session is None:
             return None
         state = session.editor.state
@@ -217,7 +215,7 @@ class MapTools(QObject):
         return grip_at(self._place(position), state.cloud, state.wishes.constraints, self._borders[1], per_px)
 
     def _place(self, position: QPointF) -> FloatArray:
-        """The place (2,) of the world under a position of the widget, whatever the screen's pixels are."""
+        """Return the place (2,) of the world under a position of the widget, in device-independent pixels."""
         width, height = max(self._widget.width(), 1), max(self._widget.height(), 1)
         camera = self._canvas.plotter.camera
         per_px = 2 * camera.parallel_scale / height

@@ -1,4 +1,4 @@
-"""What an edit, or another plan, changes: which cameras change hands, and how makespan and times move. Once per edit and comparison."""
+"""The difference of two plans: cameras that go to another edge or device, makespan and times. Once per edit or comparison."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_viewer.layers.region_layer import duration_text
 
 MAX_FLOWS = 4
-"""How many moves between edges a sentence names."""
+"""Number of moves between edges that a sentence names."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanDifference:
-    """Between two plans of the same C cameras: new_edge and new_device (C,) bool, cameras that change hands; flows: how many went
-    from which edge to which, the most first."""
+    """Between two plans of the same C cameras: new_edge and new_device (C,) bool, cameras that move; flows: numbers of
+    cameras from edge to edge, the largest first."""
 
     new_edge: NDArray[np.bool_]
     new_device: NDArray[np.bool_]
@@ -43,7 +43,7 @@ class PlanDifference:
 
 
 def plan_difference(before: tuple[CloudPlan, Sequence[EdgePlan]], after: tuple[CloudPlan, Sequence[EdgePlan]]) -> PlanDifference:
-    """How `after` differs from `before`, edges and devices told apart by their ids; devices only where both plans deal them.
+    """Compare two plans by the ids of edges and devices; devices only where both plans deal them.
 
     Raises BadInput for plans of different numbers of cameras.
     """
@@ -65,7 +65,7 @@ def plan_difference(before: tuple[CloudPlan, Sequence[EdgePlan]], after: tuple[C
 
 
 def device_names(edges: Sequence[EdgePlan], num_cameras: int) -> NDArray[np.str_]:
-    """Id (C,) of the device of every camera, empty where its edge deals it later."""
+    """Return the device id (C,) of every camera, empty where it is not dealt yet."""
     names = np.zeros(num_cameras, dtype="U64")
     for plan in edges:
         if plan.dealt and len(plan.camera_indices):

@@ -1,6 +1,7 @@
-"""The dock in which a plan is changed: its figures, the selected cameras, regions, machines, slack, and files. Needs the `desktop` extra.
+"""The dock in which a plan is changed: its figures, the selected cameras, regions, machines, slack,
+and files. Needs the `desktop` extra.
 
-It shows and asks; what is done is `Planning`'s.
+It shows figures and calls `PlanActions`.
 """
 
 from __future__ import annotations
@@ -8,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QEvent, QObject, QSignalBlocker, QSize, Qt
 from PySide6.QtWidgets import (
@@ -31,10 +31,9 @@ from PySide6.QtWidgets import (
 
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.editing.edited_plan import EditedPlan
+from radiant_viewer.editing.plan_actions import PlanActions
+from radiant_viewer.editing.plan_edits import FreeRegion, LockRegion, ReleaseAll, RemoveEdge
 from radiant_viewer.editing.plan_report import ComparedRow, certificate_text, headline
-
-if TYPE_CHECKING:
-    from radiant_viewer.editing.planning import Planning
 
 FILTER_TIP = """Conditions joined by "and": psnr < 22 and region = north
 Figures: {figures}
@@ -44,30 +43,30 @@ Figures: {figures}
 MAX_COMPARED = 12
 """Rows of two plans' figures."""
 HEADLINE_PX = 14
-"""More than the buttons need, so that the headline keeps to one line."""
+"""Extra width beside the buttons, so that the headline fits on one line."""
 
 
 class PlanDock(QDockWidget):
-    """`region` and `device` are what is chosen in the table or here; all buttons call `planning`."""
+    """`region` and `device` are chosen here or in the table of loads; the buttons call `actions`."""
 
-    def __init__(self, planning: Planning, figures: Sequence[str]) -> None:
-        super().__init__("Plan", planning.window)
+    def __init__(self, actions: PlanActions) -> None:
+        super().__init__("Plan")
         self.setObjectName("plan")
-        self._planning = planning
+        self._actions = actions
         self.headline, self.certificate, self.changes = _label(strong=True), _label(), _label()
         self.working = QProgressBar()
         self.working.setRange(0, 0)
         self.working.setMaximumHeight(4)
         self.working.setTextVisible(False)
         keeps = self.working.sizePolicy()
-        # Its place stays when it is hidden: nothing jumps while a plan is solved.
+        # It keeps its place when hidden, so that nothing moves while a plan is solved.
         keeps.setRetainSizeWhenHidden(True)
         self.working.setSizePolicy(keeps)
         self.working.hide()
         self.filter, self.selected = QLineEdit(), _label(soft=True)
         self.filter.setPlaceholderText("psnr < 22 and region = …")
-        self.filter.setToolTip(FILTER_TIP.format(figures=", ".join(figures)))
-        self.filter.returnPressed.connect(lambda: planning.select_filtered(self.filter.text()))
+        self.filter.setToolTip(FILTER_TIP.format(figures=", ".join(actions.figures.columns)))
+        self.filter.returnPressed.connect(lambda: actions.select_filtered(self.filter.text()))
         self.region, self.target = QComboBox(), QComboBox()
         self.region.setToolTip("The region and edge that the buttons below are for; a row of the table chooses it, too")
         self.region.currentTextChanged.connect(lambda _: self._update_buttons())
@@ -93,12 +92,12 @@ class PlanDock(QDockWidget):
             layout.addWidget(widget)
         layout.addLayout(self._history_row())
         layout.addWidget(area, stretch=1)
-        # Below the buttons, which would move with every longer text, and be missed; always in sight, whatever is scrolled above.
+        # Below the scrolled buttons: always visible, and a longer text does not move the buttons.
         layout.addWidget(_Results(self.changes, self.certificate))
         self.setWidget(body)
 
     def choose(self, edge: str, device: str | None) -> None:
-        """Make an edge, and a device of it where one is named, what the buttons are for."""
+        """Choose the edge, and its device if given, that the buttons act on."""
         self.device = device
         self.region.setCurrentText(edge)
         self._update_buttons()
@@ -121,29 +120,29 @@ class PlanDock(QDockWidget):
         self._update_buttons()
 
     def show_conflict(self, sentence: str) -> None:
-        """Say that another window changed the edits, and ask whose count; nothing where the sentence is empty."""
+        """Show the sentence and buttons of a conflict with another window; an empty sentence hides them."""
         self.conflict_text.setText(sentence)
         self.conflict.setVisible(bool(sentence))
 
     def show_figures(self, cloud: CloudPlan, changes: str) -> None:
-        """The lines on top alone, as in a drag."""
+        """Show headline, certificate and changes only, as during a drag."""
         self.headline.setText(headline(cloud))
         self.certificate.setText(certificate_text(cloud))
         self.changes.setText(changes)
 
     def show_comparison(self, other: str, text: str, rows: Sequence[ComparedRow]) -> None:
-        """What differs from another plan, and the figures of both; those of edges beyond `MAX_COMPARED` are left out."""
+        """Show the difference from another plan and the figures of both, at most `MAX_COMPARED` rows."""
         self.changes.setText(_comparison_html(other, text, rows))
 
     def show_selected(self, count: int, target: str | None = None) -> None:
-        """How many cameras are selected, and the edge they would most likely be pinned to."""
+        """Show how many cameras are selected; `target` is the suggested edge to pin them to."""
         self.selected.setText(f"{count} selected" if count else "Shift and drag on the map selects")
         if target is not None:
             self.target.setCurrentText(target)
         self._update_buttons()
 
     def show_reason(self, reason: str) -> None:
-        """Why the plan cannot be changed; takes all that changes it out of use."""
+        """Show why the plan cannot be changed, and disable what would change it."""
         self.changes.setText(reason)
         for name, button in self.buttons.items():
             button.setEnabled(name in ("Compare…", "Regions to GIS…"))
@@ -151,13 +150,13 @@ class PlanDock(QDockWidget):
             widget.setEnabled(False)
 
     def _update_buttons(self) -> None:
-        session = self._planning.session
+        session = self._actions.session
         if session is None:
             return
         editor, constraints = session.editor, session.editor.state.wishes.constraints
         edge = self.region.currentText()
         is_held = edge in constraints.locked or edge in constraints.fixed_weights_m2
-        has_selection = bool(self._planning.selected)
+        has_selection = bool(self._actions.selected)
         device = self.device or "the last device"
         for name, enabled, tip in (
             ("Undo", bool(editor.undo_text), f"Undo: {editor.undo_text or 'nothing'} (Ctrl+Z)"),
@@ -183,7 +182,7 @@ class PlanDock(QDockWidget):
             ("Keep mine", True, "This window's edits count; those of the other window are kept in a file beside"),
             ("Take theirs", False, "Show the plan as the other window has it; this window's edits are kept in a file beside"),
         ):
-            row.addWidget(self._button(name, partial(self._planning.settle, take_over=take_over)))
+            row.addWidget(self._button(name, partial(self._actions.resolve_conflict, take_over=take_over)))
             self.buttons[name].setToolTip(tip)
         layout.addWidget(self.conflict_text)
         layout.addLayout(row)
@@ -192,9 +191,9 @@ class PlanDock(QDockWidget):
 
     def _history_row(self) -> QLayout:
         row = QHBoxLayout()
-        for name, action in (("Undo", self._planning.undo), ("Redo", self._planning.redo)):
+        for name, action in (("Undo", self._actions.undo), ("Redo", self._actions.redo)):
             row.addWidget(self._button(name, action))
-        row.addWidget(self._button("Free all", self._planning.free_everything), stretch=1)
+        row.addWidget(self._button("Free all", lambda: self._actions.do(ReleaseAll())), stretch=1)
         return row
 
     def _add_cameras(self, layout: QVBoxLayout) -> None:
@@ -202,14 +201,14 @@ class PlanDock(QDockWidget):
         grid = QGridLayout()
         grid.setSpacing(4)
         grid.addWidget(self.filter, 0, 0, 1, 3)
-        grid.addWidget(self._button("Select", lambda: self._planning.select_filtered(self.filter.text())), 0, 3)
+        grid.addWidget(self._button("Select", lambda: self._actions.select_filtered(self.filter.text())), 0, 3)
         self.buttons["Select"].setToolTip("Select the cameras that meet the conditions (Return)")
         grid.addWidget(self.selected, 1, 0, 1, 3)
-        grid.addWidget(self._button("None", self._planning.select_none), 1, 3)
+        grid.addWidget(self._button("None", lambda: self._actions.select(())), 1, 3)
         self.buttons["None"].setToolTip("Select no camera")
-        grid.addWidget(self._button("Pin to", lambda: self._planning.pin(self.target.currentText())), 2, 0)
+        grid.addWidget(self._button("Pin to", lambda: self._actions.pin(self.target.currentText())), 2, 0)
         grid.addWidget(self.target, 2, 1, 1, 2)
-        grid.addWidget(self._button("Unpin", lambda: self._planning.pin(None)), 2, 3)
+        grid.addWidget(self._button("Unpin", lambda: self._actions.pin(None)), 2, 3)
         grid.setColumnStretch(1, 1)
         layout.addLayout(grid)
 
@@ -218,14 +217,14 @@ class PlanDock(QDockWidget):
         grid = QGridLayout()
         grid.setSpacing(4)
         grid.addWidget(self.region, 0, 0, 1, 3)
-        planning = self._planning
+        actions = self._actions
         places: list[tuple[str, Callable[[], object], int, int]] = [
-            ("Lock", lambda: planning.lock(self.region.currentText()), 1, 0),
-            ("Free", lambda: planning.free(self.region.currentText()), 2, 0),
-            ("+ Edge", lambda: planning.add_edge(self.region.currentText()), 1, 1),
-            ("− Edge", lambda: planning.remove_edge(self.region.currentText()), 2, 1),
-            ("+ Device", lambda: planning.add_device(self.region.currentText(), self.device), 1, 2),
-            ("− Device", lambda: planning.remove_device(self.device), 2, 2),
+            ("Lock", lambda: actions.do(LockRegion(edge=self.region.currentText())), 1, 0),
+            ("Free", lambda: actions.do(FreeRegion(edge=self.region.currentText())), 2, 0),
+            ("+ Edge", lambda: actions.add_edge(self.region.currentText()), 1, 1),
+            ("− Edge", lambda: actions.do(RemoveEdge(edge=self.region.currentText())), 2, 1),
+            ("+ Device", lambda: actions.add_device(self.region.currentText(), self.device), 1, 2),
+            ("− Device", lambda: actions.remove_device(self.device), 2, 2),
         ]
         for name, action, row, column in places:
             grid.addWidget(self._button(name, action), row, column)
@@ -236,7 +235,7 @@ class PlanDock(QDockWidget):
         row = QHBoxLayout()
         row.addWidget(QLabel("Slack ×"))
         row.addWidget(self.slack, stretch=1)
-        row.addWidget(self._button("Apply", lambda: planning.set_slack(self.slack.value())))
+        row.addWidget(self._button("Apply", lambda: actions.set_slack(self.slack.value())))
         self.buttons["Apply"].setToolTip("Plan with this slack; 1 means as fast as possible, without slack")
         layout.addLayout(row)
 
@@ -244,14 +243,14 @@ class PlanDock(QDockWidget):
         layout.addWidget(_heading("Plans"))
         row = QHBoxLayout()
         for name, action, tip in (
-            ("Save…", self._planning.ask_save, "Save the plan, its system and its constraints, for radiant run --plan (Ctrl+Shift+P)"),
-            ("Load…", self._planning.ask_load, "Put a plan of the same cameras and machines in the place of this one"),
-            ("Compare…", self._planning.ask_compare, "Show which cameras are elsewhere in another plan"),
+            ("Save…", self._actions.ask_save, "Save the plan, its system and its constraints, for radiant run --plan (Ctrl+Shift+P)"),
+            ("Load…", self._actions.ask_load, "Put a plan of the same cameras and machines in the place of this one"),
+            ("Compare…", self._actions.ask_compare, "Show which cameras are elsewhere in another plan"),
         ):
             row.addWidget(self._button(name, action))
             self.buttons[name].setToolTip(tip)
         layout.addLayout(row)
-        layout.addWidget(self._button("Regions to GIS…", self._planning.ask_regions))
+        layout.addWidget(self._button("Regions to GIS…", self._actions.ask_regions))
         self.buttons["Regions to GIS…"].setToolTip("The regions, strips and cameras of this plan as GeoJSON, as QGIS opens it (Ctrl+G)")
 
     def _button(self, name: str, action: Callable[[], object]) -> QPushButton:
@@ -272,7 +271,7 @@ def _comparison_html(other: str, text: str, rows: Sequence[ComparedRow]) -> str:
 
 
 class _Results(QScrollArea):
-    """Texts below each other, as high as they are, at most half of the panel; more is scrolled."""
+    """Stacked texts at their own height, up to half of the panel, scrolled beyond."""
 
     def __init__(self, *labels: QLabel) -> None:
         super().__init__()
@@ -289,20 +288,19 @@ class _Results(QScrollArea):
         self._body.installEventFilter(self)
 
     def sizeHint(self) -> QSize:
-        """Qt asks for it."""
         panel = self.parentWidget()
         room = 0 if panel is None else panel.height() // 2
         layout = self._body.layout()
         assert layout is not None
-        # Its width is the panel's: it asks for none.
+        # The width is the panel's.
         return QSize(0, min(room, layout.heightForWidth(self.viewport().width())))
 
     def minimumSizeHint(self) -> QSize:
-        """Qt asks for it: what is less would be squeezed out by the tools above."""
+        """The same: a smaller one would let the tools above squeeze the texts."""
         return self.sizeHint()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """A text became longer or shorter."""
+        """Follow texts that become longer or shorter."""
         if watched is self._body and event.type() in (QEvent.Type.LayoutRequest, QEvent.Type.Resize):
             self.updateGeometry()
         return super().eventFilter(watched, event)

@@ -1,12 +1,15 @@
-"""Edits of a plan: what somebody may change on a map, each a small record that says the new wishes; `plan_regions` does the rest.
+"""Edits of a plan on a map: small records that turn wishes into new wishes, which `plan_regions`
+solves.
 
-    FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d, the others are dealt anew
-    LockRegion  the edge keeps the cameras it has; FreeRegion takes lock and fixed weight back
-    PinCameras  cameras belong to one edge whatever the planner thinks; without an edge they are free again
+    FixWeight   a border was dragged by d along its normal: w_i becomes w_i + 2 ‖P_i − P_j‖ d, the others are solved again
+    LockRegion  the edge keeps its cameras; FreeRegion removes lock and fixed weight
+    PinCameras  the cameras belong to one edge, whatever is optimal; without an edge the pins are removed
     MoveEdge, AddEdge, RemoveEdge, AddDevice, RemoveDevice, SetSlack, ReleaseAll, AdoptPlan
 
-Locks and fixed weights refer to the plan as it was when they were made (`PlanWishes.reference`). Every edit gives a whole new plan or
-raises BadInput with one sentence; nothing is changed in place. Regions once per edit and per frame of a drag, strips once per edit.
+`text` is the entry of the menu, `wishes` returns the new wishes. Locks and fixed weights refer to
+the plan at the time of the edit (`PlanWishes.reference`). Every edit gives a new plan or raises
+BadInput with one sentence; nothing is changed in place. Regions once per edit and frame of a drag,
+strips once per edit.
 """
 
 from __future__ import annotations
@@ -25,28 +28,26 @@ from radiant_viewer.editing.edited_plan import (
     EditedPlan,
     PlanSubject,
     PlanWishes,
-    first_state,
-    planned_regions,
-    with_closed_edge,
-    with_strips,
-    without_edge,
+    add_empty_edge,
+    add_strips,
+    initial_plan,
+    remove_edge,
+    solve_regions,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FixWeight:
-    """A border was dragged: the edge owns exactly its cell with this weight, m², in the plan as it was."""
+    """A dragged border: the edge owns exactly its cell with this weight (m²) in the reference plan."""
 
     edge: str
     weight_m2: float
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"drag the border of {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """See the module."""
         _require_edge(before.wishes.system, self.edge)
         old = before.wishes.constraints
         if self.edge in old.locked:
@@ -57,17 +58,15 @@ class FixWeight:
 
 @dataclass(frozen=True, kw_only=True)
 class LockRegion:
-    """The edge keeps the cameras that it has now, and gets no others."""
+    """The edge keeps its present cameras and gets no others."""
 
     edge: str
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"lock the region of {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """See the module."""
         _require_edge(before.wishes.system, self.edge)
         old = before.wishes.constraints
         if self.edge in old.locked:
@@ -79,17 +78,15 @@ class LockRegion:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeRegion:
-    """Lock and dragged borders of the edge are taken back."""
+    """Remove lock and dragged borders of the edge."""
 
     edge: str
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"free the region of {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """See the module."""
         _require_edge(before.wishes.system, self.edge)
         old = before.wishes.constraints
         if self.edge not in old.locked and self.edge not in old.fixed_weights_m2:
@@ -99,19 +96,17 @@ class FreeRegion:
 
 @dataclass(frozen=True, kw_only=True)
 class PinCameras:
-    """These cameras belong to the edge; without an edge their pins are taken out."""
+    """These cameras belong to the edge; without an edge their pins are removed."""
 
     cameras: tuple[str, ...]
     edge: str | None
 
     @property
     def text(self) -> str:
-        """For the menu."""
         what = self.cameras[0] if len(self.cameras) == 1 else f"{len(self.cameras)} cameras"
         return f"unpin {what}" if self.edge is None else f"pin {what} to {self.edge}"
 
     def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
-        """See the module."""
         if not self.cameras:
             raise BadInput("no camera is selected: select those to pin in the table or on the map.")
         index_of = {name: index for index, name in enumerate(subject.names)}
@@ -131,26 +126,26 @@ class PinCameras:
 
 @dataclass(frozen=True, kw_only=True)
 class MoveEdge:
-    """The edge stands at x east, y north."""
+    """Move the edge to x east, y north."""
 
     edge: str
     position: tuple[float, float]
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"move edge {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """See the module."""
         _require_edge(before.wishes.system, self.edge)
         position = (float(self.position[0]), float(self.position[1]))
-        return _with_edges(before.wishes, lambda edge: replace(edge, position=position, lat_lon_deg=None) if edge.id == self.edge else edge)
+        return _replace_edges(
+            before.wishes, lambda edge: replace(edge, position=position, lat_lon_deg=None) if edge.id == self.edge else edge
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class AddEdge:
-    """A new edge with machines like those of an edge that is there, named after it: <edge>-1, <edge>-2, …"""
+    """Add an edge with machines like those of an existing one, named after it: <edge>-1, <edge>-2, …"""
 
     edge: str
     position: tuple[float, float]
@@ -158,11 +153,9 @@ class AddEdge:
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"add edge {self.edge}"
 
     def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
-        """See the module."""
         system = before.wishes.system
         like = _require_edge(system, self.like)
         if any(edge.id == self.edge for edge in system.edges):
@@ -170,23 +163,21 @@ class AddEdge:
         devices = tuple(replace(device, id=f"{self.edge}-{number}") for number, device in enumerate(like.devices, 1))
         position = (float(self.position[0]), float(self.position[1]))
         new = replace(like, id=self.edge, position=position, lat_lon_deg=None, devices=devices)
-        reference = with_closed_edge(before.wishes.reference, subject, self.edge, np.array(position))
+        reference = add_empty_edge(before.wishes.reference, subject, self.edge, np.array(position))
         return replace(before.wishes, system=replace(system, edges=(*system.edges, new)), reference=reference)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RemoveEdge:
-    """The edge and its devices go, with what was fixed, locked or pinned there."""
+    """Remove the edge with its devices and constraints."""
 
     edge: str
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"remove edge {self.edge}"
 
     def wishes(self, before: EditedPlan, subject: PlanSubject) -> PlanWishes:
-        """See the module."""
         system = before.wishes.system
         _require_edge(system, self.edge)
         if len(system.edges) == 1:
@@ -196,13 +187,13 @@ class RemoveEdge:
             before.wishes,
             system=replace(system, edges=tuple(edge for edge in system.edges if edge.id != self.edge)),
             constraints=constraints,
-            reference=without_edge(before.wishes.reference, subject, self.edge, constraints.locked),
+            reference=remove_edge(before.wishes.reference, subject, self.edge, constraints.locked),
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class AddDevice:
-    """A new device at the edge, as fast and as large as one that is there."""
+    """Add a device to the edge, with the cost and memory of an existing one."""
 
     edge: str
     device: str
@@ -210,11 +201,9 @@ class AddDevice:
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"add device {self.device} at {self.edge}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """See the module."""
         system = before.wishes.system
         if not _require_edge(system, self.edge).devices:
             raise BadInput(f"edge {self.edge!r} is known by its curve alone: its devices are its own matter.")
@@ -222,22 +211,20 @@ class AddDevice:
         if not like:
             raise BadInput(f"there is no device {self.like!r} to take the new one after: there are {_some(d.id for d in system.devices)}.")
         new = replace(like[0], id=self.device)
-        return _with_edges(before.wishes, lambda edge: replace(edge, devices=(*edge.devices, new)) if edge.id == self.edge else edge)
+        return _replace_edges(before.wishes, lambda edge: replace(edge, devices=(*edge.devices, new)) if edge.id == self.edge else edge)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RemoveDevice:
-    """The device goes; its cameras are dealt to the others."""
+    """Remove the device; its cameras are dealt to the others."""
 
     device: str
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"remove device {self.device}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """See the module."""
         owner = [edge for edge in before.wishes.system.edges if any(device.id == self.device for device in edge.devices)]
         if not owner:
             raise BadInput(f"there is no device {self.device!r}: there are {_some(d.id for d in before.wishes.system.devices)}.")
@@ -247,42 +234,38 @@ class RemoveDevice:
         def left(edge: Edge) -> Edge:
             return replace(edge, devices=tuple(device for device in edge.devices if device.id != self.device))
 
-        return _with_edges(before.wishes, left)
+        return _replace_edges(before.wishes, left)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetSlack:
-    """The makespan may be this many times the shortest where that shortens ways; None: as short as it can be."""
+    """Allow a makespan of `slack` times the shortest, for shorter distances; None: the shortest makespan."""
 
     slack: float | None
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return "take the slack back" if self.slack is None else f"allow a slack of {self.slack:g}"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """See the module."""
         return replace(before.wishes, slack=self.slack)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReleaseAll:
-    """Nothing is fixed, locked, pinned or slack any more: the best plan of the system."""
+    """Remove all constraints and the slack: the best plan of the system."""
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return "free everything"
 
     def wishes(self, before: EditedPlan, _: PlanSubject) -> PlanWishes:
-        """See the module."""
         return replace(before.wishes, constraints=PlanConstraints(), slack=None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AdoptPlan:
-    """A whole plan of the same cameras and machines takes the place of this one, as it is; what was fixed, locked or pinned is gone."""
+    """Replace the plan by another one of the same cameras and machines, without constraints."""
 
     name: str
     cloud: CloudPlan
@@ -290,7 +273,6 @@ class AdoptPlan:
 
     @property
     def text(self) -> str:
-        """For the menu."""
         return f"load {self.name}"
 
 
@@ -298,17 +280,17 @@ SOLVED = (FixWeight, LockRegion, FreeRegion, PinCameras, MoveEdge, AddEdge, Remo
 Solved = (
     FixWeight | LockRegion | FreeRegion | PinCameras | MoveEdge | AddEdge | RemoveEdge | AddDevice | RemoveDevice | SetSlack | ReleaseAll
 )
-"""Edits that call for new regions."""
+"""Edits that change wishes, so that the regions are solved again."""
 Edit = Solved | AdoptPlan
 EDITS: tuple[type[Any], ...] = (*SOLVED, AdoptPlan)
 
 
-def applied(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: bool = True) -> EditedPlan:
-    """The plan after an edit, without strips while a drag goes on; BadInput with one sentence where it cannot be."""
+def apply_edit(subject: PlanSubject, before: EditedPlan, edit: Edit, *, strips: bool = True) -> EditedPlan:
+    """Return the plan after an edit, without strips during a drag; BadInput with one sentence where it is impossible."""
     if isinstance(edit, AdoptPlan):
-        return first_state(subject, before.wishes.system, edit.cloud, edit.edges)
-    after = planned_regions(subject, edit.wishes(before, subject), before.cloud)
-    return with_strips(subject, after) if strips else after
+        return initial_plan(subject, before.wishes.system, edit.cloud, edit.edges)
+    after = solve_regions(subject, edit.wishes(before, subject), before.cloud)
+    return add_strips(subject, after) if strips else after
 
 
 def _require_edge(system: System, name: str) -> Edge:
@@ -318,12 +300,12 @@ def _require_edge(system: System, name: str) -> Edge:
     return found[0]
 
 
-def _with_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanWishes:
+def _replace_edges(wishes: PlanWishes, changed: Callable[[Edge], Edge]) -> PlanWishes:
     return replace(wishes, system=replace(wishes.system, edges=tuple(changed(edge) for edge in wishes.system.edges)))
 
 
 def _without(constraints: PlanConstraints, name: str, *, pins: bool) -> PlanConstraints:
-    """Constraints without lock and fixed weight of an edge, and without its pins."""
+    """Return the constraints without lock and fixed weight of an edge, and without its pins if `pins`."""
     return PlanConstraints(
         fixed_weights_m2={edge: weight for edge, weight in constraints.fixed_weights_m2.items() if edge != name},
         locked=tuple(edge for edge in constraints.locked if edge != name),

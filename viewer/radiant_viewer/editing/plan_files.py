@@ -1,10 +1,12 @@
-"""Plans, systems and constraints as files while a plan is edited: what `radiant plan` writes and reads, so that one goes on with the other.
+"""The files of an edited plan, in the formats of `radiant plan`.
 
-<stem>.json  the plan, with waypoints where its cameras are on the globe: `radiant run --plan` takes it
-<stem>_system.toml  the machines it is for
-<stem>_waypoints/<device>.csv, <stem>_regions.geojson  what each device captures and where, for flight planners and maps, on the globe;
-             heights of a run's cameras count from its low ground, so that whoever takes off there or higher flies no lower than they did
-<stem>_constraints.toml, <stem>_start.json  what is fixed, locked and pinned, and the plan that this refers to
+    <stem>.json                                        the plan, for `radiant run --plan`
+    <stem>_system.toml                                 its machines
+    <stem>_waypoints/<device>.csv, _regions.geojson    what each device captures, on the globe
+    <stem>_constraints.toml, _start.json               the constraints and their reference plan
+
+The heights of a run's cameras count from its low ground: a flight that takes off there or higher
+is no lower than the first one.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 from radiant_viewer.editing.edited_plan import EditedPlan, PlanSubject
 from radiant_viewer.editing.plan_edits import AdoptPlan
-from radiant_viewer.runs.run_pictures import ground_height
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 SAME_PLACE_M = 1e-6
@@ -35,24 +37,24 @@ SAME_PLACE_M = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSetting:
-    """What a window needs to change a plan: its machines, where edits are kept, and how systems and constraints are written."""
+    """What the editing of a plan needs: its machines, the file of edits, and writers of systems and constraints."""
 
     system: System | None
-    """None: not known, and the plan cannot be changed."""
+    """None where it is unknown: the plan cannot be changed."""
     reason: str
-    """Why the system is not known and what to do, one sentence."""
-    keep_in: Path | None
+    """Why the system is unknown and what to do, one sentence."""
+    edits_path: Path | None
     waypoints: Waypoints | None
-    """What the plan was made from, where its file says it."""
+    """The waypoints that the plan was made from, if its file has them."""
     ground_m: float | None
-    """Altitude of the ground in the waypoints' heights, where the plan's file says it."""
+    """Altitude of the ground in the datum of the waypoints, if the plan's file has it."""
     system_text: Callable[[System], str]
     constraints_text: Callable[[PlanConstraints, Sequence[str], str], str]
-    """Of constraints, the cameras' names, and the name of the plan they refer to."""
+    """Takes constraints, the names of the cameras, and the name of the reference plan's file."""
 
 
-def subject_of(run: RunView) -> PlanSubject:
-    """The cameras that a run's plan deals, without those that are held out of it; BadInput where there are none."""
+def plan_subject(run: RunView) -> PlanSubject:
+    """Return the planned cameras of a run, without held-out ones; BadInput where there are none."""
     planned = np.flatnonzero(run.roles.edge_of_camera >= 0)
     frame = run.scene.frame
     return PlanSubject(
@@ -61,33 +63,33 @@ def subject_of(run: RunView) -> PlanSubject:
         unit=run.unit,
         origin=frame.origin_lat_lon_alt if frame.kind == "metric" else None,
         altitude_known=frame.altitude_known,
-        # Sparse points lie on what was seen; a run in the field shows Gaussians instead, which float anywhere.
+        # Sparse points lie on surfaces; a run in the field has Gaussians instead, which may float.
         ground=ground_height(run.scene) if len(run.scene.observations) else None,
     )
 
 
 def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting: PlanSetting) -> tuple[Path, ...]:
-    """Write a plan and what goes with it; returns the files. BadInput for a name that does not end in .json, and as `write_atomic`."""
+    """Write a plan with its system, lists and constraints; return the files. BadInput for a name without .json."""
     if path.suffix != ".json":
         raise BadInput(f"{path.name} is no name for a plan: choose one that ends in .json.")
-    waypoints, shift = _on_the_globe(subject, setting.waypoints)
-    cloud, edges = moved_plan((plan.cloud, plan.edges), -shift)
+    waypoints, shift = _geo_waypoints(subject, setting.waypoints)
+    cloud, edges = shift_plan((plan.cloud, plan.edges), -shift)
     system, constraints = plan.wishes.system, plan.wishes.constraints
     system_path, constraints_path, start_path, lists, regions = (
         path.with_name(f"{path.stem}{ending}")
         for ending in ("_system.toml", "_constraints.toml", "_start.json", "_waypoints", "_regions.geojson")
     )
     written = [system_path]
-    write_atomic(system_path, setting.system_text(_moved_system(system, -shift)).encode())
+    write_atomic(system_path, setting.system_text(_shift_system(system, -shift)).encode())
     if constraints:
-        save_plan(start_path, moved_plan((plan.wishes.reference, ()), -shift)[0], ())
+        save_plan(start_path, shift_plan((plan.wishes.reference, ()), -shift)[0], ())
         write_atomic(constraints_path, setting.constraints_text(constraints, subject.names, start_path.name).encode())
         written += [start_path, constraints_path]
     if waypoints is not None:
         _save_lists(lists, cloud, edges, waypoints)
         save_regions_geojson(regions, cloud, edges, waypoints)
         written += [lists, regions]
-    # The plan itself last: where it stands, everything else does.
+    # The plan last: where it exists, all other files do.
     save_plan(path, cloud, edges, waypoints)
     return (path, *written)
 
@@ -95,18 +97,18 @@ def save_edited_plan(path: Path, subject: PlanSubject, plan: EditedPlan, setting
 def save_plan_geojson(
     path: Path, subject: PlanSubject, plan: tuple[CloudPlan, tuple[EdgePlan, ...]], setting: PlanSetting | None = None
 ) -> None:
-    """Regions, strips and cameras of a plan as GeoJSON for maps; BadInput where they are not on the globe, and as `write_features`."""
+    """Write regions, strips and cameras as GeoJSON; BadInput where they are not on the globe, and as `write_features`."""
     if path.suffix.lower() not in (".geojson", ".json"):
         raise BadInput(f"{path.name} is no name for regions: choose one that ends in .geojson.")
-    waypoints, shift = _on_the_globe(subject, None if setting is None else setting.waypoints)
+    waypoints, shift = _geo_waypoints(subject, None if setting is None else setting.waypoints)
     if waypoints is None:
         raise BadInput("this scene is not on the globe, its photographs hold no GPS: a map cannot show its regions.")
-    cloud, edges = moved_plan(plan, -shift)
+    cloud, edges = shift_plan(plan, -shift)
     save_regions_geojson(path, cloud, edges, waypoints)
 
 
 def _save_lists(folder: Path, cloud: CloudPlan, edges: Sequence[EdgePlan], waypoints: Waypoints) -> None:
-    """A list per device in `folder`, and none of a device that an earlier plan of this name had; BadInput where it cannot be made."""
+    """Write a list per device in `folder` and remove those of an earlier plan of this name; BadInput where that fails."""
     try:
         folder.mkdir(exist_ok=True)
         for old in (*folder.glob("*.csv"), *folder.glob("edges/*.csv")):
@@ -117,7 +119,7 @@ def _save_lists(folder: Path, cloud: CloudPlan, edges: Sequence[EdgePlan], waypo
 
 
 def load_other_plan(path: Path, subject: PlanSubject) -> AdoptPlan:
-    """The plan of a file for the same cameras, brought into this frame and order; BadInput where it is of others."""
+    """Read a plan of the same cameras in this frame and order; BadInput where it is of other cameras."""
     cloud, edges = load_plan(path)
     waypoints = load_plan_waypoints(path)
     count = len(cloud.edge_of_camera)
@@ -127,16 +129,16 @@ def load_other_plan(path: Path, subject: PlanSubject) -> AdoptPlan:
         if set(waypoints.names) != set(subject.names):
             strange = sorted(set(waypoints.names) - set(subject.names))[0]
             raise BadInput(f"{path.name} is a plan of other cameras, {strange!r} for one: open it by itself.")
-        cloud, edges = _reordered((cloud, edges), waypoints.names, subject.names)
+        cloud, edges = _reorder((cloud, edges), waypoints.names, subject.names)
         if subject.origin is not None:
             shift = enu_from_geodetic(waypoints.origin[None], subject.origin)[0, :2]
-            # The same origin gives roundings, which would change the plan's bits.
-            cloud, edges = moved_plan((cloud, edges), shift if np.hypot(*shift) > SAME_PLACE_M else np.zeros(2))
+            # A shift by zero would round, and change the plan's bits.
+            cloud, edges = shift_plan((cloud, edges), shift if np.hypot(*shift) > SAME_PLACE_M else np.zeros(2))
     return AdoptPlan(name=path.name, cloud=cloud, edges=edges)
 
 
-def moved_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """The same plan in coordinates that are larger by shift (2,)."""
+def shift_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """Return the plan with `shift` (2,) added to its coordinates."""
     if not shift.any():
         return plan
     cloud, edges = plan
@@ -144,8 +146,8 @@ def moved_plan(plan: tuple[CloudPlan, tuple[EdgePlan, ...]], shift: FloatArray) 
     return moved, tuple(replace(edge, strips=tuple(strip + shift if len(strip) else strip for strip in edge.strips)) for edge in edges)
 
 
-def _on_the_globe(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
-    """Waypoints of the cameras where they are on the globe, and their origin (2,) in the subject's frame: a plan file is about that."""
+def _geo_waypoints(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoints | None, FloatArray]:
+    """Return the cameras as waypoints if they are on the globe, and the waypoints' origin (2,) in the subject's frame."""
     if known is not None:
         return known, np.zeros(2)
     if subject.origin is None:
@@ -161,11 +163,11 @@ def _on_the_globe(subject: PlanSubject, known: Waypoints | None) -> tuple[Waypoi
 
 
 def _altitude_m(place: FloatArray, height: float, origin: FloatArray) -> float:
-    """Altitude of a height in the frame about `origin`, at `place` (2,)."""
+    """Return the altitude of a height in the frame about `origin`, at `place` (2,)."""
     return float(geodetic_from_enu(np.array([[*place, height]]), origin)[0, 2])
 
 
-def _moved_system(system: System, shift: FloatArray) -> System:
+def _shift_system(system: System, shift: FloatArray) -> System:
     if not shift.any():
         return system
     edges = [
@@ -177,10 +179,10 @@ def _moved_system(system: System, shift: FloatArray) -> System:
     return replace(system, edges=tuple(edges))
 
 
-def _reordered(
+def _reorder(
     plan: tuple[CloudPlan, tuple[EdgePlan, ...]], names: Sequence[str], wanted: Sequence[str]
 ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """A plan of cameras `names` as one of the same cameras in the order `wanted`."""
+    """Return a plan of cameras `names` for the same cameras in the order `wanted`."""
     if tuple(names) == tuple(wanted):
         return plan
     cloud, edges = plan

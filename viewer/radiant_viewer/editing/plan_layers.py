@@ -1,4 +1,4 @@
-"""The layers that change with a plan, all that an edit draws anew, and those of what images see. Pure; once per edit or frame of a drag."""
+"""The layers that an edit draws again, and those of footprints. Pure; once per edit or frame of a drag."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from radiant_viewer.layers.footprint_layer import footprint_layer, overlap_layer
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.load_layer import load_layer
 from radiant_viewer.layers.region_layer import border_layer, edge_site_layer, region_layer, strip_layer
-from radiant_viewer.runs.run_pictures import ground_height
+from radiant_viewer.runs.run_layers import ground_height
 from radiant_viewer.runs.run_view import RunView
 
 PYRAMIDS_IN_DRAGS = 500
-"""With more cameras a frame of a drag shows dots alone: the lines of 2,000 take 15 % of its time, and on a map they are 3 px long."""
+"""With more cameras a drag draws dots only: the lines of 2,000 take 15 % of a frame, and are 3 px long on a map."""
 
 
 def edited_layers(run: RunView, subject: PlanSubject, plan: EditedPlan, base: EditedPlan) -> list[Layer]:
-    """What a plan changes on the map; without strips, as in a drag, what needs devices is left out."""
+    """Return the layers that depend on a plan; without strips, as during a drag, those of devices are left out."""
     ground = ground_height(run.scene)
     cloud = plan.cloud
-    roles = roles_of(run, plan)
+    roles = edited_roles(run, plan)
     owners = [np.array(each.cloud.edge_ids)[each.cloud.edge_of_camera] for each in (base, plan)]
     is_drag = not plan.edges
     pyramids = not is_drag or len(run.scene.cameras) <= PYRAMIDS_IN_DRAGS
@@ -45,13 +45,13 @@ def edited_layers(run: RunView, subject: PlanSubject, plan: EditedPlan, base: Ed
     return layers
 
 
-def roles_of(run: RunView, plan: EditedPlan) -> CameraRoles:
-    """Who trains what under an edited plan."""
+def edited_roles(run: RunView, plan: EditedPlan) -> CameraRoles:
+    """Return the roles of the run's cameras under an edited plan."""
     return camera_roles(run.scene.cameras, plan.cloud, plan.edges, run.held_out)
 
 
-def with_planning_layers(run: RunView, layers: list[Layer]) -> list[Layer]:
-    """The layers of a run with those of planning where they belong from the ground up: what images see, changes, constraints, loads."""
+def add_planning_layers(run: RunView, layers: list[Layer]) -> list[Layer]:
+    """Insert footprints, changes, constraints and loads into the layers of a run, in drawing order."""
     ground = ground_height(run.scene)
     positions = run.scene.cameras.centers
     below = sight_layers(run.scene, run, ground)
@@ -65,19 +65,19 @@ def with_planning_layers(run: RunView, layers: list[Layer]) -> list[Layer]:
 
 
 def sight_layers(scene: SfmScene, run: RunView, ground: float) -> list[Layer]:
-    """Footprints and overlap, empty where no camera sees the ground from above."""
+    """Return overlap and footprints, empty where no camera sees the ground from above."""
     footprints = scene_footprints(scene, ground)
     if footprints is None:
         return []
     try:
         return [overlap_layer(footprints, run.cloud_plan, ground), footprint_layer(footprints, run.roles, run.cloud_plan, ground)]
     except BadInput:
-        # A plan whose regions have no borders: there is no map to lay cells on.
+        # The regions have no borders, so there is no area to count cells on.
         return []
 
 
 def scene_footprints(scene: SfmScene, ground: float) -> Footprints | None:
-    """What each image sees of the ground; None where none of them sees any."""
+    """Return the footprints of all images; None where no image sees the ground."""
     if not len(scene.cameras):
         return None
     footprints = ground_footprints(views_of_cameras(scene.cameras, ground))

@@ -1,4 +1,4 @@
-"""What a plan says of itself while it is edited: makespan against the bound, loads of edges and devices, the certificate. Once per edit."""
+"""The figures of an edited plan: makespan against its bound, loads of edges and devices, the certificate. Once per edit."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class LoadRow:
     is_edge: bool
     num_cameras: int
     time_s: float | None
-    """None of devices while a drag goes on."""
+    """None for devices during a drag."""
     share: float
     note: str = ""
-    """What is fixed, locked or pinned, how many cameras it can hold."""
+    """Constraints on it, and how many cameras it can hold."""
 
 
 def load_rows(cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, constraints: PlanConstraints) -> tuple[LoadRow, ...]:
-    """Every edge with its devices below it; devices without numbers where cameras are not dealt to them yet."""
+    """Return every edge with its devices below it; devices have no numbers while cameras are not dealt."""
     makespan_s = cloud.makespan_s or 1.0
     pins = {edge: list(constraints.pinned.values()).count(edge) for edge in set(constraints.pinned.values())}
     dealt = {plan.edge_id: plan for plan in edges}
@@ -79,8 +79,8 @@ class ComparedRow:
     other: str
 
 
-def compared_rows(mine: CloudPlan, other: CloudPlan) -> tuple[ComparedRow, ...]:
-    """Makespan, its ratio to the bound, and each edge's cameras and time in two plans; those that differ most in cameras first."""
+def compare_figures(mine: CloudPlan, other: CloudPlan) -> tuple[ComparedRow, ...]:
+    """Return makespan, ratio to the bound, and cameras and time per edge of two plans, the largest differences first."""
     rows = [
         ComparedRow(name="makespan", mine=duration_text(mine.makespan_s), other=duration_text(other.makespan_s)),
         ComparedRow(name="over the bound", mine=_over_bound(mine), other=_over_bound(other)),
@@ -102,14 +102,14 @@ def _load_of(cloud: CloudPlan, edge: str) -> str:
 
 
 def headline(cloud: CloudPlan) -> str:
-    """Makespan, bound and their ratio in one line."""
+    """Return makespan, bound and their ratio in one line."""
     bound_s = cloud.lower_bound_s
     over = f", {cloud.makespan_s / bound_s:.3f} × bound {duration_text(bound_s)}" if bound_s > 0 else ""
     return f"Makespan {duration_text(cloud.makespan_s)}{over}"
 
 
 def certificate_text(cloud: CloudPlan) -> str:
-    """How good the plan is known to be, one sentence."""
+    """Return the proven quality of the plan, one sentence."""
     outside = cloud.num_outside
     lie = (
         f"{outside} camera{'s lie' if outside != 1 else ' lies'} outside the drawn region"

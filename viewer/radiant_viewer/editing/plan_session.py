@@ -1,7 +1,9 @@
-"""`PlanSession`: a `PlanEditor` whose plans are solved beside the window. Needs the `desktop` extra.
+"""`PlanSession`: a `PlanEditor` whose plans are solved beside the window. Needs the `desktop`
+extra.
 
-One thread solves. Edits are done in the order they were asked for; of the frames of a drag only the latest waits, so a slow plan skips
-frames and never queues them. What is on the way when the window closes stands in the editor's file already.
+One thread solves. Edits are solved in the order of their calls; of the frames of a drag only the
+latest waits, so a slow plan skips frames instead of queueing them. An edit that is unsolved when
+the window closes is in the editor's file already.
 """
 
 from __future__ import annotations
@@ -14,18 +16,18 @@ from PySide6.QtCore import QObject, Signal
 from radiant_core.errors import BadInput
 from radiant_viewer.editing.edited_plan import EditedPlan
 from radiant_viewer.editing.plan_editor import PlanEditor
-from radiant_viewer.editing.plan_edits import Edit, applied
+from radiant_viewer.editing.plan_edits import Edit, apply_edit
 
 
 class PlanSession(QObject):
-    """changed: the plan is another one; previewed: the regions of a drag, an `EditedPlan`; failed: one sentence; busy: solving;
-    settled: where the edits are that do not count."""
+    """Signals: changed: the plan; previewed: the `EditedPlan` of a drag; failed: one sentence; busy: solving or not;
+    conflict_resolved: where the dropped edits are."""
 
     changed = Signal()
     previewed = Signal(object)
     failed = Signal(str)
     busy = Signal(bool)
-    settled = Signal(str)
+    conflict_resolved = Signal(str)
     _solved = Signal(object)
 
     def __init__(self, editor: PlanEditor, parent: QObject | None = None) -> None:
@@ -37,16 +39,16 @@ class PlanSession(QObject):
         self._is_previewing = False
         self._next_preview: Edit | None = None
         self._is_closed = False
-        # A signal from the pool's thread arrives in this object's own.
+        # A signal moves the result from the pool's thread to this object's.
         self._solved.connect(self._deliver)
 
     @property
     def is_busy(self) -> bool:
-        """Whether an edit is being solved or waits."""
+        """Whether an edit is being solved or queued."""
         return self._solving is not None or bool(self._waiting)
 
     def edit(self, edit: Edit) -> None:
-        """Do an edit as soon as those before it are done; what the last drag showed is dropped."""
+        """Queue an edit; the preview of a drag is dropped."""
         self._next_preview = None
         self._waiting.append(edit)
         if self._solving is not None:
@@ -54,34 +56,34 @@ class PlanSession(QObject):
         self._begin_next()
 
     def drag_to(self, edit: Edit) -> None:
-        """Show what an edit would give; only the latest is solved."""
+        """Preview an edit; only the latest call is solved."""
         if self.is_busy:
             return
         self._next_preview = edit
         self._preview_next()
 
     def undo(self) -> None:
-        """Take the last edit back; told by `failed` where there is none or one is being solved."""
+        """Undo the last edit; emits `failed` where there is none or one is being solved."""
         self._step(self.editor.undo)
 
     def redo(self) -> None:
-        """As `undo`, forward."""
+        """Redo the last undone edit; `failed` as in `undo`."""
         self._step(self.editor.redo)
 
-    def settle(self, *, take_over: bool) -> None:
-        """Where two windows changed the edits: this window's count, or those of the other one; told by `settled`."""
-        told: list[str] = []
-        self._step(lambda: told.extend(self.editor.take_over() if take_over else self.editor.take_theirs()))
-        if told:
-            self.settled.emit(" ".join(told))
+    def resolve_conflict(self, *, take_over: bool) -> None:
+        """Keep this window's edits or adopt those of the other window; emits `conflict_resolved`."""
+        sentences: list[str] = []
+        self._step(lambda: sentences.extend(self.editor.take_over() if take_over else self.editor.adopt_other()))
+        if sentences:
+            self.conflict_resolved.emit(" ".join(sentences))
 
     def drop_preview(self) -> None:
-        """A drag was given up: the plan is shown as it is."""
+        """Drop the preview of a cancelled drag."""
         self._next_preview = None
         self.changed.emit()
 
     def close(self) -> None:
-        """Let go of the thread; an edit on the way stays in the editor's file, as do those that wait."""
+        """Stop the thread; unsolved and queued edits stay in the editor's file."""
         self._is_closed = True
         self._pool.shutdown(wait=False, cancel_futures=True)
 
@@ -103,7 +105,7 @@ class PlanSession(QObject):
         self.busy.emit(True)
         self.editor.begin(edit, *self._waiting)
         subject, state = self.editor.subject, self.editor.state
-        self._pool.submit(applied, subject, state, edit).add_done_callback(lambda future: self._hand_over("edit", future))
+        self._pool.submit(apply_edit, subject, state, edit).add_done_callback(lambda future: self._hand_over("edit", future))
 
     def _preview_next(self) -> None:
         edit = self._next_preview
@@ -111,7 +113,7 @@ class PlanSession(QObject):
             return
         self._next_preview, self._is_previewing = None, True
         subject, state = self.editor.subject, self.editor.state
-        future = self._pool.submit(applied, subject, state, edit, strips=False)
+        future = self._pool.submit(apply_edit, subject, state, edit, strips=False)
         future.add_done_callback(lambda future: self._hand_over("preview", future))
 
     def _hand_over(self, kind: str, future: Future[EditedPlan]) -> None:

@@ -1,1 +1,1 @@
-"""What docks and tools see of the window: the `Host` protocol, its two views and a picture label. Needs the `desktop` extra."""
+"""What the window offers its docks and tools: protocols, the two views, a picture label. Needs the `desktop` extra."""

@@ -1,12 +1,13 @@
-"""`Canvas`: one of the window's two views, a map or 3D: its layers as actors, where things fall on it, and who hears its clicks.
+"""`Canvas`: one of the two views of the window, a map or 3D: its layers as actors, projections to
+pixels, and clicks.
 
-Coordinates of the world are float64; VTK sees them relative to `origin`. A click is a press and release within 4 px.
-Needs the `desktop` extra.
+Coordinates of the world are float64; VTK sees them relative to `origin`. A click is a press and
+release within 4 px. Needs the `desktop` extra.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import cast
 
 import numpy as np
@@ -20,11 +21,11 @@ from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray, checked_array
 from radiant_viewer.host.scale_bar import ScaleBar
-from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer, is_alike, update_layer
+from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer, has_same_structure, update_layer
 from radiant_viewer.layers.layer import CLOUD_SIZE, Layer
 from radiant_viewer.layers.map_labels import add_map_labels
 from radiant_viewer.layers.point_detail import PointDetail
-from radiant_viewer.layers.themes import LIGHT, Theme, themed
+from radiant_viewer.layers.themes import LIGHT, Theme, apply_theme
 from radiant_viewer.pictures.images import Image
 from radiant_viewer.pictures.offscreen import aim_camera
 from radiant_viewer.pictures.view_pose import ViewPose
@@ -34,18 +35,18 @@ LABEL_SIZE = 11
 CLOUD_POINT_PX, CLOUD_POINT_3D_PX = 2.6, 3.2
 TOP_SLOT = 400
 """Slot of the map on which marks of selections and tools lie: above a hundred layers."""
-Clicked = Callable[["Canvas", tuple[int, int]], bool]
-"""Called with the canvas and the pixel (x, y from the lower left); returns whether the click was taken."""
+ClickTaker = Callable[["Canvas", tuple[int, int]], bool]
+"""Takes the canvas and the pixel (x, y from the lower left); returns whether it used the click."""
 
 
 class Canvas:
-    """A plotter in a frame with a heading; `click_takers` are asked in order until one takes a click."""
+    """A plotter in a frame with a heading; a click goes to the first of `click_takers` that uses it."""
 
     def __init__(self, parent: QWidget, title: str, *, is_map: bool, origin: FloatArray, unit: str = "m") -> None:
         self.is_map, self.origin, self.theme = is_map, origin, LIGHT
         self.actors: dict[str, list[vtkProp]] = {}
         self._drawn: dict[str, tuple[Theme, int, Layer]] = {}
-        self.click_takers: list[Clicked] = []
+        self.click_takers: list[ClickTaker] = []
         self.frame = QWidget(parent)
         layout = QVBoxLayout(self.frame)
         layout.setContentsMargins(4, 2, 4, 4)
@@ -83,11 +84,16 @@ class Canvas:
         self.plotter.background_color = pv.Color(theme.view)
 
     def draw(self, layer: Layer, slot: int, *, visible: bool = True) -> None:
-        """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
+        """Draw a layer in place of the one of its name; on a map a higher slot covers a lower one."""
         height = float(SLOTS_PER_LAYER * slot)
         flat_height = height if self.is_map else None
-        shown, before = themed(layer, self.theme), self._drawn.get(layer.name)
-        if before is not None and before[:2] == (self.theme, slot) and is_alike(before[2], shown) and _same_labels(before[2], shown):
+        shown, before = apply_theme(layer, self.theme), self._drawn.get(layer.name)
+        if (
+            before is not None
+            and before[:2] == (self.theme, slot)
+            and has_same_structure(before[2], shown)
+            and _same_labels(before[2], shown)
+        ):
             actors = self.actors[layer.name][: -1 if layer.labels and self.is_map else None]
             update_layer(cast("list[pv.Actor]", actors), shown, self.origin, flat_height)
             self._drawn[layer.name] = (self.theme, slot, shown)
@@ -105,7 +111,7 @@ class Canvas:
         self.show(layer.name, visible)
 
     def remove(self, name: str) -> None:
-        """Take a layer away, if it is drawn."""
+        """Remove a layer, if it is drawn."""
         self._drawn.pop(name, None)
         for actor in self.actors.pop(name, []):
             self.plotter.remove_actor(actor, render=False)
@@ -116,12 +122,12 @@ class Canvas:
             actor.SetVisibility(visible)
 
     def render(self) -> None:
-        """Draw a frame, as soon as Qt paints; several calls before that give one."""
+        """Request a frame; several requests before Qt paints give one."""
         self.plotter.renderer.reset_camera_clipping_range()
         self.plotter.update()
 
     def screenshot(self) -> Image:
-        """What is seen (H,W,3), once it is at rest."""
+        """Return what the view shows at rest, (H,W,3)."""
         self.detail.refine()
         # Now, whatever frame waits for Qt.
         self.plotter.renderer.reset_camera_clipping_range()
@@ -132,13 +138,13 @@ class Canvas:
 
     @property
     def size_wh(self) -> tuple[int, int]:
-        """Of the picture, px."""
+        """Size of the picture, px."""
         width, height = self.plotter.window_size
         return int(width), int(height)
 
     @property
     def pose(self) -> ViewPose:
-        """Where the view stands in the world."""
+        """The camera of the view in the world."""
         camera = self.plotter.camera
         return ViewPose(
             position=np.array(camera.position) + self.origin,
@@ -148,7 +154,7 @@ class Canvas:
         )
 
     def set_pose(self, pose: ViewPose) -> None:
-        """Move the view; a map keeps looking straight down and only takes the middle."""
+        """Move the camera; a map keeps looking straight down and is only centred on the focal point."""
         camera = self.plotter.camera
         if self.is_map:
             self.center_on(pose.focal_point[:2])
@@ -159,7 +165,7 @@ class Canvas:
         self.plotter.renderer.reset_camera_clipping_range()
 
     def center_on(self, place: FloatArray, half_height: float | None = None) -> None:
-        """Move the map's middle to `place` (2,) and, where given, show so much of the world above and below it."""
+        """Centre the map on `place` (2,); `half_height` is how much of the world it shows above and below."""
         camera = self.plotter.camera
         x, y = (float(value) for value in np.asarray(place) - self.origin[:2])
         top = camera.position[2]
@@ -186,7 +192,7 @@ class Canvas:
         self.plotter.renderer.reset_camera_clipping_range()
 
     def pixels_of(self, positions: FloatArray) -> FloatArray:
-        """Where positions (K,3) of the world fall (K,2), px from the lower left; NaN behind the viewer."""
+        """Project positions (K,3) of the world to pixels (K,2) from the lower left; NaN behind the camera."""
         width, height = self.size_wh
         matrix = self.plotter.camera.GetCompositeProjectionTransformMatrix(width / max(height, 1), -1, 1)
         projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
@@ -198,7 +204,7 @@ class Canvas:
         return (clip[:, :2] / depth + 1) / 2 * (width, height)
 
     def ground_place(self, pixel: tuple[int, int]) -> FloatArray:
-        """The place (2,) of the map under a pixel; only for a map."""
+        """Return the place (2,) of the world under a pixel of the map."""
         assert self.is_map, "a view in perspective has no one place under a pixel"
         width, height = self.size_wh
         camera = self.plotter.camera
@@ -212,20 +218,20 @@ class Canvas:
     def _on_click(self, x: float, y: float) -> None:
         scale = self.plotter.devicePixelRatioF()
         pixel = (int(x * scale), int(self.size_wh[1] - 1 - y * scale))
-        _first_taker(self.click_takers, self, pixel)
+        any(taker(self, pixel) for taker in self.click_takers)
 
 
 class _View(QtInteractor):
-    """A view that draws a frame when Qt paints it, and only then: pyvistaqt 0.13 draws it once for VTK and once more for Qt."""
+    """A view that draws a frame only when Qt paints it: pyvistaqt 0.13 draws once for VTK and again for Qt."""
 
     _is_painting = False
 
     def draw_once(self) -> None:
-        """From the next paint on, ask Qt for a paint where VTK's mouse styles ask for a frame."""
+        """From the next paint on, let a frame that VTK's mouse styles request be painted by Qt."""
         self.iren.interactor.AddObserver(vtkCommand.RenderEvent, lambda *_: None if self._is_painting else self.update())
 
     def paintGL(self) -> None:
-        """Qt calls it, by way of versions of pyvistaqt that are widgets of OpenGL; others go on drawing as they did."""
+        """Called by Qt where this version of pyvistaqt is an OpenGL widget; others draw as before."""
         interactor = self.iren.interactor
         self._is_painting = True
         interactor.EnableRenderOn()
@@ -246,7 +252,7 @@ class _ClickFilter(QObject):
         watched.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Look on, and let everything pass."""
+        """Watch the events; none is consumed."""
         if isinstance(event, QMouseEvent) and event.button() == Qt.MouseButton.LeftButton:
             if event.type() == QEvent.Type.MouseButtonPress:
                 self._pressed = event.position()
@@ -255,10 +261,6 @@ class _ClickFilter(QObject):
                 if moved.manhattanLength() <= CLICK_PX:
                     self._clicked(event.position().x(), event.position().y())
         return False
-
-
-def _first_taker(takers: Sequence[Clicked], canvas: Canvas, pixel: tuple[int, int]) -> bool:
-    return any(taker(canvas, pixel) for taker in takers)
 
 
 def _same_labels(layer: Layer, other: Layer) -> bool:

@@ -1,4 +1,4 @@
-"""A picture that keeps its proportions in whatever room it has, and one that is wiped from one picture to another. `desktop` extra."""
+"""A picture scaled to its widget, or two pictures divided by a movable wipe. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MIN_WH = (160, 110)
 
 
 class PictureLabel(QWidget):
-    """Shows `left` up to the wipe and `right` beyond it; without a right picture, `left` alone. `message` stands where there is none."""
+    """Shows `left` up to the wipe and `right` beyond it, `left` alone, or `message` where there is no picture."""
 
     wiped = Signal(float)
 
@@ -28,7 +28,6 @@ class PictureLabel(QWidget):
         self.message = ""
 
     def sizeHint(self) -> QSize:
-        """Qt asks for it."""
         return QSize(360, 270)
 
     def show_picture(self, left: Image | None, right: Image | None = None, names: tuple[str, str] = ("", ""), message: str = "") -> None:
@@ -38,17 +37,12 @@ class PictureLabel(QWidget):
         self.update()
 
     def set_share(self, share: float) -> None:
-        """Move the wipe to a share 0 to 1 of the width."""
+        """Move the wipe to a share, 0 to 1, of the width."""
         self.share = float(np.clip(share, 0, 1))
         self.update()
 
-    @property
-    def has_picture(self) -> bool:
-        """Whether there is a picture and not a message."""
-        return self._left is not None
-
     def paintEvent(self, event: QPaintEvent) -> None:
-        """Draw both halves, the line between them and their names."""
+        """Draw both pictures, the line between them and their names."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform)
         if self._left is None:
@@ -72,11 +66,11 @@ class PictureLabel(QWidget):
         self._draw_names(painter, place)
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        """Take the wipe along."""
+        """Move the wipe to the pointer."""
         self._wipe_to(event.position().toPoint())
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        """Take the wipe along."""
+        """Move the wipe with the pointer."""
         self._wipe_to(event.position().toPoint())
 
     def _wipe_to(self, point: QPoint) -> None:
@@ -103,7 +97,7 @@ class PictureLabel(QWidget):
 
 
 def pixmap_of(image: Image) -> QPixmap:
-    """A picture (H,W,3) for Qt."""
+    """Return a picture (H,W,3) as Qt's pixmap."""
     height, width = image.shape[:2]
     pixels = np.ascontiguousarray(image)
     return QPixmap.fromImage(QImage(pixels.tobytes(), width, height, 3 * width, QImage.Format.Format_RGB888))

@@ -6,7 +6,7 @@ from PySide6.QtCore import QPointF, QSize, Qt
 from PySide6.QtGui import QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
-from radiant_viewer.pictures.measure import length_text, nice_length
+from radiant_viewer.pictures.measure import length_text, scale_bar_length
 
 LENGTH_PX, HEIGHT_PX, TEXT_PX = 110, 16, 70
 
@@ -20,27 +20,26 @@ class ScaleBar(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
 
     def show_scale(self, unit_per_px: float) -> None:
-        """Draw for a map on which a pixel of the widget is so long."""
+        """Draw for a map whose pixels of the widget span `unit_per_px` of the unit."""
         if unit_per_px != self._unit_per_px:
             self._unit_per_px = unit_per_px
             self.update()
 
     @property
     def text(self) -> str:
-        """What stands beside the bar, "20 m"."""
+        """The text beside the bar, such as "20 m"."""
         return length_text(self.length, self._unit) if self._unit_per_px > 0 else ""
 
     @property
     def length(self) -> float:
-        """Of the bar, in the unit; 0 before there is a map."""
-        return nice_length(LENGTH_PX * self._unit_per_px) if self._unit_per_px > 0 else 0.0
+        """Length of the bar in the unit; 0 before a map is drawn."""
+        return scale_bar_length(LENGTH_PX * self._unit_per_px) if self._unit_per_px > 0 else 0.0
 
     def sizeHint(self) -> QSize:
-        """Qt asks for it."""
         return QSize(LENGTH_PX + TEXT_PX, HEIGHT_PX)
 
     def paintEvent(self, event: QPaintEvent) -> None:
-        """Qt draws it: the bar at the right, its length before it."""
+        """Draw the bar at the right and its length before it."""
         if not self._unit_per_px > 0:
             return
         painter = QPainter(self)

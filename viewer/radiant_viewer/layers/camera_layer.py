@@ -1,6 +1,8 @@
-"""Layers of cameras: a dot at each centre and the pyramid it looks through, coloured by region, device, split or error.
+"""Layers of cameras: a dot at each centre and its viewing pyramid, coloured by region, device,
+split or error.
 
-Built once per picture; the pyramid of camera c has its tip at −Rᵀt and its base where the image corners lie at one depth.
+Built once per picture; the pyramid of camera c has its tip at −Rᵀt and its base where the image
+corners lie at one depth.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ Coloring = Literal["region", "device", "split", "psnr"]
 def camera_layer(
     cameras: Cameras, roles: CameraRoles, coloring: Coloring, psnr_db: Mapping[str, float] | None = None, *, pyramids: bool = True
 ) -> Layer:
-    """All C cameras as dots and, where they are coloured by region, with or without their pyramids.
+    """Return all C cameras as dots, coloured by region with their pyramids, or without where `pyramids` is False.
 
-    BadInput for an unknown colouring, or "psnr" without figures.
+    Raises: BadInput for an unknown colouring, or "psnr" without figures.
     """
     if coloring == "region":
         return _layer(cameras, "Cameras by region", _region_colors(roles), _held_out_legend(roles), pyramids=pyramids)
@@ -41,7 +43,7 @@ def camera_layer(
 
 
 def highlight_layer(cameras: Cameras, index: int) -> Layer:
-    """One camera, larger and in a colour that no region has as its own, for a selection."""
+    """Return one camera, enlarged and in a colour that no region has, as the mark of a selection."""
     one = cameras.select([index])
     size = _pyramid_depth(cameras)
     segments = pyramid_segments(one, 2 * size)
@@ -58,7 +60,7 @@ def highlight_layer(cameras: Cameras, index: int) -> Layer:
 
 
 def pyramid_segments(cameras: Cameras, depth: float) -> FloatArray:
-    """Eight lines per camera (8C,2,3): four from the centre to the image corners at `depth`, four around them."""
+    """Return eight lines per camera (8C,2,3): from the centre to the image corners at `depth`, and around them."""
     widths, heights = cameras.sizes_wh.astype(np.float64).T
     zero = np.zeros_like(widths)
     corners_px = np.stack([np.stack([zero, widths, widths, zero]), np.stack([zero, zero, heights, heights]), np.ones((4, len(cameras)))])

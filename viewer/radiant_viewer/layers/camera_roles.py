@@ -13,7 +13,7 @@ from radiant_core.errors import BadInput
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 
 NOBODY = -1
-"""Edge or device of a camera that the plan does not speak of."""
+"""Edge or device of a camera that is not in the plan."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,10 +32,10 @@ class CameraRoles:
 
 
 def camera_roles(cameras: Cameras, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], held_out: Collection[str]) -> CameraRoles:
-    """Who trains what, for all C cameras of the scene.
+    """Return the roles of all C cameras of a scene under a plan.
 
-    The plan may speak of all C cameras or only of those that are not held out, in the scene's order.
-    Raises BadInput when it fits neither, or when a held-out name or an edge is unknown.
+    The plan covers all C cameras, or those that are not held out, in the scene's order. Raises BadInput where it fits neither,
+    or where a held-out name or an edge is unknown.
     """
     unknown = sorted(set(held_out) - set(cameras.names))
     if unknown:

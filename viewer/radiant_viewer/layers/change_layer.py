@@ -1,4 +1,5 @@
-"""Layers of an edit: rings around cameras that change hands, marks on what is pinned, and rims of regions that are locked or dragged.
+"""Layers of an edit: rings around cameras that moved to another edge, marks on pinned ones, rims of
+locked or dragged regions.
 
 Once per edit.
 """
@@ -15,13 +16,13 @@ from radiant_viewer.layers.layer import Layer, LegendEntry, at_height, outline_s
 from radiant_viewer.layers.palette import INK, VERMILLION, YELLOW
 
 RING_PX = 9.0
-"""By how much a ring is wider than the dot of a camera."""
+"""Extra width of a ring over the dot of a camera."""
 SELECTED_PX = 3.0
-"""By how much a selected camera's dot is wider than it was: twenty rings side by side would hide the map."""
+"""Extra width of a selected camera's dot: rings side by side would hide the map."""
 
 
 def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
-    """Larger dots under the cameras (C,3) that are with another edge now; lies below the layer of cameras."""
+    """Return larger dots for the cameras (C,3) that moved to another edge; draw it below the cameras."""
     shown = positions[changed]
     legend = (LegendEntry(text=f"Changed hands since the opening ({len(shown)})", color=YELLOW, marker="ring"),) if len(shown) else ()
     return Layer(
@@ -36,7 +37,7 @@ def changed_layer(positions: FloatArray, changed: NDArray[np.bool_]) -> Layer:
 
 
 def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: PlanConstraints, height: float = 0.0) -> Layer:
-    """Squares on pinned cameras (C,3), thick rims around locked regions (dark) and dragged ones (vermillion), a little inside."""
+    """Return squares on pinned cameras (C,3), and rims just inside locked regions (dark) and dragged ones (vermillion)."""
     pinned = positions[sorted(constraints.pinned)] if constraints.pinned else np.zeros((0, 3))
     segments, colors, legend = [np.zeros((0, 2, 3))], [np.zeros((0, 3), np.uint8)], []
     for ids, color, text in (
@@ -44,7 +45,7 @@ def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: 
         (tuple(constraints.fixed_weights_m2), VERMILLION, "Region with a dragged border"),
     ):
         rims = [cloud_plan.borders[cloud_plan.edge_ids.index(name)] for name in ids if name in cloud_plan.edge_ids]
-        sides = outline_segments([at_height(_drawn_in(rim), height) for rim in rims if len(rim) >= 3])
+        sides = outline_segments([at_height(_shrink(rim), height) for rim in rims if len(rim) >= 3])
         segments.append(sides)
         colors.append(np.tile(np.array(color, np.uint8), (len(sides), 1)))
         legend += [LegendEntry(text=f"{text}: {', '.join(ids)}", color=color, marker="line")] if ids else []
@@ -64,7 +65,7 @@ def constraint_layer(positions: FloatArray, cloud_plan: CloudPlan, constraints: 
 
 
 def selection_layer(positions: FloatArray) -> Layer:
-    """Vermillion dots over selected cameras (K,3)."""
+    """Return vermillion dots on selected cameras (K,3)."""
     return Layer(
         name="Selection",
         points=positions,
@@ -76,12 +77,12 @@ def selection_layer(positions: FloatArray) -> Layer:
     )
 
 
-def _drawn_in(border: FloatArray, share: float = 0.02) -> FloatArray:
-    """A convex border (V,2) shrunk about its middle, so that two neighbours' rims do not cover each other."""
+def _shrink(border: FloatArray) -> FloatArray:
+    """Shrink a convex border (V,2) about its middle, so that the rims of two neighbours do not overlap."""
     middle = border.mean(axis=0)
-    return middle + (1 - share) * (border - middle)
+    return middle + 0.98 * (border - middle)
 
 
 def _ring_px(count: int) -> float:
-    """Around dots as `camera_layer` draws so many of them."""
+    """Return the width of rings around `count` dots of `camera_layer`."""
     return float(np.clip(100 / np.sqrt(max(count, 1)), 3.0, 7.0)) + RING_PX

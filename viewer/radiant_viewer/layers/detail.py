@@ -1,11 +1,12 @@
-"""Which points of a large cloud are drawn: few while a view moves, and at rest every one that the picture can show.
+"""Level of detail of a large cloud: few points while a view moves, every visible one at rest.
 
-    moving:  at most 50,000, one of each occupied cell of the finest octree level with so few cells, the rest from the level below
-    at rest: of all N points the nearest to the viewer in each cell of the picture; whatever lies behind it is covered anyway
+    moving:  at most 50,000, one per occupied cell of the finest octree level with so few cells, the rest from the next level
+    at rest: of all N points the nearest to the camera in each cell of the picture; it covers those behind it
 
-The first is chosen once per cloud, O(N log N), 0.27 to 0.36 s of CPU for a million points and 0.3 to 0.5 s for five; the second once per
-view, O(N), 0.10 to 0.16 s per million (`radiant bench viewer`, `choose_moving_cpu_s` and `choose_rest_cpu_s`, four runs). Both are
-the same every time. A software rasterizer takes 1 µs for a point that nobody sees, too.
+The first is chosen once per cloud, O(N log N), 0.27 to 0.36 s of CPU for a million points and 0.3
+to 0.5 s for five; the second once per view, O(N), 0.10 to 0.16 s per million (`radiant bench
+viewer`, four runs). Both are deterministic. A software rasterizer spends 1 µs per point, also on
+hidden ones.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ from radiant_viewer.layers.layer import Layer
 MOVING_POINTS = 50_000
 """Points of all clouds together while a view moves."""
 WHOLE_POINTS = 200_000
-"""Up to so many points a cloud at rest is drawn whole; beyond, what the view can show."""
+"""Largest cloud that is drawn whole at rest; of larger ones, the visible points."""
 BITS_PER_AXIS = 16
 """An octree of 16 levels: cells of 1.5 cm where a scene is 1 km wide, however far a stray lies."""
 _SORTED_POINTS = 1_000_000
-"""Of more points every second, third … is looked at: sorting five million takes 1.5 s."""
+"""Larger clouds are subsampled first: sorting five million points takes 1.5 s."""
 _CHUNK = 1 << 18
-"""Points that are projected at a time, so that they stay in the cache."""
+"""Points projected at a time, so that they stay in the cache."""
 
 
 def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
-    """Ascending indices (K,) of at most `limit` of the points (N,3), spread evenly over the space they take; all where N ≤ `limit`.
+    """Return ascending indices (K,) of at most `limit` points (N,3), spread evenly over the occupied space.
 
-    A point's level is the first of the octree at which it has a cell of its own along the Morton curve, so that the points up to
-    level L are one of each occupied cell of that level. BadInput for a limit below 1 or a coordinate that is not finite.
+    A point's level is the first octree level at which it has its own cell along the Morton curve, so the points up to level L
+    are one per occupied cell of that level. Raises BadInput for a limit below 1 or a coordinate that is not finite.
     """
     if limit < 1:
         raise BadInput(f"{limit} points were asked for, expected at least 1.")
@@ -45,7 +46,7 @@ def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
     order = np.argsort(codes, kind="stable")
     levels = _first_levels(codes[order])
     last = int(np.searchsorted(np.cumsum(np.bincount(levels)), limit, side="right"))
-    cells = _any_of_each(np.flatnonzero(levels < last), len(order))
+    cells = _pick_per_cell(np.flatnonzero(levels < last), len(order))
     free = levels == last
     free[cells] = False
     below = np.flatnonzero(free)
@@ -54,15 +55,15 @@ def even_subset(points: NDArray[np.floating], limit: int) -> NDArray[np.int64]:
     return np.sort(order[np.concatenate([cells, rest])]) * step
 
 
-def _any_of_each(starts: NDArray[np.int64], stop: int) -> NDArray[np.int64]:
-    """One place of each cell that begins at `starts`: always the first would lie in one corner of all cells and draw a grid."""
+def _pick_per_cell(starts: NDArray[np.int64], stop: int) -> NDArray[np.int64]:
+    """Return one point per cell that begins at `starts`; always the first would lie in the same corner and draw a grid."""
     sizes = np.diff(np.append(starts, stop))
     shares = (np.arange(len(starts)) * 0.6180339887498949) % 1.0
     return starts + (shares * sizes).astype(np.int64)
 
 
 def _morton_codes(positions: FloatArray) -> NDArray[np.uint64]:
-    """Codes (N,) whose bits are those of the three axes' cells in turn, in a cube around all positions."""
+    """Return Morton codes (N,): the interleaved bits of the three axes' cells in a cube around all positions."""
     low = positions.min(axis=0)
     side = float((positions.max(axis=0) - low).max())
     scale = (2**BITS_PER_AXIS - 1) / side if side > 0 else 0.0
@@ -75,14 +76,14 @@ def _morton_codes(positions: FloatArray) -> NDArray[np.uint64]:
 
 
 def _spread_bits(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Two empty bits between any two of 16: 0b11 gives 0b1001."""
+    """Insert two empty bits between any two of 16: 0b11 gives 0b1001."""
     for shift, mask in ((16, 0xFF0000FF), (8, 0xF00F00F00F), (4, 0xC30C30C30C3), (2, 0x249249249249)):
         cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
     return cells
 
 
 def _first_levels(sorted_codes: NDArray[np.uint64]) -> NDArray[np.int64]:
-    """Level (N,) at which each code first differs from the one before: 0 for the first, 17 for one that is equal."""
+    """Return the level (N,) at which each code first differs from the previous one: 0 for the first, 17 for equal codes."""
     differing = sorted_codes[1:] ^ sorted_codes[:-1]
     # Bit lengths up to 48 are exact in float64.
     lengths = np.frexp(differing.astype(np.float64))[1].astype(np.int64)
@@ -90,10 +91,10 @@ def _first_levels(sorted_codes: NDArray[np.uint64]) -> NDArray[np.int64]:
 
 
 def visible_subset(points: NDArray[np.float32], clip_from_world: FloatArray, size_wh: tuple[int, int], cell_px: float) -> NDArray[np.int64]:
-    """Ascending indices (K,) of the points (N,3) that are nearest to the viewer in their cell of `cell_px` px of a picture `size_wh`.
+    """Return ascending indices (K,) of the points (N,3) nearest to the camera in their cell of `cell_px` px of a picture `size_wh`.
 
-    clip_from_world (4,4) maps to OpenGL's clip space; points behind the viewer or outside the picture are in no cell. Depth beyond
-    near and far planes only orders. BadInput for a cell or a picture without size.
+    clip_from_world (4,4) maps to OpenGL's clip space; points behind the camera or outside the picture are in no cell. Near and
+    far planes do not clip. Raises BadInput for a cell or a picture without size.
     """
     columns, rows = (int(np.ceil(side / cell_px)) if cell_px > 0 else 0 for side in size_wh)
     if columns < 1 or rows < 1:
@@ -108,25 +109,25 @@ def visible_subset(points: NDArray[np.float32], clip_from_world: FloatArray, siz
         xy = (scaled[:, :2] + 1) * (cells_wh / 2)
         inside = np.flatnonzero(((xy >= 0) & (xy < cells_wh)).all(axis=1))
         cells = xy[inside].astype(np.int64)
-        keys = _ordered_bits(scaled[inside, 2]) << np.uint64(32) | (before[inside] + start).astype(np.uint64)
+        keys = _sortable_bits(scaled[inside, 2]) << np.uint64(32) | (before[inside] + start).astype(np.uint64)
         np.minimum.at(nearest, cells[:, 1] * columns + cells[:, 0], keys)
     taken = nearest[nearest != np.iinfo(np.uint64).max]
     return np.sort((taken & np.uint64(0xFFFFFFFF)).astype(np.int64))
 
 
-def _ordered_bits(depths: NDArray[np.float32]) -> NDArray[np.uint64]:
-    """Integers of 32 bits in the order of the floats: sign and magnitude turned into one line."""
+def _sortable_bits(depths: NDArray[np.float32]) -> NDArray[np.uint64]:
+    """Return integers of 32 bits in the order of the floats."""
     bits = np.ascontiguousarray(depths).view(np.uint32)
     return np.where(bits >> 31, ~bits, bits | np.uint32(0x80000000)).astype(np.uint64)
 
 
 def is_thinned(layer: Layer) -> bool:
-    """Whether a layer is a cloud too large to be moved whole."""
+    """Return whether a layer is a cloud that is thinned while the view moves."""
     return len(layer.points) > MOVING_POINTS and not layer.point_rim
 
 
 def moving_note(layer: Layer) -> str | None:
-    """What a legend says of a thinned layer; None where all is drawn always."""
+    """Return the legend's note on a thinned layer; None for others."""
     if not is_thinned(layer):
         return None
     return f"at most {MOVING_POINTS:,} of {len(layer.points):,} while the view moves"

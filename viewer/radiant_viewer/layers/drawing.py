@@ -1,7 +1,9 @@
-"""Puts a `Layer` into a pyvista plotter: the only place that turns layers into VTK geometry, for windows and pictures alike.
+"""Draws a `Layer` in a pyvista plotter: the only place that turns layers into VTK geometry, for
+windows and pictures.
 
-VTK keeps float32 on the graphics side, so every coordinate is taken relative to a float64 origin first: at UTM eastings
-float32 steps are 6 cm, near a local origin they are micrometres. Once per layer; O(N + S + R).
+VTK keeps float32 on the graphics side, so every coordinate is taken relative to a float64 origin
+first: at UTM eastings float32 steps are 6 cm, near a local origin they are micrometres. Once per
+layer; O(N + S + R).
 """
 
 from __future__ import annotations
@@ -26,13 +28,13 @@ SLOTS_PER_LAYER = 4
 RIM_PX = 3.5
 _Kind = Literal["polygons", "segments", "rims", "points"]
 ROUND_SHADER = "//VTK::Color::Impl\n  vec2 off = gl_PointCoord - vec2(0.5); if (dot(off, off) > 0.25) { discard; }\n"
-"""Flat discs: VTK draws square points, and its spheres reach towards the viewer and cover what lies above them on a map."""
+"""Flat discs: VTK's points are square, and its spheres rise towards the camera and cover higher layers of a map."""
 FRONT_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = 0.001 * gl_FragCoord.z;\n"
-"""Depths a thousand times nearer: in front of all else, in their own order."""
+"""Scale of depth for layers in front of all others, which keep their order."""
 
 
 BEHIND_SHADER = "//VTK::Depth::Impl\n  gl_FragDepth = min(1.0, gl_FragCoord.z + 1e-5);\n"
-"""A hundred roundings of float32 farther: VTK rounds the same place differently for each actor."""
+"""A hundred roundings of float32: VTK rounds the same place differently for each actor."""
 
 
 def add_layer(
@@ -44,10 +46,10 @@ def add_layer(
     flat_height: float | None = None,
     detail: PointDetail | None = None,
 ) -> list[pv.Actor]:
-    """Draw one layer relative to `origin` (3,) and return its actors, to hide and show it.
+    """Draw one layer relative to `origin` (3,) and return its actors.
 
-    `line_scale` multiplies widths in pixels; `flat_height` lays everything on a map from that height on, in painter's order;
-    `detail` decides what is drawn of a large cloud.
+    `line_scale` multiplies widths in pixels; `flat_height` flattens the layer for a map from that height on, in painter's order;
+    `detail` thins large clouds.
     """
     if len(layer.points) and detail is not None and is_thinned(layer):
         flat = replace(layer, points=np.zeros((0, 3)), point_colors=np.zeros((0, 3), np.uint8))
@@ -63,13 +65,13 @@ def add_layer(
 
 
 def update_layer(actors: Sequence[pv.Actor], layer: Layer, origin: FloatArray, flat_height: float | None = None) -> None:
-    """Let the actors that `add_layer` made of a layer draw another one that `is_alike`: a third of the time of new ones."""
+    """Let the actors of a layer draw another one that `has_same_structure`, in a third of the time of new actors."""
     for actor, (_, mesh) in zip(actors, _parts(layer, origin, flat_height), strict=True):
         actor.mapper.SetInputData(mesh)
 
 
-def is_alike(layer: Layer, other: Layer) -> bool:
-    """Whether two layers differ in places, colours and labels alone, and neither is a large cloud."""
+def has_same_structure(layer: Layer, other: Layer) -> bool:
+    """Return whether two layers differ in positions, colours and labels only, and neither is a large cloud."""
     styles = [
         (
             [bool(len(part)) for part in (one.polygons, one.segments, one.points)],
@@ -81,7 +83,7 @@ def is_alike(layer: Layer, other: Layer) -> bool:
 
 
 def _parts(layer: Layer, origin: FloatArray, flat_height: float | None) -> list[tuple[_Kind, pv.PolyData]]:
-    """What a layer consists of, from the ground up."""
+    """Return the meshes of a layer in drawing order."""
     slots = [None if flat_height is None else flat_height + slot for slot in range(SLOTS_PER_LAYER)]
     parts: list[tuple[_Kind, pv.PolyData]] = []
     if layer.polygons:
@@ -92,7 +94,7 @@ def _parts(layer: Layer, origin: FloatArray, flat_height: float | None) -> list[
         mesh.cell_data["colors"] = layer.segment_colors
         parts.append(("segments", mesh))
     if len(layer.points) and layer.point_rim:
-        # Drawn first: the dot has the same depth and covers the middle of its rim.
+        # Drawn first: the dot, at the same depth, covers the middle of its rim.
         dark = np.tile(np.array(INK, np.uint8), (len(layer.points), 1))
         parts.append(("rims", point_mesh(_placed(layer.points, origin, slots[2]), dark)))
     if len(layer.points):
@@ -117,7 +119,7 @@ def _add_part(plotter: pv.Plotter, layer: Layer, part: tuple[_Kind, pv.PolyData]
 def _add_cloud(
     plotter: pv.Plotter, layer: Layer, origin: FloatArray, line_scale: float, height: float | None, detail: PointDetail
 ) -> pv.Actor:
-    # What it draws is chosen before the first frame.
+    # `detail` chooses its points before the first frame.
     actor = _add(plotter, point_mesh(_placed(layer.points[:1], origin, height), layer.point_colors[:1]))
     actor.prop.point_size = layer.point_size_px * line_scale
     if not layer.square_points:
@@ -127,7 +129,7 @@ def _add_cloud(
 
 
 def _add(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
-    # Past `add_mesh`, which copies and looks at a mesh for 6 ms; a window opens with some thirty.
+    # Not by `add_mesh`, which spends 6 ms per mesh; a window has some thirty.
     mapper = vtkPolyDataMapper()
     mapper.SetInputData(mesh)
     mapper.SelectColorArray("colors")
@@ -137,7 +139,7 @@ def _add(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
     else:
         mapper.SetScalarModeToUseCellFieldData()
     actor = pv.Actor(mapper=mapper)
-    # Unlit: a region's colour on the picture is its colour in the legend.
+    # Unlit, so that colours equal those of the legend.
     actor.prop.lighting = False
     plotter.renderer.AddActor(actor)
     return actor
@@ -150,7 +152,7 @@ def _polygon_mesh(layer: Layer, origin: FloatArray, height: float | None) -> pv.
     faces = np.concatenate([[size, *range(start, start + size)] for start, size in zip(starts, sizes, strict=False)])
     mesh = pv.PolyData(corners, faces=faces.astype(np.int64))
     mesh.cell_data["colors"] = layer.polygon_colors
-    # Triangulated by cutting ears: a strip cut by a concave border is no convex polygon.
+    # Triangulated by ear clipping: a strip cut by a concave border is not convex.
     triangles = mesh.triangulate()
     assert isinstance(triangles, pv.PolyData)
     return triangles

@@ -1,6 +1,6 @@
-"""Layers of what images see of the ground: outlines of footprints, and how many images see each spot.
+"""Layers of footprints: their outlines, and the number of images that see each place of the ground.
 
-overlap(x) = number of footprints that hold x, on square cells; a footprint is convex, so x is inside when it lies left of all its sides.
+overlap(x) = number of footprints that contain x, on square cells; a footprint is convex: x is inside if left of all sides.
 Once per picture, O(P · cells under a footprint).
 """
 
@@ -23,7 +23,7 @@ CELLS_A_SIDE = 72
 
 
 def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """The outlines of the footprints of C images in their regions' colours, cut where the regions' box ends and evenly thinned above 2,000;
+    """Return the outlines of the footprints of C images in their regions' colours, clipped to the regions' box, thinned above 2,000;
     BadInput for other numbers."""
     if len(footprints) != len(roles.edge_of_camera):
         raise BadInput(f"there are {len(footprints)} footprints of {len(roles.edge_of_camera)} cameras: give one each.")
@@ -36,7 +36,7 @@ def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: Clou
     box = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     kept = np.zeros(len(sides), bool)
     if len(box):
-        sides, kept = _clipped(sides, box.min(axis=0), box.max(axis=0))
+        sides, kept = _clip_segments(sides, box.min(axis=0), box.max(axis=0))
     text = f"Footprint of an image ({len(seeing)})" if every == 1 else f"Footprint, one of {every} of {len(seeing)}"
     blind = len(footprints) - len(seeing)
     more = (LegendEntry(text=f"Without sight of the ground: {blind}", color=WHITE, marker="line"),) if blind else ()
@@ -50,7 +50,7 @@ def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: Clou
 
 
 def overlap_layer(footprints: Footprints, cloud_plan: CloudPlan, height: float = 0.0, cells_a_side: int = CELLS_A_SIDE) -> Layer:
-    """How many images see each cell of the regions' ground; cells that nobody sees stay empty. BadInput without regions."""
+    """Return the number of images that see each cell of the regions; unseen cells stay empty. BadInput without regions."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if len(corners) < 3 or not 2 <= cells_a_side <= 1000:
         raise BadInput(
@@ -72,10 +72,10 @@ def overlap_layer(footprints: Footprints, cloud_plan: CloudPlan, height: float =
 
 
 def overlap_counts(footprints: Footprints, low: FloatArray, size: float, shape_xy: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Footprints (rows, columns) over the centre of each cell of a grid from `low` (2,) on."""
+    """Count the footprints over the centre of each cell of a grid that begins at `low` (2,); returns (rows, columns)."""
     counts = np.zeros((int(shape_xy[1]), int(shape_xy[0])), np.int64)
     for polygon in footprints.polygons[footprints.areas_m2 > 0]:
-        # About the grid: at UTM eastings products of coordinates would lose their last metres.
+        # Relative to the grid: products of UTM coordinates would lose metres.
         local = (polygon - low) / size
         first = np.clip(np.floor(local.min(axis=0) - 0.5).astype(np.int64), 0, shape_xy)
         last = np.clip(np.ceil(local.max(axis=0) + 0.5).astype(np.int64), first, shape_xy)
@@ -87,12 +87,12 @@ def overlap_counts(footprints: Footprints, low: FloatArray, size: float, shape_x
     return counts
 
 
-def _clipped(segments: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Segments (S,2,2) cut to a box, and which of them (S,) have a part in it (Liang, Barsky 1984)."""
+def _clip_segments(segments: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Clip segments (S,2,2) to a box, and return which of them (S,) have a part in it (Liang, Barsky 1984)."""
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([(low - start) / along, (high - start) / along])
-    # Along an axis it does not move on, a segment is inside for its whole length or not at all.
+    # A segment that is constant along an axis is inside for its whole length or not at all.
     level = along == 0
     inside = (start >= low) & (start <= high)
     first = np.where(level, np.where(inside, -np.inf, np.inf), ends.min(axis=0)).max(axis=1).clip(0, None)

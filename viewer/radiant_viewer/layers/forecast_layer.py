@@ -1,4 +1,4 @@
-"""Layers of what a plan says of footprints: its borders in the colour of their forecast, and the buffer captures. Once per picture."""
+"""Layers of a plan's forecast: borders coloured by their risk, and buffer captures. Once per picture."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from radiant_core.plan.borders.buffers import EdgeBuffer
 from radiant_core.plan.borders.forecast import BorderForecast
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.layers.layer import Label, Layer, LegendEntry, at_height
-from radiant_viewer.layers.palette import BLACK, VERMILLION, WHITE, YELLOW, category_colors, tinted
+from radiant_viewer.layers.palette import BLACK, VERMILLION, WHITE, YELLOW, category_colors, rgb, tint
 
 RISK_COLORS = {"low": WHITE, "medium": YELLOW, "high": VERMILLION}
-"""Colours of borders; a dark line lies under them, so that the light ones show."""
+"""Colours of borders, over a dark line that sets off light ones."""
 MAX_LABELS = 12
-"""With more borders none is labelled; the colours stay."""
+"""With more borders there are no labels."""
 MAX_DOTS = 20_000
 
 
 def forecast_layers(forecasts: Sequence[BorderForecast], height: float = 0.0) -> tuple[Layer, ...]:
-    """A dark line under every border, the same in the colour of its risk over it; empty without borders."""
+    """Return every border as a dark line, and over it as a line in the colour of its risk; empty without borders."""
     if not forecasts:
         return ()
     ends = np.stack([at_height(forecast.ends, height) for forecast in forecasts])
@@ -29,7 +29,7 @@ def forecast_layers(forecasts: Sequence[BorderForecast], height: float = 0.0) ->
     dark = Layer(
         name="Forecast rims",
         segments=ends,
-        segment_colors=np.tile(tinted(BLACK, WHITE, 0.15), (len(ends), 1)),
+        segment_colors=np.tile(tint(BLACK, WHITE, 0.15), (len(ends), 1)),
         line_width_px=8,
         in_front=True,
     )
@@ -47,8 +47,8 @@ def forecast_layers(forecasts: Sequence[BorderForecast], height: float = 0.0) ->
 
 
 def buffer_layer(positions: FloatArray, cloud_plan: CloudPlan, buffers: Sequence[EdgeBuffer]) -> Layer:
-    """The positions (P,3) that edges take besides their own, each larger, in the colour of the region that takes it; evenly thinned
-    above 20,000. Lies under the layer of waypoints."""
+    """Return the positions (P,3) that edges capture for their neighbours, larger, in the colour of the capturing region; thinned
+    above 20,000. Draw it below the waypoints."""
     edges = np.concatenate([np.full(len(b.camera_indices), cloud_plan.edge_ids.index(b.edge_id)) for b in buffers]).astype(np.int64)
     cameras = np.concatenate([np.zeros(0, np.int64), *(buffer.camera_indices for buffer in buffers)])
     shown = slice(None, None, max(1, -(-len(cameras) // MAX_DOTS)))
@@ -60,7 +60,7 @@ def buffer_layer(positions: FloatArray, cloud_plan: CloudPlan, buffers: Sequence
         point_colors=colors[edges[shown]],
         point_size_px=float(np.clip(420 / np.sqrt(max(1, len(positions))), 5.0, 14.0)),
         point_rim=True,
-        legend=(LegendEntry(text=text, color=_rgb(colors[edges[0]]), marker="ring"),) if len(cameras) else (),
+        legend=(LegendEntry(text=text, color=rgb(colors[edges[0]]), marker="ring"),) if len(cameras) else (),
     )
 
 
@@ -77,7 +77,3 @@ def _legend(forecasts: Sequence[BorderForecast]) -> tuple[LegendEntry, ...]:
         for risk, count in counts.items()
         if count
     )
-
-
-def _rgb(color: np.ndarray) -> tuple[int, int, int]:
-    return int(color[0]), int(color[1]), int(color[2])

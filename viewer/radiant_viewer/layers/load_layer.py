@@ -8,16 +8,16 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan
 from radiant_viewer.layers.layer import Layer, LegendEntry, at_height, outline_segments
 from radiant_viewer.layers.palette import INK, WHITE, category_colors
-from radiant_viewer.layers.region_layer import duration_text, near_map
+from radiant_viewer.layers.region_layer import duration_text, is_near_map
 
 WIDTH, FLATNESS, DROP = 0.13, 0.18, 0.06
 """Width of a bar and its distance below the edge as shares of the regions' longer side, and its height as a share of its width."""
 
 
 def load_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """A white bar under every edge near the map; its filled share is the edge's time over the makespan. Empty without regions."""
+    """Return a white bar under every edge near the map, filled by its time over the makespan. Empty without regions."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
-    shown = np.flatnonzero(near_map(cloud_plan)) if len(corners) else np.zeros(0, np.int64)
+    shown = np.flatnonzero(is_near_map(cloud_plan)) if len(corners) else np.zeros(0, np.int64)
     side = float(np.ptp(corners, axis=0).max()) if len(corners) else 1.0
     makespan_s = cloud_plan.makespan_s
     shares = cloud_plan.edge_time_s / makespan_s if makespan_s > 0 else np.zeros(len(cloud_plan.edge_ids))

@@ -1,4 +1,4 @@
-"""Labels of a layer on a map, of window and page alike: each above the mark it names, however far the map is zoomed."""
+"""Labels on the maps of window and page: each stays above its mark at every zoom."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from radiant_viewer.layers.layer import Label
 from radiant_viewer.layers.themes import Theme, hex_color
 
 LIFT_PX = 20
-"""From the middle of a mark to the middle of its label: half of both and a gap."""
+"""Distance between the centres of a mark and its label."""
 
 
 def add_map_labels(
     plotter: pv.Plotter, labels: Sequence[Label], origin: FloatArray, height: float, theme: Theme, font_size: int
 ) -> vtkProp:
-    """Draw labels on a map relative to `origin` (3,) at one height; returns what hides and removes them."""
+    """Draw labels on a map relative to `origin` (3,) at one height, and return their actor."""
     places = np.array([label.position for label in labels]) - origin
     places[:, 2] = height
     marks = pv.PolyData(places)
-    # Names only: VTK does not keep labels inside the view, and the figures stand in the legend.
+    # Names only: VTK does not keep labels inside the view, and the legend has the figures.
     names = vtkStringArray()
     names.SetName("text")
     for label in labels:
         names.InsertNextValue(label.text.splitlines()[0])
-    # Not through pyvista, which refuses what is not ASCII: edges have names like Zürich, and areas are in m².
+    # Not by pyvista, which accepts ASCII only: an edge may be named Zürich, and areas are in m².
     marks.GetPointData().AddArray(names)
     actor = plotter.add_point_labels(
         marks,
@@ -49,7 +49,7 @@ def add_map_labels(
 
 
 def _keep_above(plotter: pv.Plotter, actor: vtkProp, marks: pv.PolyData, places: FloatArray) -> None:
-    """Move labels with every frame whose scale is another, until they are taken away."""
+    """Move the labels at every frame with a new scale, until they are removed."""
     lifted: list[float] = []
 
     def lift(*_: object) -> None:

@@ -1,10 +1,13 @@
-"""Colours that stay apart for colour-blind readers: the eight of Okabe and Ito, their shades, and one perceptual heat scale.
+"""Colours that stay apart for colour-blind readers: the eight of Okabe and Ito, their shades, and
+one perceptual heat scale.
 
-Runs once per layer. Colours are (3,) uint8, sRGB. Source: Okabe & Ito, Color Universal Design (2008).
+Runs once per layer. Colours are (3,) uint8, sRGB. Source: Okabe & Ito, Color Universal Design
+(2008).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +20,10 @@ VERMILLION, PURPLE, SKY, YELLOW = (213, 94, 0), (204, 121, 167), (86, 180, 233),
 BLACK, GREY, WHITE, INK = (0, 0, 0), (150, 150, 150), (255, 255, 255), (40, 44, 52)
 
 CATEGORIES = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, YELLOW)
-"""Order in which edges take their colours."""
+"""Colours of edges, in order."""
 
 CURVE_COLORS = (BLUE, ORANGE, GREEN, PURPLE, VERMILLION, SKY, BLACK)
-"""Order in which curves take theirs: yellow is too faint for a thin line on white."""
+"""Colours of curves, in order: yellow is too faint for a thin line on white."""
 DASHES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*", "h", "<", ">")
 
@@ -35,43 +38,52 @@ class CurveStyle:
 
 
 def curve_style(index: int) -> CurveStyle:
-    """Style of the curve `index` ≥ 0: colour, dash and marker together come back after 308 curves, and no two of eleven share a marker."""
-    red, green, blue = CURVE_COLORS[index % len(CURVE_COLORS)]
+    """Return the style of curve `index` ≥ 0; styles repeat after 308 curves, markers after eleven."""
     dash = DASHES[index // len(CURVE_COLORS) % len(DASHES)]
-    return CurveStyle(color=(red / 255, green / 255, blue / 255), dash=dash, marker=MARKERS[index % len(MARKERS)])
+    return CurveStyle(color=unit_rgb(CURVE_COLORS[index % len(CURVE_COLORS)]), dash=dash, marker=MARKERS[index % len(MARKERS)])
 
 
-def tinted(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
-    """Colours (…,3) uint8 mixed with `share` (0 to 1) of `toward` (3,)."""
+def rgb(color: ColorArray) -> tuple[int, int, int]:
+    """Return a colour (3,) as plain numbers."""
+    return int(color[0]), int(color[1]), int(color[2])
+
+
+def unit_rgb(color: Sequence[int]) -> tuple[float, float, float]:
+    """Return a colour with channels in 0..1, as matplotlib takes it."""
+    return color[0] / 255, color[1] / 255, color[2] / 255
+
+
+def tint(color: ArrayLike, toward: ArrayLike, share: float) -> ColorArray:
+    """Mix colours (…,3) with `share` (0 to 1) of `toward` (3,); returns uint8."""
     mixed = (1 - share) * np.asarray(color, np.float64) + share * np.asarray(toward, np.float64)
     return np.rint(mixed).astype(np.uint8)
 
 
 def category_colors(count: int) -> ColorArray:
-    """Colours (count,3) for regions: seven hues, then lighter, then darker ones; they repeat from the 22nd on."""
+    """Return colours (count,3) of regions: seven hues, then lighter, then darker ones; they repeat from the 22nd on."""
     hues = np.array(CATEGORIES, np.uint8)
-    shades = np.concatenate([hues, tinted(hues, WHITE, 0.45), tinted(hues, BLACK, 0.4)])
+    shades = np.concatenate([hues, tint(hues, WHITE, 0.45), tint(hues, BLACK, 0.4)])
     return shades[np.arange(count) % len(shades)]
 
 
 def shade_colors(color: ArrayLike, count: int) -> ColorArray:
-    """Shades (count,3) of one hue from dark to light: the devices of one edge."""
+    """Return shades (count,3) of one hue from dark to light, for the devices of an edge."""
     if count == 1:
         return np.asarray(color, np.uint8)[None]
     steps = np.linspace(-0.3, 0.5, count)
-    return np.stack([tinted(color, WHITE if step > 0 else BLACK, abs(step)) for step in steps])
+    return np.stack([tint(color, WHITE if step > 0 else BLACK, abs(step)) for step in steps])
 
 
 def heat_table(start: float = 0.0) -> ColorArray:
-    """The 256 colours (256,3) of viridis, dark violet to yellow, readable in grey and for every kind of colour vision; of a scale that
-    begins at the share `start` of it."""
+    """Return 256 colours (256,3) of viridis from its share `start` on: dark violet to yellow, readable in grey and for every
+    kind of colour vision."""
     from matplotlib import colormaps
 
     return np.rint(255 * colormaps["viridis"](np.linspace(start, 1, 256))[:, :3]).astype(np.uint8)
 
 
-def with_heat_start(colors: ColorArray, start: float) -> ColorArray:
-    """Colours (N,3) of the whole scale as those of one that begins at `start`; others stay."""
+def trim_heat_colors(colors: ColorArray, start: float) -> ColorArray:
+    """Map colours (N,3) of the whole scale to the scale that begins at `start`; other colours stay."""
     packed, whole = (table.astype(np.int64) @ (1 << 16, 1 << 8, 1) for table in (colors, heat_table()))
     order = np.argsort(whole)
     places = order[np.clip(np.searchsorted(whole[order], packed), 0, len(order) - 1)]
@@ -79,7 +91,7 @@ def with_heat_start(colors: ColorArray, start: float) -> ColorArray:
 
 
 def heat_colors(values: ArrayLike, low: float, high: float) -> ColorArray:
-    """Colours (N,3) of finite values (N,), clipped to low … high."""
+    """Return the colours (N,3) of finite values (N,), clipped to low … high."""
     span = high - low if high > low else 1.0
     shares = (np.clip(np.asarray(values, np.float64), low, low + span) - low) / span
     return heat_table()[np.rint(255 * shares).astype(np.int64)]

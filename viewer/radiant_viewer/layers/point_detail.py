@@ -1,7 +1,9 @@
-"""`PointDetail`: swaps what one plotter draws of large clouds, few points while its view moves and all that shows once it rests.
+"""`PointDetail`: the level of detail of large clouds in one plotter, few points while its view
+moves and all visible ones at rest.
 
-A window gives `later`, which calls back after some seconds; without it (pictures) the view is always at rest. What is drawn is
-chosen in `detail.py`. An actor stays the same all the time, so that hiding, showing and removing it needs nothing from here.
+A window passes `later`, which calls back after some seconds; without it (pictures) the view is
+always at rest. `detail.py` chooses the points. Actors are reused, so that hiding, showing and
+removing them needs nothing from here.
 """
 
 from __future__ import annotations
@@ -21,22 +23,22 @@ from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.palette import ColorArray
 
 REST_S = 0.25
-"""A view that has not moved for so long is at rest."""
+"""Time without movement after which a view is at rest."""
 MOVING_HZ = 1.0
-"""VTK asks for more frames a second than this while a mouse button drags, for far fewer otherwise."""
+"""VTK requests more frames per second than this while a mouse button drags, far fewer otherwise."""
 _BLOCK = 1 << 16
-"""Points that are moved at a time, so that they stay in the cache."""
+"""Points moved at a time, so that they stay in the cache."""
 View = tuple[object, ...]
 Later = Callable[[float, Callable[[], None]], object]
 
 
 @dataclass(eq=False)
 class LocalCloud:
-    """The points (N,3) of a layer near an origin, which map and 3D view share, and what was chosen of them."""
+    """The points (N,3) of a layer relative to an origin, shared by map and 3D view, with the chosen subsets."""
 
     points: NDArray[np.float32]
     ends: NDArray[np.int64] = field(init=False)
-    """The outermost points (6,); always drawn, since near and far planes are set by what an actor draws."""
+    """Indices of the outermost points (6,); always drawn, since they set the near and far planes."""
     subsets: dict[int, NDArray[np.int64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -44,7 +46,7 @@ class LocalCloud:
         self.ends = np.array([*(column.argmin() for column in columns), *(column.argmax() for column in columns)], np.int64)
 
     def even(self, limit: int) -> NDArray[np.int64]:
-        """At most `limit` of the points, spread evenly; chosen once."""
+        """Return indices of at most `limit` evenly spread points; computed once."""
         if limit not in self.subsets:
             self.subsets[limit] = even_subset(self.points, limit)
         return self.subsets[limit]
@@ -54,7 +56,7 @@ _LOCAL: WeakKeyDictionary[Layer, tuple[bytes, LocalCloud]] = WeakKeyDictionary()
 
 
 def local_cloud(layer: Layer, origin: FloatArray) -> LocalCloud:
-    """The points of a layer relative to `origin` (3,) in float32; kept with the layer, since two views draw it. O(N)."""
+    """Return the points of a layer relative to `origin` (3,) in float32; cached with the layer, since two views draw it. O(N)."""
     key = np.asarray(origin, np.float64).tobytes()
     known = _LOCAL.get(layer)
     if known is not None and known[0] == key:
@@ -69,17 +71,17 @@ def local_cloud(layer: Layer, origin: FloatArray) -> LocalCloud:
 
 @dataclass(eq=False)
 class _Cloud:
-    """A large cloud in one view: its points, the height (None: as they lie) at which a map has them, colours (N,3), and its actor."""
+    """A large cloud in one view: points, height on a map (None: their own heights), colours (N,3), and actor."""
 
     local: LocalCloud
     height: float | None
     colors: ColorArray
     actor: pv.Actor
     shown: object = None
-    """What the actor draws: a limit of points, or a view."""
+    """What the actor draws now: a limit of points, or a view."""
 
     def placed(self, indices: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Points (K,3) as they are drawn."""
+        """Return the drawn positions (K,3) of points."""
         positions = self.local.points[indices]
         if self.height is not None:
             positions[:, 2] = self.height
@@ -87,7 +89,7 @@ class _Cloud:
 
 
 class PointDetail:
-    """The large clouds of one plotter; `later(seconds, call)` runs a call on the window's own thread, `redraw` draws a frame."""
+    """The large clouds of one plotter; `later(seconds, call)` delays a call on the window's thread, `redraw` draws a frame."""
 
     def __init__(self, plotter: pv.Plotter, later: Later | None = None, redraw: Callable[[], object] | None = None) -> None:
         self._plotter, self._later, self._redraw = plotter, later, redraw or plotter.render
@@ -99,17 +101,17 @@ class PointDetail:
         plotter.renderer.AddObserver(vtkCommand.StartEvent, self._before_frame)
 
     def add(self, local: LocalCloud, height: float | None, colors: ColorArray, actor: pv.Actor) -> None:
-        """Take over an actor that draws a cloud, on a map at one height, with colours (N,3)."""
+        """Manage an actor that draws a cloud with colours (N,3), on a map at one height."""
         cloud = _Cloud(local=local, height=height, colors=colors, actor=actor)
         self._draw(cloud, np.zeros(0, np.int64), shown=None)
         self._clouds.append(cloud)
 
-    def stir(self) -> None:
-        """Draw the next frame, and those soon after it, with few points, as in a drag under a view that stands still."""
+    def coarsen(self) -> None:
+        """Draw the next frames with few points although the view is at rest, as while an edge is dragged."""
         self._seen = None
 
     def refine(self) -> None:
-        """Bring every visible cloud to full detail for the camera as it stands, without drawing."""
+        """Choose all points that the present camera sees of every visible cloud, without drawing."""
         self._num_moves += 1
         self._seen = self._view()
         self.is_moving = False
@@ -131,7 +133,7 @@ class PointDetail:
             for cloud in clouds:
                 self._show_few(cloud, MOVING_POINTS // len(clouds))
         else:
-            # One that was hidden when the view came to rest.
+            # A cloud that was hidden when the view came to rest.
             for cloud in clouds:
                 self._show_all(cloud)
 
@@ -173,7 +175,7 @@ class PointDetail:
         width, height = self._plotter.window_size
         matrix = self._plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)
         clip_from_world = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])
-        # Half a point wide, so that what is left out lies under what is drawn.
+        # Cells of half a point's width, so that drawn points cover dropped ones.
         return visible_subset(cloud.local.points, clip_from_world, (width, height), max(1.0, cloud.actor.prop.point_size / 2))
 
     def _draw(self, cloud: _Cloud, kept: NDArray[np.int64], shown: object) -> None:
@@ -183,7 +185,7 @@ class PointDetail:
 
 
 def point_mesh(positions: NDArray[np.float32], colors: ColorArray) -> pv.PolyData:
-    """Points (N,3) as one cell, each with a colour (N,3)."""
+    """Return points (N,3) with colours (N,3) as one cell."""
     mesh = pv.PolyData(positions, verts=np.append(len(positions), np.arange(len(positions))))
     mesh.point_data["colors"] = colors
     return mesh

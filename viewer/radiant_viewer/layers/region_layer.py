@@ -1,4 +1,5 @@
-"""Layers of a plan: regions with their borders, the strips of the devices, and the edges with counts and predicted times.
+"""Layers of a plan: regions with their borders, the strips of the devices, and the edges with
+counts and predicted times.
 
 Pure functions of `CloudPlan` and `EdgePlan`, once per plan or edit.
 """
@@ -12,23 +13,23 @@ import numpy as np
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_viewer.layers.layer import Label, Layer, LegendEntry, at_height, outline_segments
-from radiant_viewer.layers.palette import INK, WHITE, category_colors, shade_colors, tinted
+from radiant_viewer.layers.palette import INK, WHITE, category_colors, rgb, shade_colors, tint
 
 FILL_TINT = 0.62
-"""Share of white in a region's fill, so that points and cameras over it stay readable."""
+"""Share of white in a region's fill."""
 MAX_FULL_LABELS = 8
-"""With more edges their labels are names only, so that they do not bury the map; the legend has the figures."""
+"""With more edges labels are names only; the legend has the figures."""
 
 
 def duration_text(seconds: float) -> str:
-    """Seconds in the unit a reader would choose: "42 s", "3.2 min", "1.5 h"."""
+    """Return seconds in a readable unit: "42 s", "3.2 min", "1.5 h"."""
     if seconds < 100:
         return f"{seconds:.3g} s"
     return f"{seconds / 60:.3g} min" if seconds < 6000 else f"{seconds / 3600:.3g} h"
 
 
 def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Each edge's region, tinted in its colour, with its border."""
+    """Return each edge's region in a tint of its colour, with its border."""
     shown = [index for index, border in enumerate(cloud_plan.borders) if len(border) >= 3]
     polygons = tuple(at_height(cloud_plan.borders[index], height) for index in shown)
     colors = category_colors(len(cloud_plan.edge_ids))
@@ -37,25 +38,25 @@ def region_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
         name="Regions",
         pale_fills=True,
         polygons=polygons,
-        polygon_colors=tinted(colors, WHITE, FILL_TINT)[shown],
+        polygon_colors=tint(colors, WHITE, FILL_TINT)[shown],
         segments=sides,
         segment_colors=np.tile(np.array(INK, np.uint8), (len(sides), 1)),
         line_width_px=2.2,
-        legend=tuple(LegendEntry(text=_edge_text(cloud_plan, index), color=_rgb(colors[index]), marker="area") for index in shown),
+        legend=tuple(LegendEntry(text=_edge_text(cloud_plan, index), color=rgb(colors[index]), marker="area") for index in shown),
     )
 
 
 def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: float = 0.0) -> Layer:
-    """Each device's strip in a shade of its edge's colour, with its id; devices without cameras appear in the legend only."""
+    """Return each device's strip in a shade of its edge's colour; devices without cameras are in the legend only."""
     edge_colors = category_colors(len(cloud_plan.edge_ids))
     polygons, fills, labels, legend = [], [], [], []
     for plan in (plan for plan in edge_plans if plan.device_ids):
         shades = shade_colors(edge_colors[cloud_plan.edge_ids.index(plan.edge_id)], len(plan.device_ids))
         for index, (device_id, strip) in enumerate(zip(plan.device_ids, plan.strips, strict=True)):
-            legend.append(LegendEntry(text=_device_text(plan, index), color=_rgb(shades[index]), marker="area"))
+            legend.append(LegendEntry(text=_device_text(plan, index), color=rgb(shades[index]), marker="area"))
             if len(strip) >= 3:
                 polygons.append(at_height(strip, height))
-                fills.append(tinted(shades[index], WHITE, FILL_TINT))
+                fills.append(tint(shades[index], WHITE, FILL_TINT))
                 labels.append(Label(text=device_id, position=polygons[-1].mean(axis=0)))
     sides = outline_segments(polygons)
     return Layer(
@@ -64,7 +65,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
         polygons=tuple(polygons),
         polygon_colors=np.array(fills, np.uint8).reshape(-1, 3),
         segments=sides,
-        segment_colors=np.tile(tinted(INK, WHITE, 0.35), (len(sides), 1)),
+        segment_colors=np.tile(tint(INK, WHITE, 0.35), (len(sides), 1)),
         line_width_px=1.0,
         labels=tuple(labels),
         legend=tuple(legend),
@@ -72,7 +73,7 @@ def strip_layer(cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], height: f
 
 
 def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Only the lines of the regions' borders, to lie over strips or points."""
+    """Return the lines of the regions' borders alone, to draw over strips or points."""
     sides = outline_segments([at_height(border, height) for border in cloud_plan.borders])
     return Layer(
         name="Borders",
@@ -85,8 +86,8 @@ def border_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
 
 
 def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Where each edge stands, with its id, number of cameras and predicted time; sites far outside the map are only counted."""
-    near = near_map(cloud_plan)
+    """Return the site of each edge with its id, number of cameras and predicted time; sites far outside the map are only counted."""
+    near = is_near_map(cloud_plan)
     sites = at_height(cloud_plan.sites, height)
     labels = [Label(text=_edge_label(cloud_plan, index), position=sites[index], strong=True) for index in np.flatnonzero(near).tolist()]
     text = "Edge" if near.all() else f"Edge ({int((~near).sum())} outside the map)"
@@ -103,8 +104,8 @@ def edge_site_layer(cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
     )
 
 
-def near_map(cloud_plan: CloudPlan) -> np.ndarray:
-    """Whether each site (E,) lies within half a diagonal of the regions: one 10 km off would shrink the map to a dot."""
+def is_near_map(cloud_plan: CloudPlan) -> np.ndarray:
+    """Return whether each site (E,) lies within half a diagonal of the regions: one 10 km off would shrink the map to a dot."""
     corners: FloatArray = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if not len(corners):
         return np.ones(len(cloud_plan.edge_ids), bool)
@@ -130,7 +131,3 @@ def _device_text(plan: EdgePlan, index: int) -> str:
 
 def _load_text(count: int, seconds: float) -> str:
     return f"{count} camera{'' if count == 1 else 's'}, {duration_text(seconds)}"
-
-
-def _rgb(color: np.ndarray) -> tuple[int, int, int]:
-    return int(color[0]), int(color[1]), int(color[2])

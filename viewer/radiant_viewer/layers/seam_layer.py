@@ -1,13 +1,14 @@
-"""Seams: the borders between regions cut into short pieces, how strongly the colours step there, and the layer that shows it.
+"""Seams: the borders between regions in short pieces, the colour steps across them, and their
+layer.
 
     step(x)²    = max(0, ‖c₊(x) − c₋(x)‖² − texture(x)²)
     texture(x)² = median over parallels p of ‖c₊(x+p n) − c₋(x+p n)‖²
 
-c± is the mean colour of the Gaussians in the band of one width to either side of the border, each weighted by opacity times the
-area it covers, n the normal; bands are pooled over the neighbouring pieces of the same border, since a seam steps the same way
-all along and texture does not. The parallels lie inside the regions, so the scene's own texture is subtracted (in squares, as
-independent parts add). A piece counts by how well its place was observed, one that was not at all has no figure. Once per
-picture; S pieces.
+c± is the mean colour of the Gaussians in the band of one width on either side of the border,
+weighted by opacity times covered area, n the normal; bands are pooled over neighbouring pieces of a
+border, since a seam has the same sign along it and texture has not. The parallels lie inside the
+regions, so the scene's texture is subtracted (in squares, as independent parts add). Pieces are
+weighted by their coverage; an unobserved piece has no figure. Once per picture; S pieces.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from radiant_viewer.layers.palette import GREY, heat_colors
 from radiant_viewer.layers.splat_layer import splat_colors
 
 PARALLELS = (-3.0, -2.0, 2.0, 3.0)
-"""Where the scene's own texture is measured, in widths of the band from the border."""
+"""Distances from the border at which the scene's texture is measured, in band widths."""
 MIN_GAUSSIANS = 3
-"""A band with fewer Gaussians has no colour: its piece gets no value."""
+"""Least number of Gaussians of a band; with fewer, its piece has no value."""
 POOLED_WIDTHS = 2.0
-"""How far along the border bands are pooled, in widths, where each piece is to keep its own value."""
+"""Length along the border over which bands are pooled, in widths."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,8 +46,8 @@ class SeamPieces:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColorSteps:
-    """Of S pieces, in 8-bit levels, NaN where there is too little to say: the step beyond the texture, the texture, and the largest that
-    one of the `PARALLELS`, where there is no border, steps beyond it: a step that is smaller cannot be told from texture."""
+    """Per piece (S,) in 8-bit levels, NaN where unknown: the step beyond the texture, the texture, and the largest step beyond it
+    of a parallel, where there is no border; smaller steps cannot be distinguished from texture."""
 
     levels: FloatArray
     texture_levels: FloatArray
@@ -54,7 +55,7 @@ class ColorSteps:
 
 
 def seam_pieces(cloud_plan: CloudPlan, length: float) -> SeamPieces:
-    """The borders that two regions share, cut into pieces of about `length`; the scene's outer edge is no seam."""
+    """Return the shared borders of regions in pieces of about `length`, without the outer edge of the scene."""
     ends, pairs = [np.zeros((0, 2, 2))], [np.zeros((0, 2), np.int64)]
     for border in shared_borders(cloud_plan):
         count = max(1, int(np.ceil(border.length_m / length)))
@@ -65,7 +66,7 @@ def seam_pieces(cloud_plan: CloudPlan, length: float) -> SeamPieces:
 
 
 def piece_normals(pieces: SeamPieces) -> FloatArray:
-    """Unit vectors (S,2) across each piece, into the region of the lower index."""
+    """Return unit normals (S,2) of the pieces, into the region of the lower index."""
     along = pieces.ends[:, 1] - pieces.ends[:, 0]
     return np.column_stack([-along[:, 1], along[:, 0]]) / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
 
@@ -73,15 +74,15 @@ def piece_normals(pieces: SeamPieces) -> FloatArray:
 def color_steps(
     splats: Splats, pieces: SeamPieces, width: float, shares: ArrayLike | None = None, *, pooled_widths: float = POOLED_WIDTHS
 ) -> ColorSteps:
-    """Colour steps across each piece; NaN where too few Gaussians lie beside it or its share (S,) of coverage is 0.
+    """Return the colour steps across each piece; NaN where too few Gaussians lie beside it or its share (S,) of coverage is 0.
 
-    `width` of a band > 0; `shares`: how much each piece counts, all alike without them; `pooled_widths` = infinity gives every piece the
-    one figure of its border. Raises BadInput for a bad width.
+    `width` of a band > 0; `shares`: weights of the pieces, equal by default; `pooled_widths` = infinity gives all pieces of a
+    border one figure. Raises BadInput for a bad width.
     """
     if not (np.isfinite(width) and width > 0):
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
     counts = np.ones(len(pieces.ends)) if shares is None else checked_array("shares", shares, (len(pieces.ends),))
-    weights = _shown_weights(splats, width)
+    weights = _visible_weights(splats, width)
     weighted = np.column_stack([weights[:, None] * splat_colors(splats), weights, np.ones(len(splats))])
     tree = KDTree(splats.means[:, :2].astype(np.float64))
     middles, normals = pieces.ends.mean(axis=1), piece_normals(pieces)
@@ -89,7 +90,7 @@ def color_steps(
     pooled = same_border & (np.linalg.norm(middles[:, None] - middles, axis=2) <= pooled_widths * width)
 
     def band_colors(offset_widths: float) -> FloatArray:
-        # The border of the region with the lower index runs counter-clockwise, so "left" is the same side in all its pieces.
+        # The border of the lower region runs counter-clockwise, so "left" is the same side in all its pieces.
         chosen = tree.query_ball_point(middles + offset_widths * width * normals, 0.5 * width)
         own = np.array([weighted[rows].sum(axis=0) for rows in chosen]).reshape(-1, 5)
         sums, numbers = (pooled * counts) @ own[:, :4], (pooled & (counts > 0)) @ own[:, 4:]
@@ -110,17 +111,17 @@ def color_steps(
 
 
 def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0, least_high: float = 0.0) -> Layer:
-    """The pieces of the borders coloured by one value (S,) each; `label` names quantity and unit, NaN is drawn grey.
+    """Return the pieces of the borders coloured by one value (S,) each; `label` names quantity and unit, NaN is grey.
 
-    The scale ends at the highest value or `least_high`, so that what nobody would see is not the brightest colour. Raises BadInput
-    when the number of values differs from the number of pieces.
+    The scale ends at the highest value or at `least_high`, so that invisible steps do not get the brightest colour. Raises
+    BadInput where the number of values differs from the number of pieces.
     """
-    # A poisoned value must not end the picture: it is one grey piece, counted in the legend.
+    # A value that is not finite becomes one grey piece, counted in the legend.
     raw = np.asarray(values, np.float64)
     known = np.isfinite(raw)
     levels = checked_array("values of the seam", np.where(known, raw, 0.0), (len(pieces.ends),))
     low = min(0.0, float(levels.min(initial=0.0)))
-    high = _rounded_up(max(float(levels.max(initial=0.0)), least_high))
+    high = _round_up(max(float(levels.max(initial=0.0)), least_high))
     colors = np.where(known[:, None], heat_colors(levels, low, high), np.array(GREY, np.uint8))
     ends = np.concatenate([pieces.ends, np.full((len(pieces.ends), 2, 1), height)], axis=2)
     unknown = int((~known).sum())
@@ -136,16 +137,16 @@ def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float 
     )
 
 
-def _shown_weights(splats: Splats, width: float) -> FloatArray:
-    """Opacity times covered area (N,): the product of the two longer axes, at most a quarter of the band's square."""
+def _visible_weights(splats: Splats, width: float) -> FloatArray:
+    """Return opacity times covered area (N,): the product of the two longer axes, at most a quarter of the band's square."""
     opacities = splats.opacities
     log_areas = np.sort(splats.log_scales.astype(np.float64), axis=1)[:, 1:].sum(axis=1)
     # Relative to the band: neither a tiny nor a huge scene under- or overflows.
     return opacities * np.exp(np.clip(log_areas - 2 * np.log(width), -50, np.log(0.25)))
 
 
-def _rounded_up(value: float) -> float:
-    """A value to one digit, upwards, for the end of a colour bar: 36.8 gives 40; 1 where nothing is above zero."""
+def _round_up(value: float) -> float:
+    """Round up to one digit, for the end of a colour bar: 36.8 gives 40; 1 for nothing above zero."""
     if value <= 0:
         return 1.0
     step = 10.0 ** np.floor(np.log10(value))

@@ -16,12 +16,12 @@ from radiant_viewer.layers.palette import GREY
 
 _BLOCK = 1 << 16
 MAX_POINTS = 10_000_000
-"""Points kept at most, 60 bytes each; the legend says when some were left out. What a view draws of them: `detail.py`."""
+"""Most points kept, 60 bytes each; the legend says if some were left out. `detail.py` chooses the drawn ones."""
 
 
 def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
-    """The P points of the scene in the colours of the photographs. Points that nobody observed are centres of a delivered model's
-    Gaussians, and are called so."""
+    """Return the P points of the scene in their colours. Points without observations are the Gaussians of a delivered model, and
+    the layer is named so."""
     kind = "sparse points" if len(scene.observations) else "Gaussians"
     kept = None if len(scene.points) <= max_points else even_subset(scene.points, max_points)
     # Indexing with all of them would copy them.
@@ -36,7 +36,7 @@ def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
 
 
 def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_POINTS) -> Layer:
-    """The centres of the Gaussians that are at least `min_opacity` (0 to 1) opaque, in their own colours."""
+    """Return the centres of the Gaussians with an opacity of at least `min_opacity` (0 to 1), in their colours."""
     logit = float(np.log(min_opacity / (1 - min_opacity))) if 0 < min_opacity < 1 else -np.inf
     is_opaque = splats.logit_opacities >= logit
     # Indexing with all of them would copy them.
@@ -49,7 +49,7 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
     return Layer(
         name="Gaussians",
         points=points,
-        point_colors=_colors_of(sh0),
+        point_colors=_base_colors(sh0),
         point_size_px=_point_size_px(len(points)),
         legend=(
             LegendEntry(text=_count_text("Gaussians", len(points), len(splats)), color=GREY, marker="dot"),
@@ -59,12 +59,12 @@ def splat_layer(splats: Splats, min_opacity: float = 0.3, max_points: int = MAX_
 
 
 def splat_colors(splats: Splats) -> NDArray[np.uint8]:
-    """View-independent colours (N,3) uint8."""
-    return _colors_of(splats.sh0)
+    """Return view-independent colours (N,3) uint8."""
+    return _base_colors(splats.sh0)
 
 
-def _colors_of(sh0: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Colours (N,3) of coefficients (N,1,3), in blocks that stay in the cache."""
+def _base_colors(sh0: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the colours (N,3) of coefficients (N,1,3), in blocks that stay in the cache."""
     colors = np.empty((len(sh0), 3), np.uint8)
     for start in range(0, len(sh0), _BLOCK):
         part = slice(start, start + _BLOCK)
@@ -78,5 +78,5 @@ def _count_text(what: str, shown: int, total: int) -> str:
 
 
 def _point_size_px(count: int) -> float:
-    """Few points are drawn larger, so that a picture is filled alike."""
+    """Return a size that is larger for fewer points."""
     return float(np.clip(700 / np.sqrt(max(count, 1)), 2.0, 4.5))

@@ -1,6 +1,6 @@
-"""The light and the dark look of the window: one table of colours for Qt, for both views, and for what layers draw in ink.
+"""The light and the dark theme of the window: one table of colours for Qt, both views, and layers.
 
-Pure: a `Theme` is plain colours; `themed` recolours a layer. Once per change of theme.
+Pure: a `Theme` is plain colours; `apply_theme` recolours a layer. Once per change of theme.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from typing import Literal
 import numpy as np
 
 from radiant_viewer.layers.layer import HeatScale, Layer
-from radiant_viewer.layers.palette import BLUE, INK, SKY, WHITE, ColorArray, tinted, with_heat_start
+from radiant_viewer.layers.palette import BLUE, INK, SKY, WHITE, ColorArray, tint, trim_heat_colors
 
 ThemeName = Literal["light", "dark"]
 DARK_HEAT_START = 0.4
 """Of viridis: its blue-green stands out from a dark view by 3.5 : 1 in luminance, its violet by 1.1 : 1."""
 FILL_SHARE = 0.62
-"""How far fills of regions go towards the background of a dark view: as far as they go towards white in a light one."""
+"""Share of the background in fills of regions in a dark view, as that of white in a light one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Theme:
-    """Colours (3,) 0 to 255: of panels, of lists and fields, of text, of what is selected, and of the views' background and ink."""
+    """Colours (3,) 0 to 255 of panels, fields, text, selection, and the background and ink of the views."""
 
     name: ThemeName
     panel: tuple[int, int, int]
@@ -60,37 +60,37 @@ DARK = Theme(
 THEMES: dict[ThemeName, Theme] = {"light": LIGHT, "dark": DARK}
 
 
-def themed(layer: Layer, theme: Theme) -> Layer:
-    """The layer as it is drawn under a theme, its legend too: ink becomes the theme's, pale fills become dark ones, what is left white
-    the theme's field, and a heat scale begins where it can be seen; other colours of data stay."""
+def apply_theme(layer: Layer, theme: Theme) -> Layer:
+    """Return the layer and its legend in a theme's colours: ink, pale fills, and white become the theme's, and a heat scale begins
+    where it is visible; other colours of data stay."""
     is_plain = not (len(layer.segments) or layer.polygons or layer.heat or any(entry.marker == "line" for entry in layer.legend))
     if theme.name == "light" or is_plain:
-        # The same object: both views then share what they keep of a cloud.
+        # The same object, so that both views share the cached cloud.
         return layer
     strokes = np.array([entry.color for entry in layer.legend if entry.marker == "line"], np.uint8).reshape(-1, 3)
-    inked = iter(_reinked(strokes, theme).tolist())
+    inked = iter(_recolor_ink(strokes, theme).tolist())
     is_white = (layer.polygon_colors == 255).all(axis=1, keepdims=True)
     solid = np.where(is_white, np.array(theme.field, np.uint8), layer.polygon_colors)
     inked_layer = replace(
         layer,
-        segment_colors=_reinked(layer.segment_colors, theme),
-        polygon_colors=_darkened(layer.polygon_colors, theme) if layer.pale_fills else solid,
+        segment_colors=_recolor_ink(layer.segment_colors, theme),
+        polygon_colors=_darken_fills(layer.polygon_colors, theme) if layer.pale_fills else solid,
         legend=tuple(replace(entry, color=tuple(next(inked))) if entry.marker == "line" else entry for entry in layer.legend),
     )
-    return inked_layer if layer.heat is None else _brightened(inked_layer, layer.heat)
+    return inked_layer if layer.heat is None else _trim_dark_end(inked_layer, layer.heat)
 
 
 def hex_color(color: tuple[int, int, int]) -> str:
-    """A colour as "#rrggbb"."""
+    """Return a colour as "#rrggbb"."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def style_sheet(theme: Theme) -> str:
-    """What Qt's palette cannot say of a theme."""
+    """Return the style sheet of a theme, for what Qt's palette lacks."""
     panel, field, line, text, soft, accent = (
         hex_color(color) for color in (theme.panel, theme.field, theme.line, theme.text, theme.soft_text, theme.accent)
     )
-    chosen = hex_color(tuple(tinted(theme.accent, theme.field, 0.72).tolist()))  # type: ignore[arg-type]
+    chosen = hex_color(tuple(tint(theme.accent, theme.field, 0.72).tolist()))  # type: ignore[arg-type]
     return f"""
 QMainWindow::separator {{ background: {panel}; width: 5px; height: 5px; }}
 QDockWidget {{ font-weight: 600; }}
@@ -118,25 +118,25 @@ QScrollArea {{ border: none; }}
 """
 
 
-def _reinked(colors: ColorArray, theme: Theme) -> ColorArray:
-    """Segment colours (S,3) with ink, and the greys between ink and white, turned to the theme's ink."""
+def _recolor_ink(colors: ColorArray, theme: Theme) -> ColorArray:
+    """Return segment colours (S,3) with ink, and greys between ink and white, in the theme's ink."""
     spread = colors.max(axis=1, initial=0).astype(int) - colors.min(axis=1, initial=255).astype(int) if len(colors) else np.zeros(0, int)
     is_ink = (spread < 20) & (colors.mean(axis=1) < 130) if len(colors) else np.zeros(0, bool)
     return np.where(is_ink[:, None], np.array(theme.ink, np.uint8), colors)
 
 
-def _brightened(layer: Layer, heat: HeatScale) -> Layer:
-    """A layer of a heat scale with the scale's dark end cut off."""
+def _trim_dark_end(layer: Layer, heat: HeatScale) -> Layer:
+    """Return a layer whose heat scale has no dark end."""
     return replace(
         layer,
-        point_colors=with_heat_start(layer.point_colors, DARK_HEAT_START),
-        segment_colors=with_heat_start(layer.segment_colors, DARK_HEAT_START),
-        polygon_colors=with_heat_start(layer.polygon_colors, DARK_HEAT_START),
+        point_colors=trim_heat_colors(layer.point_colors, DARK_HEAT_START),
+        segment_colors=trim_heat_colors(layer.segment_colors, DARK_HEAT_START),
+        polygon_colors=trim_heat_colors(layer.polygon_colors, DARK_HEAT_START),
         heat=replace(heat, start=DARK_HEAT_START),
     )
 
 
-def _darkened(colors: ColorArray, theme: Theme) -> ColorArray:
-    """Fills (R,3) of which 62 % are white, with the view's background in its place."""
+def _darken_fills(colors: ColorArray, theme: Theme) -> ColorArray:
+    """Return fills (R,3) with the view's background in place of their 62 % of white."""
     pure = (colors.astype(np.float64) - FILL_SHARE * 255) / (1 - FILL_SHARE)
     return np.rint((1 - FILL_SHARE) * np.clip(pure, 0, 255) + FILL_SHARE * np.array(theme.view)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Layer of waypoints: a dot where each photograph will be taken, in its region's colour. Once per picture."""
+"""Layer of waypoints: a dot at each planned photograph, in its region's colour. Once per picture."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from radiant_viewer.layers.layer import Layer, LegendEntry
 from radiant_viewer.layers.palette import BLUE, category_colors
 
 MAX_DOTS = 50_000
-"""More would only cover each other on a map of a million pixels."""
+"""More dots would cover each other on a map of a million pixels."""
 
 
 def waypoint_layer(positions: FloatArray, cloud_plan: CloudPlan) -> Layer:
-    """Waypoints (P,3) m of a plan as dots, evenly thinned above 50,000 with the legend saying so; BadInput when their number is not
+    """Return waypoints (P,3) m of a plan as dots, thinned above 50,000, as the legend says; BadInput where their number is not
     the plan's."""
     if len(positions) != len(cloud_plan.edge_of_camera):
         raise BadInput(f"the plan is of {len(cloud_plan.edge_of_camera)} cameras, there are {len(positions)} waypoints: plan again.")
@@ -27,7 +27,7 @@ def waypoint_layer(positions: FloatArray, cloud_plan: CloudPlan) -> Layer:
         name="Waypoints",
         points=positions[shown],
         point_colors=colors,
-        # As cameras: dots shrink with their number.
+        # Dots shrink with their number, as those of cameras.
         point_size_px=float(np.clip(200 / np.sqrt(len(colors)), 2.0, 7.0)),
         point_rim=len(colors) <= 5000,
         legend=(LegendEntry(text=meaning, color=BLUE, marker="ring"),),

@@ -1,4 +1,4 @@
-"""A flight through keyframes: between them position and focal point follow smooth curves, so the camera never jerks. Once per frame.
+"""A flight through keyframes along smooth curves of position and focal point. Once per frame.
 
 Positions and focal points: PCHIP (Fritsch & Carlson 1980) over time, which never overshoots a keyframe; the upward vector and the angle
 are interpolated linearly. Frame f of n at time T · f / (n − 1).
@@ -16,8 +16,8 @@ from radiant_viewer.pictures.view_pose import ViewPose
 MAX_FRAMES = 20_000
 
 
-def flight(keyframes: Sequence[ViewPose], seconds_per_leg: float, frames_per_s: float) -> list[ViewPose]:
-    """The frames of a flight, the first and the last being keyframes; BadInput for fewer than two keyframes, or times out of range."""
+def flight_poses(keyframes: Sequence[ViewPose], seconds_per_leg: float, frames_per_s: float) -> list[ViewPose]:
+    """Return the poses of a flight, from the first to the last keyframe; BadInput for fewer than two keyframes or bad times."""
     if len(keyframes) < 2:
         raise BadInput(f"a flight goes through two keyframes or more, {len(keyframes)} came: move the view and add another.")
     if not (np.isfinite(seconds_per_leg) and seconds_per_leg > 0 and np.isfinite(frames_per_s) and 0 < frames_per_s <= 120):
@@ -47,7 +47,7 @@ def flight(keyframes: Sequence[ViewPose], seconds_per_leg: float, frames_per_s: 
 def _pose(position: np.ndarray, focal_point: np.ndarray, up: np.ndarray, angle_deg: float) -> ViewPose:
     forward = focal_point - position
     if np.linalg.norm(np.cross(forward, up)) <= 1e-9 * max(float(np.linalg.norm(forward)), 1e-300):
-        # Straight up or down: the upward vector turns to the axis that it is farthest from.
+        # Straight up or down: take the axis farthest from the direction as upward vector.
         up = np.eye(3)[int(np.argmin(np.abs(forward)))]
     if np.linalg.norm(forward) == 0:
         focal_point = position + np.eye(3)[int(np.argmin(np.abs(up)))]

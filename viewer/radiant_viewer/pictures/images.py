@@ -19,9 +19,9 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drawing:
-    """A picture (H,W,3) of layers without any text, and where the places of the labels fall on it.
+    """A picture (H,W,3) of layers without text, and the pixels of its labels.
 
-    label_px: per label of all layers in order its pixel (2,), or NaN behind the viewer; mark_px (M,2): markers to keep free;
+    label_px (L,2): pixels of all labels in order, NaN behind the camera; mark_px (M,2): markers to keep free;
     extent: x_min, x_max, y_min, y_max of a map in world coordinates, None for a view in perspective.
     """
 
@@ -32,7 +32,7 @@ class Drawing:
 
 
 def save_png(path: Path, image: Image) -> None:
-    """Write an image (H,W,3) uint8 as PNG; BadInput for another shape or type, or a folder that cannot be written."""
+    """Write an image (H,W,3) uint8 as PNG, atomically; BadInput for another shape, type or ending, or where it cannot be written."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or 0 in image.shape:
         raise BadInput(f"a picture of shape {image.shape} and type {image.dtype} came, expected (H, W, 3) uint8.")
     if path.suffix.lower() != ".png":
@@ -42,7 +42,7 @@ def save_png(path: Path, image: Image) -> None:
 
 
 def load_image(path: Path) -> Image:
-    """An image file of the run as (H,W,3) uint8; BadInput when it is missing or no image."""
+    """Read an image file of the run as (H,W,3) uint8; BadInput where it is missing or no image."""
     pixels = decode_image(read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b"", cv2.IMREAD_COLOR)
     if pixels is None:
         raise BadInput(f"cannot read the picture {path}: it is missing or broken, run the evaluation again.")

@@ -1,4 +1,4 @@
-"""Lengths and areas of what a user draws on the map, and of its scale bar. Once per click; K corners.
+"""Lengths and areas on the map, and the length of its scale bar. Once per click; K corners.
 
 length = Σ ‖x_{k+1} − x_k‖,  area = ½ |Σ x_k y_{k+1} − x_{k+1} y_k|  (the shoelace formula, about the first corner)
 """
@@ -12,40 +12,40 @@ from radiant_core.numerics import FloatArray, checked_array
 
 
 def path_length(corners: FloatArray) -> float:
-    """Length of the path through corners (K,2), open; 0 for fewer than two."""
+    """Return the length of the open path through corners (K,2); 0 for fewer than two."""
     places = checked_array("corners", corners, (None, 2))
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
 def polygon_area(corners: FloatArray) -> float:
-    """Area of the closed polygon through corners (K,2); BadInput where two of its sides cross: it would have no one area."""
+    """Return the area of the polygon of corners (K,2); BadInput where two of its sides cross."""
     places = checked_array("corners", corners, (None, 2))
     if len(places) < 3:
         return 0.0
     from shapely.geometry import Polygon
 
-    # About the first corner: at UTM coordinates the products of the formula lose eight digits.
+    # Relative to the first corner: products of UTM coordinates lose eight digits.
     polygon = Polygon(places - places[0])
     if polygon.area > 0 and not polygon.is_valid:
         raise BadInput("the sides of the measured polygon cross: undo the last corner, or begin again.")
     return float(polygon.area)
 
 
-def nice_length(limit: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is at most `limit` > 0: 73 gives 50."""
+def scale_bar_length(limit: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is at most `limit` > 0: 73 gives 50."""
     power = 10.0 ** np.floor(np.log10(limit))
     return float(max(step * power for step in (1, 2, 5) if step * power <= limit * (1 + 1e-9)))
 
 
 def length_text(length: float, unit: str) -> str:
-    """A length for a reader: "84.2 m", "1.27 km", "3.4 units"."""
+    """Return a length as text: "84.2 m", "1.27 km", "3.4 units"."""
     if unit == "m" and length >= 1000:
         return f"{length / 1000:.4g} km"
     return f"{length:.4g} {unit}"
 
 
 def area_text(area: float, unit: str) -> str:
-    """An area for a reader: "84.2 m²", "1.27 ha" from 10,000 m², "2.1 km²" from a million."""
+    """Return an area as text: "84.2 m²", "1.27 ha" from 10,000 m², "2.1 km²" from a million."""
     if unit != "m":
         return f"{area:.4g} square {unit}"
     if area >= 1e6:

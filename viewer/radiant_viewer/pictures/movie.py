@@ -1,8 +1,9 @@
-"""Frames (H,W,3) uint8 into a film: MP4 or WebM by OpenCV's own encoder, GIF by Pillow. Written whole or not at all.
+"""Frames (H,W,3) uint8 into a film: MP4 or WebM by OpenCV's own encoder, GIF by Pillow. Written
+whole or not at all.
 
-MP4 holds MPEG-4 Part 2, which desktop players show and browsers do not: the encoders for H.264 and H.265 in OpenCV's wheel are those of a
-video chip alone, it has none for AV1, and its VP9 took 118 s for 24 frames of 640×480. WebM holds VP8 (1.5 s for the same), which browsers
-show; GIF has 256 colours a frame.
+MP4 holds MPEG-4 Part 2, which desktop players show and browsers do not: OpenCV's wheel encodes
+H.264 and H.265 only on a video chip, AV1 not at all, and VP9 in 118 s for 24 frames of 640×480.
+WebM holds VP8 (1.5 s for the same), which browsers show; GIF has 256 colours a frame.
 """
 
 from __future__ import annotations
@@ -25,16 +26,20 @@ from radiant_viewer.pictures.images import Image
 CODECS = {".mp4": "mp4v", ".webm": "VP80"}
 ENDINGS = (*CODECS, ".gif")
 NOT_FOR_BROWSERS = "MPEG-4 Part 2, which desktop players show and browsers do not: let its name end in .webm for both"
-"""What an MP4 holds, said before it is made."""
+"""The warning about MP4, given before one is made."""
 MAX_GIF_BYTES = 1 << 30
-"""Frames of a GIF are kept until the end, to share one file."""
+"""Most bytes of a GIF's frames, which are kept in memory until the end."""
 
 
 class MovieWriter:
-    """Used as a context manager: `add` frames of one size; the file appears when the block ends well, nothing stays otherwise.
+    """A context manager: `add` frames of one size; the file appears if the block succeeds, else nothing is left.
 
-    Raises BadInput for an ending that is none of .mp4, .webm and .gif, a size that is odd, a folder that cannot be written, or frames
-    of another size.
+    Args:
+        path: the film; its ending, one of `ENDINGS`, chooses the format.
+        size_wh: of the frames, even and at least 16 px.
+        frames_per_s: frames per second.
+
+    Raises: BadInput for another ending or size, a folder that cannot be written, or frames of another size.
     """
 
     def __init__(self, path: Path, size_wh: tuple[int, int], frames_per_s: float) -> None:
@@ -51,7 +56,7 @@ class MovieWriter:
         os.close(handle)
         self._part = Path(part)
         self._gif: list[Image] = []
-        self._video = None if suffix == ".gif" else self._opened(CODECS[suffix])
+        self._video = None if suffix == ".gif" else self._open_video(CODECS[suffix])
 
     def __enter__(self) -> Self:
         return self
@@ -78,7 +83,7 @@ class MovieWriter:
         self.num_frames += 1
 
     def finish(self) -> None:
-        """Close the file and give it its name; BadInput without frames."""
+        """Close and rename the file; BadInput without frames."""
         if not self.num_frames:
             self.discard()
             raise BadInput(f"no frame came for {self.path}: nothing was written.")
@@ -93,13 +98,13 @@ class MovieWriter:
         self._part.replace(self.path)
 
     def discard(self) -> None:
-        """Leave nothing behind; the old file of that name, if there is one, stays."""
+        """Delete the unfinished file; an older file of that name stays."""
         if self._video is not None:
             self._video.release()
         self._gif.clear()
         self._part.unlink(missing_ok=True)
 
-    def _opened(self, codec: str) -> cv2.VideoWriter:
+    def _open_video(self, codec: str) -> cv2.VideoWriter:
         with _quiet_stderr():
             video = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*codec), self.frames_per_s, self.size_wh)
         if not video.isOpened():
@@ -118,7 +123,7 @@ class MovieWriter:
 
 @contextmanager
 def _quiet_stderr() -> Iterator[None]:
-    """OpenCV's encoder prints by C that VP80 is no tag of WebM, which it then writes all the same."""
+    """Silence OpenCV's encoder, which prints from C that VP80 is no tag of WebM and then writes it."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

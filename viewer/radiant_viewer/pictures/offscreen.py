@@ -1,7 +1,9 @@
-"""Layers as pictures without a window: a map seen from above, and a view in perspective. 100 ms to 1 s per picture.
+"""Layers as pictures without a window: a map seen from above, and a view in perspective. 100 ms to
+1 s per picture.
 
-Drawn at twice the size and averaged, so that edges are smooth and the same on every machine. The map is orthographic:
-px = (x − x_min) / (x_max − x_min) · W, rows downwards from y_max. Titles, legend, scale and labels are laid out in `page.py`.
+Drawn at twice the size and averaged, so that edges are smooth and the same on every machine. The
+map is orthographic: px = (x − x_min) / (x_max − x_min) · W, rows downwards from y_max. Titles,
+legend, scale and labels are laid out in `page.py`.
 """
 
 from __future__ import annotations
@@ -16,19 +18,19 @@ import pyvista as pv
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer
-from radiant_viewer.layers.layer import Layer, drawn_positions
+from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.point_detail import PointDetail
 from radiant_viewer.pictures.images import Drawing, Image
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
 
 OVERSAMPLING = 2
 MARGIN = 0.06
-"""Empty share of the map on each side of what is drawn."""
+"""Empty share of the map on each side."""
 MAX_SIDE_PX = 4096
 
 
 def render_map(layers: Sequence[Layer], size_wh: tuple[int, int] = (1280, 900), text: PageText | None = None) -> Image:
-    """A finished map (H,W,3) with title, axes, scale bar, legend and labels; BadInput when there is nothing to draw."""
+    """Return a finished map (H,W,3) with title, axes, scale bar, legend and labels; BadInput without anything to draw."""
     page = text or PageText()
     return compose_page(draw_map(layers, drawing_size_wh(size_wh, is_map=True)), layers, size_wh, page)
 
@@ -37,18 +39,17 @@ def render_view(
     layers: Sequence[Layer],
     size_wh: tuple[int, int] = (1280, 900),
     text: PageText | None = None,
-    direction_deg: tuple[float, float] = (205, 42),
 ) -> Image:
-    """A finished view (H,W,3) in perspective from (azimuth from north, elevation); BadInput when there is nothing to draw."""
+    """Return a finished view (H,W,3) in perspective; BadInput without anything to draw."""
     page = text or PageText()
-    return compose_page(draw_view(layers, drawing_size_wh(size_wh, is_map=False), direction_deg), layers, size_wh, page)
+    return compose_page(draw_view(layers, drawing_size_wh(size_wh, is_map=False)), layers, size_wh, page)
 
 
 def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
-    """Layers seen from straight above, each over the one before it whatever its height."""
+    """Draw layers from straight above; later layers cover earlier ones, whatever their heights."""
     _require_size(size_wh)
-    drawn = drawn_positions(layers)[:, :2]
-    extent = _fitted_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
+    drawn = framing_positions(layers)[:, :2]
+    extent = _fit_extent(drawn.min(axis=0), drawn.max(axis=0), size_wh)
     origin = np.array([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2, 0.0])
     top = float(SLOTS_PER_LAYER * (len(layers) + 1))
     with _plotter(size_wh) as plotter:
@@ -60,32 +61,28 @@ def draw_map(layers: Sequence[Layer], size_wh: tuple[int, int]) -> Drawing:
         camera.parallel_projection = True
         camera.parallel_scale = (extent[3] - extent[2]) / 2
         camera.clipping_range = (0.5, top + 1)
-        image = _shot(plotter)
+        image = _screenshot(plotter)
     label_px, mark_px = (_map_px(places, extent, size_wh) for places in (_label_places(layers), _marks(layers)))
     return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=extent)
 
 
 def draw_view(layers: Sequence[Layer], size_wh: tuple[int, int], direction_deg: tuple[float, float] = (205, 42)) -> Drawing:
-    """Layers in perspective, all of what is drawn inside the picture."""
+    """Draw layers in perspective, all inside the picture, from (azimuth from north, elevation)."""
     _require_size(size_wh)
-    drawn = drawn_positions(layers)
+    drawn = framing_positions(layers)
     origin = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
     with _plotter(size_wh) as plotter:
         detail = PointDetail(plotter)
         for layer in layers:
             add_layer(plotter, layer, origin, line_scale=OVERSAMPLING, detail=detail)
         aim_camera(plotter, drawn - origin, direction_deg)
-        image = _shot(plotter)
-        label_px, mark_px = (_projected(plotter, places - origin) * size_wh for places in (_label_places(layers), _marks(layers)))
+        image = _screenshot(plotter)
+        label_px, mark_px = (_project(plotter, places - origin) * size_wh for places in (_label_places(layers), _marks(layers)))
     return Drawing(image=image, label_px=label_px, mark_px=mark_px, extent=None)
 
 
 def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[float, float] = (205, 42)) -> None:
-    """Look from (azimuth from north, elevation) so that all positions (K,3) just fit into the picture.
-
-    With x across, y up and t towards the viewer, a position is inside when |x − c| ≤ (D − t) k for the half-angle's tangent k,
-    so D = (max(x + t k) − min(x − t k)) / 2k and c = (max(x + t k) + min(x − t k)) / 2, likewise for y; the larger D decides.
-    """
+    """Look from (azimuth from north, elevation) so that all positions (K,3) just fit into the picture."""
     azimuth, elevation = np.radians(direction_deg)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     across = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
@@ -93,14 +90,25 @@ def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[
     camera = plotter.camera
     width, height = plotter.window_size
     tangent = np.tan(np.radians(camera.view_angle / 2)) * (1 - MARGIN)
+    distance, target = fit_distance(positions, toward, ((across, tangent * width / height), (up, tangent)))
+    camera.focal_point, camera.position, camera.up = tuple(target), tuple(target + distance * toward), (0.0, 0.0, 1.0)
+    plotter.renderer.reset_camera_clipping_range()
+
+
+def fit_distance(positions: FloatArray, toward: FloatArray, slopes: Sequence[tuple[FloatArray, float]]) -> tuple[float, FloatArray]:
+    """Return the least distance from which all positions (K,3) are in view, and the target (3,) to look at.
+
+    `toward` (3,) points at the viewer; `slopes` holds per image axis (3,) the tangent k of half its angle. A position with coordinates
+    x along the axis and t towards the viewer is in view for |x − c| ≤ (D − t) k, so D = (max(x + t k) − min(x − t k)) / 2k and
+    c = (max(x + t k) + min(x − t k)) / 2; the larger D of the axes counts.
+    """
     depths = positions @ toward
     distance, target = 1e-3, np.zeros(3)
-    for axis, slope in ((across, tangent * width / height), (up, tangent)):
+    for axis, slope in slopes:
         outer, inner = (positions @ axis + depths * slope).max(), (positions @ axis - depths * slope).min()
         distance = max(distance, float(outer - inner) / (2 * slope))
         target += axis * float(outer + inner) / 2
-    camera.focal_point, camera.position, camera.up = tuple(target), tuple(target + distance * toward), (0.0, 0.0, 1.0)
-    plotter.renderer.reset_camera_clipping_range()
+    return distance, target
 
 
 def _require_size(size_wh: tuple[int, int]) -> None:
@@ -111,7 +119,7 @@ def _require_size(size_wh: tuple[int, int]) -> None:
 @contextmanager
 def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
     width, height = size_wh
-    with egl_window():
+    with egl_rendering():
         plotter = pv.Plotter(off_screen=True, window_size=[OVERSAMPLING * width, OVERSAMPLING * height])
     try:
         plotter.background_color = pv.Color("white")
@@ -121,8 +129,8 @@ def _plotter(size_wh: tuple[int, int]) -> Iterator[pv.Plotter]:
 
 
 @contextmanager
-def egl_window() -> Iterator[None]:
-    """VTK reads this variable when it makes a window; without it, it first tries an X server and complains on stderr."""
+def egl_rendering() -> Iterator[None]:
+    """Let VTK render by EGL: it reads this variable when it makes a window, and otherwise tries an X server first."""
     name = "VTK_DEFAULT_OPENGL_WINDOW"
     before = os.environ.get(name)
     os.environ[name] = before or "vtkEGLRenderWindow"
@@ -133,7 +141,7 @@ def egl_window() -> Iterator[None]:
             del os.environ[name]
 
 
-def _shot(plotter: pv.Plotter) -> Image:
+def _screenshot(plotter: pv.Plotter) -> Image:
     pixels = plotter.screenshot(return_img=True)
     assert pixels is not None
     height, width = pixels.shape[0] // OVERSAMPLING, pixels.shape[1] // OVERSAMPLING
@@ -141,8 +149,8 @@ def _shot(plotter: pv.Plotter) -> Image:
     return ((blocks.sum(axis=(1, 3)) + OVERSAMPLING**2 // 2) // OVERSAMPLING**2).astype(np.uint8)
 
 
-def _fitted_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
-    """The smallest extent with the picture's proportions around a box, with a margin."""
+def _fit_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Return the smallest extent with the picture's proportions around a box, with a margin."""
     center, spans = (low + high) / 2, np.maximum(high - low, 1e-9)
     per_px = float((spans / (np.array(size_wh) * (1 - 2 * MARGIN))).max())
     # A single point has no extent: show a square metre around it.
@@ -151,7 +159,7 @@ def _fitted_extent(low: FloatArray, high: FloatArray, size_wh: tuple[int, int]) 
 
 
 def _marks(layers: Sequence[Layer]) -> FloatArray:
-    """Points (M,3) that a label should not cover."""
+    """Return the points (M,3) that labels should not cover."""
     return np.concatenate([np.zeros((0, 3)), *(layer.points for layer in layers if layer.point_rim)])
 
 
@@ -164,8 +172,8 @@ def _label_places(layers: Sequence[Layer]) -> FloatArray:
     return np.array([label.position for layer in layers for label in layer.labels], np.float64).reshape(-1, 3)
 
 
-def _projected(plotter: pv.Plotter, places: FloatArray) -> FloatArray:
-    """Shares (L,2) of width and height from the top left where places (L,3) fall; NaN behind the camera."""
+def _project(plotter: pv.Plotter, places: FloatArray) -> FloatArray:
+    """Project places (L,3) to shares (L,2) of width and height from the top left; NaN behind the camera."""
     width, height = plotter.window_size
     matrix = plotter.camera.GetCompositeProjectionTransformMatrix(width / height, -1, 1)
     projection = np.array([[matrix.GetElement(row, column) for column in range(4)] for row in range(4)])

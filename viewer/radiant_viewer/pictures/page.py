@@ -1,7 +1,8 @@
-"""Lays out a finished picture: title, drawing with labels, axes and scale bar in the frame's unit, legend with units.
+"""The page around a drawing: title, labels, axes and scale bar in the frame's unit, legend with
+units.
 
-Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels that would cover each
-other or leave the drawing are moved, and the less important ones dropped.
+Once per picture, with matplotlib's own rasteriser: the same pixels everywhere, no window. Labels
+that would cover each other or leave the drawing are moved, and the less important ones dropped.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.layer import HeatScale, Layer, LegendEntry
-from radiant_viewer.layers.palette import INK, heat_table
+from radiant_viewer.layers.palette import INK, heat_table, unit_rgb
 from radiant_viewer.pictures.images import Drawing, Image
-from radiant_viewer.pictures.measure import nice_length
+from radiant_viewer.pictures.measure import scale_bar_length
 
 DPI = 100
 PANEL_PX, TITLE_PX, LEFT_PX, BOTTOM_PX, GAP_PX = 310, 62, 76, 58, 16
@@ -30,7 +31,7 @@ MIN_SIZE_WH = (640, 420)
 LINE_PX = 21
 """Height of one line of the legend."""
 LABEL_STEPS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0.6, 1), (-0.6, 1), (0.6, -1), (-0.6, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))
-"""Where a label may stand about its point, in half widths and half heights, best first."""
+"""Positions of a label about its point, in half widths and half heights, best first."""
 MARK_RADIUS_PX = 8
 INK_COLOR = "#282c34"
 SOFT_COLOR = "#6b7280"
@@ -38,7 +39,7 @@ SOFT_COLOR = "#6b7280"
 
 @dataclass(frozen=True, kw_only=True)
 class PageText:
-    """What stands around a drawing."""
+    """The texts around a drawing."""
 
     title: str = ""
     subtitle: str = ""
@@ -47,7 +48,7 @@ class PageText:
 
 
 def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int]:
-    """The room in px that a page of `size_wh` leaves for the drawing; BadInput for a page too small to be read."""
+    """Return the size in px that a page of `size_wh` leaves for the drawing; BadInput for a page too small to read."""
     if size_wh[0] < MIN_SIZE_WH[0] or size_wh[1] < MIN_SIZE_WH[1]:
         raise BadInput(f"a page of {size_wh[0]} × {size_wh[1]} px was asked for, expected at least {MIN_SIZE_WH[0]} × {MIN_SIZE_WH[1]}.")
     left, bottom = (LEFT_PX, BOTTOM_PX) if is_map else (GAP_PX, GAP_PX)
@@ -55,7 +56,7 @@ def drawing_size_wh(size_wh: tuple[int, int], *, is_map: bool) -> tuple[int, int
 
 
 def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, int], text: PageText) -> Image:
-    """The finished page (H,W,3) of `size_wh` around a drawing of the size that `drawing_size_wh` gave."""
+    """Return the page (H,W,3) of `size_wh` around a drawing of the size from `drawing_size_wh`."""
     figure = new_figure(size_wh)
     height, width = drawing.image.shape[:2]
     left, bottom = (LEFT_PX, BOTTOM_PX) if drawing.extent is not None else (GAP_PX, GAP_PX)
@@ -75,20 +76,38 @@ def compose_page(drawing: Drawing, layers: Sequence[Layer], size_wh: tuple[int, 
 
 
 def new_figure(size_wh: tuple[int, int]) -> Figure:
-    """An empty white figure of `size_wh` px that belongs to no window."""
+    """Return an empty white figure of `size_wh` px without a window."""
     figure = Figure(figsize=(size_wh[0] / DPI, size_wh[1] / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
+def titled_figure(size_wh: tuple[int, int], title: str, detail: str = "") -> Figure:
+    """Return a figure of `size_wh` px with a bold title at the upper left and a line of detail below it."""
+    figure = new_figure(size_wh)
+    figure.text(16 / size_wh[0], 1 - 14 / size_wh[1], title, size=14, weight="bold", color=INK_COLOR, va="top")
+    figure.text(16 / size_wh[0], 1 - 40 / size_wh[1], detail, size=9.5, color=SOFT_COLOR, va="top")
+    return figure
+
+
+def style_axes(axes: Axes, x_label: str, y_label: str, *, grid: bool = True) -> None:
+    """Label axes in the soft colour, without a box around them, with horizontal lines at the ticks."""
+    axes.set_xlabel(x_label, color=SOFT_COLOR)
+    axes.set_ylabel(y_label, color=SOFT_COLOR)
+    axes.tick_params(colors=SOFT_COLOR, labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    if grid:
+        axes.grid(visible=True, axis="y", color=SOFT_COLOR, alpha=0.15)
+
+
 def axes_at(figure: Figure, box_px: tuple[float, float, float, float]) -> Axes:
-    """Axes at (left, bottom, width, height) in px of the figure."""
+    """Return axes at (left, bottom, width, height) in px of the figure."""
     width, height = figure.get_size_inches() * DPI
     return figure.add_axes((box_px[0] / width, box_px[1] / height, box_px[2] / width, box_px[3] / height))
 
 
 def figure_image(figure: Figure) -> Image:
-    """The figure as pixels (H,W,3)."""
+    """Return the figure as pixels (H,W,3)."""
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
     canvas.draw()
@@ -130,7 +149,7 @@ def _label_axes(axes: Axes, extent: tuple[float, float, float, float], unit: str
 
 
 def _axis_base(low: float, high: float) -> float:
-    """What is taken off the numbers of an axis: UTM eastings would fill it with equal digits."""
+    """Return the offset of an axis' numbers: UTM eastings would fill it with equal digits."""
     if max(abs(low), abs(high)) < max(1e5, 20 * (high - low)):
         return 0.0
     step = 10.0 ** np.ceil(np.log10(high - low))
@@ -145,7 +164,7 @@ def _tick_text(ticks: np.ndarray) -> Callable[[float, int | None], str]:
 def _add_scale_bar(axes: Axes, extent: tuple[float, float, float, float], unit: str) -> Bbox:
     width, height = axes.get_xlim()[1], axes.get_ylim()[0]
     per_px = (extent[1] - extent[0]) / width
-    length = nice_length(0.22 * width * per_px)
+    length = scale_bar_length(0.22 * width * per_px)
     bar_px = length / per_px
     x, y = 16, height - 18
     box = Rectangle((x - 9, y - 25), bar_px + 18, 36, facecolor="white", edgecolor="none", alpha=0.85, zorder=4)
@@ -156,7 +175,7 @@ def _add_scale_bar(axes: Axes, extent: tuple[float, float, float, float], unit: 
 
 
 def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: list[Bbox]) -> None:
-    """Place labels, strong ones first, each where it covers neither another label nor, if possible, a marker."""
+    """Place labels, strong ones first, off other labels and, if possible, off markers."""
     labels = [label for layer in layers for label in layer.labels]
     order = sorted(range(len(labels)), key=lambda index: not labels[index].strong)
     height, width = drawing.image.shape[:2]
@@ -170,7 +189,7 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
         artist = axes.text(x, y, labels[index].text, color=INK_COLOR, ha="center", va="center", zorder=6, linespacing=1.25, **style)
         artist.set_bbox({"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
         size = artist.get_window_extent(canvas.get_renderer())
-        place = _free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, drawing.mark_px)
+        place = _find_free_place((x, y), (size.width + 8, size.height + 6), (width, height), taken, drawing.mark_px)
         if place is None:
             artist.remove()
             continue
@@ -178,10 +197,10 @@ def _add_labels(axes: Axes, drawing: Drawing, layers: Sequence[Layer], taken: li
         taken.append(place)
 
 
-def _free_place(
+def _find_free_place(
     at: tuple[float, float], size: tuple[float, float], room: tuple[int, int], taken: Sequence[Bbox], marks: NDArray[np.float64]
 ) -> Bbox | None:
-    """The box near a point that covers the fewest markers among those that are free of labels; the nearest of equals."""
+    """Return the box near a point that covers no label and the fewest markers, the nearest of equals."""
     best, fewest = None, np.inf
     for distance in (8, 20, 34):
         for step_x, step_y in LABEL_STEPS:
@@ -197,7 +216,7 @@ def _free_place(
 
 
 def _add_legend(figure: Figure, layers: Sequence[Layer], top_px: float) -> None:
-    """The legend at the right: a heading per layer, its entries and colour bar; what finds no room is counted."""
+    """Draw the legend at the right: a heading per layer, its entries and colour bar; entries beyond the space are counted."""
     width, _ = figure.get_size_inches() * DPI
     axes = axes_at(figure, (width - PANEL_PX, 0, PANEL_PX, top_px))
     axes.set(xlim=(0, PANEL_PX), ylim=(top_px, 0))
@@ -222,8 +241,7 @@ def _add_legend(figure: Figure, layers: Sequence[Layer], top_px: float) -> None:
 
 
 def _add_entry(axes: Axes, entry: LegendEntry, y: float) -> None:
-    color = tuple(channel / 255 for channel in entry.color)
-    edge = tuple(channel / 255 for channel in INK)
+    color, edge = unit_rgb(entry.color), unit_rgb(INK)
     if entry.marker == "area":
         axes.add_patch(Rectangle((10, y - 7), 20, 13, facecolor=color, edgecolor=edge, linewidth=0.8))
     elif entry.marker == "line":

@@ -1,7 +1,9 @@
-"""The model itself in a picture, by our own rasterizer over white: from above under a map, or in perspective with lines over it.
+"""Pictures of the model by our own rasterizer over white: from above below a map, or in perspective
+below lines.
 
-From above a pinhole `ALTITUDE` map widths away stands for the orthographic camera that the rasterizer lacks: rays are off the vertical by
-at most 1 / (2 · `ALTITUDE`). Gaussians are moved to the middle of the picture in float64 first. One render per picture.
+From above a pinhole `ALTITUDE` map widths away stands for the orthographic camera that the
+rasterizer lacks: rays are off the vertical by at most 1 / (2 · `ALTITUDE`). Gaussians are moved to
+the middle of the picture in float64 first. One render per picture.
 """
 
 from __future__ import annotations
@@ -19,21 +21,23 @@ from radiant_core.numerics import FloatArray
 from radiant_core.splats import Splats
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.pictures.images import Drawing, Image
-from radiant_viewer.pictures.offscreen import draw_map
+from radiant_viewer.pictures.offscreen import draw_map, fit_distance
 
 ALTITUDE = 100.0
+DIRECTION_DEG = (205, 42)
+"""Azimuth from north and elevation from which a whole model is seen."""
 KEPT_WHITE_PX = 7.5
-"""White within this distance of a marker is the marker's own."""
+"""White within this distance of a marker belongs to the marker."""
 NEAR_SHARE = 1e-3
 _FINE = 4
 """OpenCV draws lines at 1/16 pixels: coordinates are given in 2⁻⁴."""
 
 
 def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int, int]) -> Drawing:
-    """The map of `layers` as `draw_map` draws it, with the model from straight above wherever nothing is drawn."""
+    """Draw the map of `layers` as `draw_map` does, with the model from straight above where nothing is drawn."""
     drawing = draw_map(layers, size_wh)
     assert drawing.extent is not None
-    ground = _from_above(splats, drawing.extent, size_wh)
+    ground = _render_from_above(splats, drawing.extent, size_wh)
     free = (drawing.image == 255).all(axis=2).astype(np.uint8)
     for x, y in drawing.mark_px:
         if -KEPT_WHITE_PX < x < size_wh[0] + KEPT_WHITE_PX and -KEPT_WHITE_PX < y < size_wh[1] + KEPT_WHITE_PX:
@@ -42,51 +46,42 @@ def draw_ground_map(layers: Sequence[Layer], splats: Splats, size_wh: tuple[int,
 
 
 def draw_splat_view(layers: Sequence[Layer], splats: Splats, camera: Cameras) -> Drawing:
-    """The model as one camera sees it, with the segments and labels of `layers` in front; BadInput for another number of cameras."""
+    """Draw the model for one camera, with the segments and labels of `layers` in front; BadInput for another number of cameras."""
     if len(camera) != 1:
         raise BadInput(f"{len(camera)} cameras came, expected one: choose it with Cameras.named.")
     width, height = (int(side) for side in camera.sizes_wh[0])
-    image = _over_white(splats, camera)
+    image = _render_over_white(splats, camera)
     for layer in layers:
         _draw_segments(image, layer, camera)
     places = np.array([label.position for layer in layers for label in layer.labels], np.float64).reshape(-1, 3)
-    in_camera = _in_camera(places, camera)
+    in_camera = _to_camera_frame(places, camera)
     pixels = (in_camera @ camera.Ks[0].T)[:, :2] / np.where(in_camera[:, 2:] > 0, in_camera[:, 2:], np.nan)
     return Drawing(image=image.reshape(height, width, 3), label_px=pixels, mark_px=np.zeros((0, 2)), extent=None)
 
 
-def fitted_camera(positions: FloatArray, size_wh: tuple[int, int], direction_deg: tuple[float, float] = (205, 42)) -> Cameras:
-    """A camera of 30° that looks from (azimuth from north, elevation) and has all positions (K,3) just inside its picture.
-
-    The distance is the least for which |x − c| ≤ (D − t) k holds for all, see `offscreen.aim_camera`.
-    """
-    azimuth, elevation = np.radians(direction_deg)
+def fit_camera(positions: FloatArray, size_wh: tuple[int, int]) -> Cameras:
+    """Return a camera of 30° that looks down from the south-west and has all positions (K,3) just inside its picture."""
+    azimuth, elevation = np.radians(DIRECTION_DEG)
     toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
     right = np.array([-np.cos(azimuth), np.sin(azimuth), 0.0])
     up = np.cross(toward, right)
     focal_px = max(size_wh) / 2 / np.tan(np.radians(15.0))
     middle = (positions.min(axis=0) + positions.max(axis=0)) / 2
-    local = positions - middle
-    depths = local @ toward
-    distance, target = 1e-3, middle.copy()
-    for axis, side in ((right, size_wh[0]), (up, size_wh[1])):
-        slope = 0.97 * side / 2 / focal_px
-        outer, inner = (local @ axis + depths * slope).max(), (local @ axis - depths * slope).min()
-        distance = max(distance, float(outer - inner) / (2 * slope))
-        target += axis * float(outer + inner) / 2
+    slopes = [(axis, 0.97 * side / 2 / focal_px) for axis, side in ((right, size_wh[0]), (up, size_wh[1]))]
+    distance, offset = fit_distance(positions - middle, toward, slopes)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, -up, -toward])
-    pose[:3, 3] = -pose[:3, :3] @ (target + distance * toward)
+    pose[:3, 3] = -pose[:3, :3] @ (middle + offset + distance * toward)
     K = np.array([[[focal_px, 0, size_wh[0] / 2], [0, focal_px, size_wh[1] / 2], [0, 0, 1]]])
     return Cameras(names=("view",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64))
 
 
-def _from_above(splats: Splats, extent: tuple[float, float, float, float], size_wh: tuple[int, int]) -> Image:
+def _render_from_above(splats: Splats, extent: tuple[float, float, float, float], size_wh: tuple[int, int]) -> Image:
     x_min, x_max, y_min, y_max = extent
     middle = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0])
     half = np.array([x_max - x_min, y_max - y_min]) / 2
     inside = np.asarray((np.abs(splats.means[:, :2] - middle[:2]) <= half).all(axis=1))
-    # Sky and haze that training left in the air would hide the ground from above.
+    # Sky and haze above the scene would hide the ground.
     low = splats.select(low_gaussians(splats, inside))
     ground = float(np.median(low.means[:, 2])) if len(low) else 0.0
     altitude = ALTITUDE * 2 * float(half.max())
@@ -95,16 +90,16 @@ def _from_above(splats: Splats, extent: tuple[float, float, float, float], size_
     pose[:3, 3] = pose[:3, :3] @ -np.array([*middle[:2], ground + altitude])
     focal_px = altitude * size_wh[0] / (x_max - x_min)
     K = np.array([[[focal_px, 0, size_wh[0] / 2], [0, focal_px, size_wh[1] / 2], [0, 0, 1]]])
-    return _over_white(low, Cameras(names=("above",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64)))
+    return _render_over_white(low, Cameras(names=("above",), Ks=K, cam_from_world=pose[None], sizes_wh=np.array([size_wh], np.int64)))
 
 
-def _over_white(splats: Splats, camera: Cameras) -> Image:
-    """The render (H,W,3), seen from near the origin whatever the world's."""
+def _render_over_white(splats: Splats, camera: Cameras) -> Image:
+    """Render (H,W,3) over white, in coordinates near the camera."""
     center = np.round(camera.centers[0])
     pose = camera.cam_from_world.copy()
     pose[:, :3, 3] += pose[:, :3, :3] @ center
     moved = replace(splats, means=(splats.means.astype(np.float64) - center).astype(np.float32))
-    # It brings torch, two seconds that no window has to wait for.
+    # It imports torch, two seconds that a window need not wait.
     from radiant_core.render.rendered_view import render_views
 
     (view,) = render_views(moved, replace(camera, cam_from_world=pose))
@@ -112,8 +107,8 @@ def _over_white(splats: Splats, camera: Cameras) -> Image:
 
 
 def _draw_segments(image: Image, layer: Layer, camera: Cameras) -> None:
-    """Lines of one layer that lie in front of the camera, cut where they pass behind it."""
-    ends = _in_camera(layer.segments.reshape(-1, 3), camera).reshape(-1, 2, 3)
+    """Draw the lines of one layer, clipped where they pass behind the camera."""
+    ends = _to_camera_frame(layer.segments.reshape(-1, 3), camera).reshape(-1, 2, 3)
     near = NEAR_SHARE * max(float(np.abs(ends[..., 2]).max(initial=0.0)), 1e-9)
     limit = 8 * max(image.shape)
     for pair, color in zip(ends, layer.segment_colors, strict=True):
@@ -129,6 +124,6 @@ def _draw_segments(image: Image, layer: Layer, camera: Cameras) -> None:
         cv2.line(image, fixed[0], fixed[1], shade, max(1, round(layer.line_width_px)), cv2.LINE_AA, _FINE)
 
 
-def _in_camera(positions: FloatArray, camera: Cameras) -> FloatArray:
+def _to_camera_frame(positions: FloatArray, camera: Cameras) -> FloatArray:
     pose = camera.cam_from_world[0]
     return positions @ pose[:3, :3].T + pose[:3, 3]

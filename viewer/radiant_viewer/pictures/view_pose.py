@@ -1,4 +1,5 @@
-"""A view as VTK keeps it (position, focal point, up, angle) and the pinhole camera that sees the same, both ways. Once per frame.
+"""A view as in VTK (position, focal point, up, angle), converted to and from a pinhole camera. Once
+per frame.
 
 fy = H / (2 tan(angle / 2)), square pixels, middle of the picture at its centre; z forward, y down
 """
@@ -8,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
@@ -37,7 +37,7 @@ class ViewPose:
 
     @property
     def distance(self) -> float:
-        """From the position to the focal point."""
+        """Distance from the position to the focal point."""
         return float(np.linalg.norm(self.focal_point - self.position))
 
     @property
@@ -48,29 +48,21 @@ class ViewPose:
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(forward, right), forward])
 
-    def camera(self, size_wh: tuple[int, int], name: str = "view") -> Cameras:
-        """The camera that sees the same in a picture of this size."""
+    def camera(self, size_wh: tuple[int, int]) -> Cameras:
+        """Return the pinhole camera of the view for a picture of this size."""
         width, height = size_wh
         focal_px = height / (2 * np.tan(np.radians(self.angle_deg) / 2))
         pose = np.eye(4)
         pose[:3, :3] = self.rotation
         pose[:3, 3] = -self.rotation @ self.position
         K = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
-        return Cameras(names=(name,), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]]))
+        return Cameras(names=("view",), Ks=K[None], cam_from_world=pose[None], sizes_wh=np.array([[width, height]]))
 
 
-def pose_of_camera(cameras: Cameras, index: int, distance: float) -> ViewPose:
-    """Where camera `index` stood, looking at a point `distance` ahead, all of its picture's height in view."""
+def camera_pose(cameras: Cameras, index: int, distance: float) -> ViewPose:
+    """Return the view of camera `index` with its focal point `distance` ahead and its picture's full height in view."""
     rotation = cameras.cam_from_world[index, :3, :3]
     position = cameras.centers[index]
     height = float(cameras.sizes_wh[index, 1])
     angle_deg = float(2 * np.degrees(np.arctan(height / (2 * cameras.Ks[index, 1, 1]))))
     return ViewPose(position=position, focal_point=position + distance * rotation[2], up=-rotation[1], angle_deg=angle_deg)
-
-
-def pose_toward(target: ArrayLike, distance: float, direction_deg: tuple[float, float] = (205, 42), angle_deg: float = 30.0) -> ViewPose:
-    """A view of `target` (3,) from (azimuth from north, elevation) at a distance, z upwards; the elevation lies within ±89°."""
-    azimuth, elevation = np.radians([direction_deg[0], np.clip(direction_deg[1], -89, 89)])
-    toward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)])
-    place = np.asarray(target, np.float64)
-    return ViewPose(position=place + distance * toward, focal_point=place, up=np.array([0.0, 0.0, 1.0]), angle_deg=angle_deg)

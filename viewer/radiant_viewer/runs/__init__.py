@@ -1,1 +1,1 @@
-"""What the folder of a run, a training or a plan holds for the eye."""
+"""What the folder of a run, a training or a plan holds, as views, figures, layers and pictures."""

@@ -1,9 +1,10 @@
-"""What can be said of each border of a plan in a model: how much of it was observed, how strongly colours step there, and beside what.
+"""Figures of each border of a plan in a model: its observed part, the colour step across it, and
+the texture beside it.
 
-A border has a verdict where at least `MIN_OBSERVED_SHARE` of its length was observed on both sides and shows Gaussians; a step is told
-where it is at least `VISIBLE_LEVELS` and more than any parallel steps (`seam_layer.color_steps`). Pieces count by how well they were
-observed; the worst one is that whose step, times its coverage, exceeds what can be told there most. O(N) for N Gaussians, once per
-picture or window.
+A border has a verdict where at least `MIN_OBSERVED_SHARE` of its length was observed on both sides
+and has Gaussians. A step is detected from `VISIBLE_LEVELS` on where it exceeds that of every
+parallel (`seam_layer.color_steps`). Pieces are weighted by their coverage; the worst has the
+largest ratio of step to detectable step, times coverage. O(N), once per picture or window.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ their whole length, the planted one of 30 levels by 23.1."""
 MIN_OBSERVED_SHARE = 0.25
 """Of a border's length, for a verdict."""
 MIN_OBSERVED_PIECES = 3
-"""Two circles of Gaussians are chance."""
+"""Fewer may step by chance."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderFigures:
-    """One border and its K pieces in order: ends (K,2,2), shares (K,) of the usual coverage, levels (K,) of their colour steps and limits
-    (K,) of what is told there, NaN where nobody looked or too few Gaussians lie; step, texture and limit are those of its whole
-    observed length."""
+    """One border and its K pieces in order: ends (K,2,2), shares (K,) of the usual coverage, levels (K,) of their colour steps
+    and limits (K,) of detection, NaN where nothing was observed or too few Gaussians lie; step, texture and limit are those of
+    the whole observed length."""
 
     border: Border
     names: tuple[str, str]
@@ -51,17 +52,17 @@ class BorderFigures:
 
     @property
     def title(self) -> str:
-        """The two regions."""
+        """The names of the two regions."""
         return " | ".join(self.names)
 
     @cached_property
     def observed(self) -> NDArray[np.bool_]:
-        """Which pieces (K,) have a figure."""
+        """Whether each piece (K,) has a figure."""
         return np.isfinite(self.levels)
 
     @property
-    def told(self) -> FloatArray:
-        """The pieces' steps (K,), 0 where lines beside the border step as much: that is texture."""
+    def levels_above_texture(self) -> FloatArray:
+        """Steps of the pieces (K,), 0 where lines beside the border step as much, which is texture."""
         return np.where(self.levels < self.limits, 0.0, self.levels)
 
     @property
@@ -71,35 +72,35 @@ class BorderFigures:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether enough of the border was observed to say something of it."""
+        """Whether enough of the border was observed for a verdict."""
         enough = self.observed_length >= MIN_OBSERVED_SHARE * self.border.length_m and self.observed.sum() >= MIN_OBSERVED_PIECES
         return bool(enough and np.isfinite(self.step_levels))
 
     @property
-    def told_levels(self) -> float:
-        """The least step that would be told: what is seen, and more than the parallels step."""
+    def detectable_levels(self) -> float:
+        """The least detectable step: visible, and larger than those of the parallels."""
         return max(VISIBLE_LEVELS, self.limit_levels)
 
     @property
-    def steps(self) -> bool:
+    def has_step(self) -> bool:
         """Whether colours step visibly and more than beside the border."""
-        return self.has_verdict and self.step_levels >= self.told_levels
+        return self.has_verdict and self.step_levels >= self.detectable_levels
 
     @property
     def verdict(self) -> str:
-        """What can be said of it, in some words."""
+        """The verdict in words."""
         if not self.has_verdict:
             return "none: too little observed"
-        return "step told from texture" if self.steps else f"no step of {self.told_levels:.0f} levels or more told"
+        return "step told from texture" if self.has_step else f"no step of {self.detectable_levels:.0f} levels or more told"
 
     @property
     def median_levels(self) -> float:
-        """The middle one of the observed pieces' steps, NaN without any."""
+        """Median step of the observed pieces, NaN without any."""
         return float(np.median(self.levels[self.observed])) if self.observed.any() else float("nan")
 
     @property
     def worst(self) -> int | None:
-        """The piece whose step stands out most from texture, weighed by how well its place was observed; None without any."""
+        """The piece whose step exceeds the texture most, weighted by coverage; None without any."""
         if not self.observed.any():
             return None
         told = np.maximum(VISIBLE_LEVELS, np.nan_to_num(self.limits))
@@ -107,7 +108,7 @@ class BorderFigures:
 
     @property
     def observed_ends(self) -> FloatArray:
-        """From where to where (2,2) the longest part without a gap was observed; the whole border where nothing was."""
+        """Ends (2,2) of the longest observed part without a gap; the whole border where nothing was observed."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.observed, [False]]).astype(np.int8)))
         if not len(edges):
             return self.border.ends
@@ -116,7 +117,7 @@ class BorderFigures:
 
 
 def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[BorderFigures, ...]:
-    """All borders: those with a verdict first, then by how far their step exceeds what can be told; BadInput for a plan of one region."""
+    """Return all borders, those with a verdict first, then by falling step; BadInput for a plan of one region."""
     width = seam_band_width(cloud_plan)
     pieces = seam_pieces(cloud_plan, width)
     if not len(pieces.ends):
@@ -127,7 +128,7 @@ def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tu
     figures = []
     for border in shared_borders(cloud_plan):
         chosen = np.flatnonzero((pieces.edge_pairs == (border.first, border.second)).all(axis=1))
-        # Pieces that were not observed have no figure of the whole either.
+        # Unobserved pieces have no figure of the whole border either.
         known = chosen[np.isfinite(whole.levels[chosen])]
         one = known[0] if len(known) else chosen[0]
         figures.append(
@@ -147,14 +148,14 @@ def border_figures(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tu
 
 
 def _shares(scene: SfmScene, pieces: SeamPieces, width: float) -> FloatArray:
-    """Share (S,) of the usual coverage of each piece, that of its less observed side: one side alone has nothing to step against."""
+    """Return the share (S,) of the usual coverage of each piece on its less observed side: a step needs both."""
     middles, aside = pieces.ends.mean(axis=1), 0.5 * width * piece_normals(pieces)
     sides = observed_coverage(np.concatenate([middles + aside, middles - aside]), scene, width)
     return sides.reshape(2, -1).min(axis=0)
 
 
 def seam_band_width(cloud_plan: CloudPlan) -> float:
-    """Width of the bands beside a border: a twentieth of the regions' diagonal, at most a third of the deepest site."""
+    """Return the width of the bands beside a border: a twentieth of the regions' diagonal, at most a third of the deepest site."""
     corners = np.concatenate([*cloud_plan.borders, np.zeros((0, 2))])
     if len(corners) < 3:
         raise BadInput("the plan has no regions: there is no border and no seam to look at.")

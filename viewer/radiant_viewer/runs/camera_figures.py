@@ -1,14 +1,13 @@
-"""The cameras of a scene as a table of figures: what is known of each, sorted, filtered and written as CSV. Pure; once per plan.
+"""The figures of a scene's cameras as a table that can be sorted and filtered. Pure; once per plan.
 
-psnr < 22 and region = north        conditions of a filter, all of which must hold; = and != take names too, ~ a part of one
+psnr < 22 and region = north        a filter: all conditions must hold; = and != also compare names,
+~ finds a part of one
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_core.errors import BadInput
-from radiant_core.io.csv_cells import cell_of_text
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.borders.footprints import Footprints
 from radiant_core.plan.plans import CloudPlan
@@ -37,7 +35,7 @@ class CameraFigures:
         return len(next(iter(self.columns.values())))
 
     def column(self, name: str) -> NDArray[Any]:
-        """One column; BadInput for an unknown name."""
+        """Return one column; BadInput for an unknown name."""
         if name not in self.columns:
             raise BadInput(f"cameras have no figure {name!r}: use one of {', '.join(self.columns)}.")
         return self.columns[name]
@@ -50,7 +48,7 @@ def camera_figures(
     psnr_db: Mapping[str, float] | None = None,
     footprints: Footprints | None = None,
 ) -> CameraFigures:
-    """All that is known of the scene's C cameras without opening a photograph."""
+    """Return all figures of the scene's C cameras that need no photograph."""
     cameras, unit = scene.cameras, scene.frame.unit
     count = len(cameras)
     centers = cameras.centers
@@ -83,13 +81,13 @@ def camera_figures(
         "distance": f"To its edge ({unit})",
     }
     if footprints is not None:
-        columns |= {"area": footprints.areas_m2, "footprints": neighbours_of(footprints)}
+        columns |= {"area": footprints.areas_m2, "footprints": count_overlaps(footprints)}
         headings |= {"area": f"Footprint ({unit}²)", "footprints": "Images that see its middle"}
     return CameraFigures(columns=columns, headings=headings)
 
 
-def neighbours_of(footprints: Footprints) -> FloatArray:
-    """How many other footprints hold the middle of each footprint (P,), NaN where it sees no ground."""
+def count_overlaps(footprints: Footprints) -> FloatArray:
+    """Return how many other footprints contain the middle of each footprint (P,), NaN where it has no area."""
     middles = footprints.polygons.mean(axis=1)
     sees = footprints.areas_m2 > 0
     counts = np.full(len(footprints), np.nan)
@@ -101,12 +99,12 @@ def neighbours_of(footprints: Footprints) -> FloatArray:
             side, local = there - here, middles[near] - here
             inside &= side[0] * local[:, 1] - side[1] * local[:, 0] >= 0
         counts[near[inside]] += 1
-    # A thin footprint's middle may fall outside it by a rounding.
+    # Rounding may put the middle of a thin footprint outside of it.
     return np.where(sees, np.maximum(counts, 0), np.nan)
 
 
-def sorted_rows(figures: CameraFigures, name: str, *, descending: bool = False) -> NDArray[np.int64]:
-    """Rows (C,) in the order of a column, equal ones as they stand; cameras without the figure come last either way."""
+def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) -> NDArray[np.int64]:
+    """Return the rows (C,) in the order of a column, stable; cameras without the figure come last in both directions."""
     values = figures.column(name)
     if values.dtype.kind == "f":
         unknown = np.isnan(values)
@@ -116,10 +114,10 @@ def sorted_rows(figures: CameraFigures, name: str, *, descending: bool = False) 
     return np.lexsort((-ranks if descending else ranks, values == ""))
 
 
-def filtered_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
-    """Rows (K,) that meet all conditions of a filter, every row for an empty one; a lone word is looked for in names.
+def filter_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
+    """Return the rows (K,) that meet all conditions of a filter, all rows for an empty one; a single word is searched in names.
 
-    Raises BadInput, with what is expected, for a condition that cannot be read.
+    Raises BadInput with an example for a condition that cannot be parsed.
     """
     kept = np.ones(len(figures), bool)
     for part in re.split(r"\s+and\s+|,", text.strip()) if text.strip() else []:
@@ -131,16 +129,6 @@ def filtered_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
         else:
             raise BadInput(f"{part.strip()!r} is no condition: write for example psnr < 22 and region = north.")
     return np.flatnonzero(kept)
-
-
-def figures_csv(figures: CameraFigures, rows: Sequence[int] | NDArray[np.int64]) -> str:
-    """These rows as CSV with headings; unknown figures stay empty."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\r\n")
-    writer.writerow([figures.headings[name] for name in figures.columns])
-    for row in rows:
-        writer.writerow([_cell(values[row]) for values in figures.columns.values()])
-    return text.getvalue()
 
 
 def _holds(figures: CameraFigures, name: str, sign: str, wanted: str) -> NDArray[np.bool_]:
@@ -160,7 +148,3 @@ def _holds(figures: CameraFigures, name: str, sign: str, wanted: str) -> NDArray
     compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "=": np.equal, "!=": np.not_equal}
     # A camera without the figure meets no condition on it.
     return compare[sign](values, number) & ~np.isnan(values)
-
-
-def _cell(value: Any) -> str:
-    return cell_of_text(str(value)) if isinstance(value, str) else "" if np.isnan(value) else f"{value:.6g}"

@@ -1,8 +1,9 @@
-"""Names of files behind the numbers under which photographs of a run in the field go up, where their device's folder lies in the run's.
+"""File names of the photographs of a run in the field, which have numbers for names, where a
+device's folder is on this machine.
 
-A device tells neither names nor the poses of what it held out: `edge-1-1/0003` is its fourth training photograph, and
-`edge-1-1/held-out-0000` the first that it scored. Its own records know which files they are; on another machine than the devices' there
-are none, and nothing is known. Read once per window.
+A device sends neither file names nor the poses of held-out photographs: `edge-1-1/0003` is its
+fourth training photograph, `edge-1-1/held-out-0000` the first held-out one. The device's own
+records map numbers to files; on other machines there are no such records. Read once per window.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from radiant_core.errors import BadInput, StoreDamaged
 from radiant_core.io.records import load_cameras, load_scene
 
 
-def local_files(folder: Path, devices: Iterable[str]) -> dict[str, str]:
-    """Number → name of a file below `devices/<id>/photos` of the run in `folder`, for devices whose records are there."""
+def local_file_names(folder: Path, devices: Iterable[str]) -> dict[str, str]:
+    """Return number → file name below `devices/<id>/photos` of the run in `folder`, for devices whose records exist."""
     files: dict[str, str] = {}
     for device in devices:
         own = folder / "devices" / device
-        # Records of a device are no part of what was delivered: one that cannot be read is as good as one that is elsewhere.
+        # A device's records are not part of the run: an unreadable one counts as absent.
         with suppress(BadInput, StoreDamaged):
             if (own / "scene.safetensors").is_file():
                 names = load_scene(own / "scene.safetensors").cameras.names

@@ -1,7 +1,9 @@
-"""Where the photograph of a camera lies on this machine, if it may be seen here. Looked up when a camera is selected.
+"""Where the photograph of a camera is on this machine, if it is here. Looked up when a camera is
+selected.
 
-Photographs stay with the device that trained on them: only `devices/<id>/photos` of the run's own folder is asked, and for held-out
-photographs what the evaluation kept. What another machine holds is not there, and the answer says whose it is.
+Photographs stay with the device that trained on them: only `devices/<id>/photos` of the run's
+folder is searched, and for held-out photographs the files of the evaluation. For others the answer
+names the device.
 """
 
 from __future__ import annotations
@@ -23,9 +25,9 @@ class PhotoAnswer:
 
 
 def find_photograph(run: RunView, index: int) -> PhotoAnswer:
-    """The photograph of camera `index` of the scene, or of `RunView.photographs`."""
+    """Find photograph `index` of `RunView.photographs`."""
     if run.in_field:
-        return _of_the_field(run, index)
+        return _find_in_field(run, index)
     name, roles = run.scene.cameras.names[index], run.roles
     parts = PurePosixPath(name)
     if parts.is_absolute() or ".." in parts.parts:
@@ -48,8 +50,8 @@ def find_photograph(run: RunView, index: int) -> PhotoAnswer:
     )
 
 
-def _of_the_field(run: RunView, index: int) -> PhotoAnswer:
-    """Of a run whose photographs stayed with their devices: from the device's folder where that lies in the run's."""
+def _find_in_field(run: RunView, index: int) -> PhotoAnswer:
+    """Find a photograph that stayed with its device, in the device's folder if that is inside the run's."""
     name, owner = run.photographs[index], run.owner(index)
     file = PurePosixPath(run.files.get(name, ""))
     if owner and file.name and not file.is_absolute() and ".." not in file.parts:

@@ -1,6 +1,8 @@
-"""A plan without a run, for the eye: what `radiant plan` wrote, opened as a `RunView` without model and figures. Once per window.
+"""A plan without a run: the file of `radiant plan` as a `RunView` without model and figures. Once
+per window.
 
-Before capture nobody knows a pose: cameras stand at their waypoints and look where the flight plan says, straight down where it does not.
+Before capture poses are unknown: cameras stand at their waypoints with the flight plan's direction,
+else straight down.
 """
 
 from __future__ import annotations
@@ -25,13 +27,17 @@ from radiant_viewer.runs.run_view import RunView
 
 IMAGE_WIDTH_PX = 4000
 USUAL_OVERLAP, LARGEST_OVERLAP = 0.8, 0.95
-"""Of an image with the next one: what flights for photogrammetry have, and more than any has."""
+"""Overlap of consecutive images in flights for photogrammetry: the usual one, and more than any flight has."""
 
 
 def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
-    """The plan in a file; `scene`: the cameras it deals, in its order, where it was made from a scene and holds no waypoints.
+    """Read the plan in a file.
 
-    Raises BadInput when it has neither or they do not fit, and as `load_plan`.
+    Args:
+        path: the plan's file.
+        scene: its cameras, in its order; for a plan that was made from a scene and holds no waypoints.
+
+    Raises: BadInput where it has neither or they do not fit, and as `load_plan`.
     """
     found = load_plan_file(path)
     cloud_plan, edge_plans = found.cloud, found.edges
@@ -52,15 +58,15 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
     )
 
 
-def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None, optics: Optics | None = None) -> SfmScene:
+def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None) -> SfmScene:
     """The cameras that waypoints will become, without points, in metres about the waypoints' origin; z counts from the ground, at
-    `ground_m` of the waypoints' altitudes, and where nobody gave it at `likely_ground_m`."""
-    optics = optics or Optics()
+    `ground_m` of the waypoints' altitudes, or at `estimate_ground_m`."""
+    optics = Optics()
     positions = waypoints.positions_m.copy()
-    positions[:, 2] += waypoints.origin[2] - (likely_ground_m(waypoints, optics) if ground_m is None else ground_m)
+    positions[:, 2] += waypoints.origin[2] - (estimate_ground_m(waypoints, optics) if ground_m is None else ground_m)
     views = views_before_capture(positions[:, :2], np.ones(len(positions)), optics, waypoints.heading_pitch_deg)
     return SfmScene(
-        cameras=_looking(waypoints.names, positions, views.corner_rays, optics),
+        cameras=_cameras_along(waypoints.names, positions, views.corner_rays, optics),
         points=np.zeros((0, 3)),
         colors=np.zeros((0, 3), np.uint8),
         observations=np.zeros((0, 2), np.int64),
@@ -68,9 +74,9 @@ def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None, op
     )
 
 
-def likely_ground_m(waypoints: Waypoints, optics: Optics) -> float:
-    """Where the ground lies in the waypoints' altitudes (m): at 0 where a flight may be that high and its images overlap by at most
-    `LARGEST_OVERLAP` from there, and else so far below the lowest waypoint that they overlap by `USUAL_OVERLAP`."""
+def estimate_ground_m(waypoints: Waypoints, optics: Optics) -> float:
+    """Estimate the altitude (m) of the ground in the waypoints' datum: 0 if that gives a plausible flight height and an overlap of
+    at most `LARGEST_OVERLAP`, else so far below the lowest waypoint that the overlap is `USUAL_OVERLAP`."""
     altitudes = waypoints.lat_lon_alt[:, 2]
     low, high = float(altitudes.min()), float(altitudes.max())
     positions = waypoints.positions_m[:, :2]
@@ -86,8 +92,8 @@ def likely_ground_m(waypoints: Waypoints, optics: Optics) -> float:
     return low - apart / ((1 - USUAL_OVERLAP) * seen_per_height)
 
 
-def _looking(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:
-    """Cameras at positions (P,3) through whose corners, from the left upper one on clockwise, the rays (P,4,3) go."""
+def _cameras_along(names: Sequence[str], positions: FloatArray, corner_rays: FloatArray, optics: Optics) -> Cameras:
+    """Return cameras at positions (P,3) whose corners, clockwise from the upper left, see along the rays (P,4,3)."""
     left_up, right_up, right_down, left_down = (corner_rays[:, corner] for corner in range(4))
     forward = _unit(corner_rays.sum(axis=1))
     right = _unit(right_up + right_down - left_up - left_down)

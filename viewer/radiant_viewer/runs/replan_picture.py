@@ -1,5 +1,4 @@
-"""The map of a changed plan: regions, strips and positions as they are now, those that moved and those that are lost marked. Once per
-re-plan."""
+"""The map of a re-plan: regions, strips and positions, with marks on moved and lost ones. Once per re-plan."""
 
 from __future__ import annotations
 
@@ -19,8 +18,8 @@ from radiant_viewer.runs.run_pictures import SIZE_WH
 MAX_MARKS = 20_000
 
 
-def replan_picture(positions: FloatArray, new: Replan, unit: str = "m", size_wh: tuple[int, int] = SIZE_WH) -> Image:
-    """The map (H,W,3) of positions (P,3) and the plan after the change; what moved has a ring, what is lost a square."""
+def replan_picture(positions: FloatArray, new: Replan) -> Image:
+    """Return the map (H,W,3) of positions (P,3) and the new plan; moved positions have a ring, lost ones a square."""
     cloud, edges = new.cloud, new.edges
     layers = [
         region_layer(cloud),
@@ -36,7 +35,7 @@ def replan_picture(positions: FloatArray, new: Replan, unit: str = "m", size_wh:
         f"{len(positions)} positions, {int(new.moved.sum())} move   ·   {before}, {duration_text(cloud.makespan_s)} after, "
         f"at best {duration_text(cloud.lower_bound_s)}"
     )
-    return render_map([layer for layer in layers if layer is not None], size_wh, PageText(title="Plan anew", subtitle=subtitle, unit=unit))
+    return render_map([layer for layer in layers if layer is not None], SIZE_WH, PageText(title="Plan anew", subtitle=subtitle))
 
 
 def _marks(name: str, points: FloatArray, color: tuple[int, int, int], text: str, *, square: bool = False) -> Layer | None:

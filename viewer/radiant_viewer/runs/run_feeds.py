@@ -1,6 +1,7 @@
-"""What the application hands the window beside the run's files: how stages stand, and the bars of plan and run.
+"""What the application gives the window beside the run's files: progress of the stages, and the
+bars of plan and run.
 
-The window never imports the application: it calls these when it wants to know.
+The window never imports the application; it calls these functions.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ if TYPE_CHECKING:
     from radiant_viewer.charts.gantt_chart import GanttRow
 
 State = Literal["running", "done", "skipped", "failed", "interrupted"]
-"""interrupted: somebody stopped the run while it was at work."""
+"""interrupted: the run was stopped while it was running."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageState:
-    """How one stage or node stands: done and total in any unit while it runs, seconds once it is done."""
+    """Progress of one stage or node: done and total in any unit while it runs, seconds once it is done."""
 
     stage: str
     state: State
@@ -29,7 +30,7 @@ class StageState:
 
     @property
     def share(self) -> float | None:
-        """How much of it is done, 0 to 1; None while nothing says how much there is."""
+        """The finished share, 0 to 1; None while the total is unknown."""
         if self.state in ("done", "skipped"):
             return 1.0
         return min(1.0, max(0.0, self.done / self.total)) if self.total > 0 else None
@@ -37,27 +38,27 @@ class StageState:
 
 @dataclass(frozen=True, kw_only=True)
 class RunProgress:
-    """All stages in the order they began, what was warned of, and the seconds that devices and edges still need, if known."""
+    """All stages in the order they began, the warnings, and the remaining seconds of devices and edges, if known."""
 
     stages: tuple[StageState, ...] = ()
     expected: tuple[str, ...] = ()
-    """Names of the stages that the run has in all; empty where it did not say so."""
+    """Names of all stages of the run; empty if unknown."""
     warnings: tuple[str, ...] = ()
     seconds_left: float | None = None
     is_running: bool = False
-    """Whether the run is at work; False once it ended, however it ended."""
+    """Whether the run is running; False once it ended, however it ended."""
     status: str = ""
-    """How the run's own record says it stands: running, done, interrupted or failed."""
+    """Status in the run's own record: running, done, interrupted or failed."""
 
 
 def no_rows() -> Sequence[GanttRow]:
-    """No plan to show."""
+    """Return no rows: there is no plan."""
     return ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunFeeds:
-    """Functions that read anew each time; they raise BadInput or StoreDamaged where a file cannot be read."""
+    """Functions that read the present state; they raise BadInput or StoreDamaged where a file cannot be read."""
 
     gantt_rows: Callable[[], Sequence[GanttRow]] = no_rows
     gantt_detail: Callable[[], str] = str

@@ -1,4 +1,4 @@
-"""What was measured of each held-out photograph, from a run's metrics.json. Once per window."""
+"""Image errors of each held-out photograph, from a run's metrics.json. Once per window."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ImageFigures = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """A figure of one picture: its key in metrics.json, its heading with the unit, what it says, decimals to show."""
+    """A figure of a picture: its key in metrics.json, heading with unit, meaning, decimals to show."""
 
     key: str
     heading: str
@@ -36,7 +36,7 @@ FIGURES = (
 
 
 def image_figures(folder: Path) -> ImageFigures:
-    """The figures that are finite numbers, by photograph; empty before evaluation. StoreDamaged for a broken metrics.json."""
+    """Return the finite figures by photograph, empty before evaluation. StoreDamaged for a broken metrics.json."""
     path = folder / METRICS_NAME
     if not path.is_file():
         return {}

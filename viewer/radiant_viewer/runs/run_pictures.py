@@ -1,6 +1,7 @@
-"""The named views of a run as finished pictures: what `radiant inspect --view … --screenshot` and the report show.
+"""The named views of a run as finished pictures, for `radiant inspect --view … --screenshot` and
+the report.
 
-Each view is a list of layers and a page; window and pictures take the layers from here. Once per picture, 0.5 to 2 s.
+Each view is a list of layers and a page. Once per picture, 0.5 to 2 s.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ from radiant_viewer.layers.camera_roles import CameraRoles, camera_roles
 from radiant_viewer.layers.forecast_layer import buffer_layer, forecast_layers
 from radiant_viewer.layers.layer import Label, Layer
 from radiant_viewer.layers.region_layer import border_layer, duration_text, edge_site_layer, region_layer, strip_layer
-from radiant_viewer.layers.seam_layer import SeamPieces, seam_layer
 from radiant_viewer.layers.splat_layer import sparse_point_layer
 from radiant_viewer.layers.waypoint_layer import waypoint_layer
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.pictures.offscreen import render_map, render_view
 from radiant_viewer.pictures.page import PageText, compose_page, drawing_size_wh
-from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fitted_camera
-from radiant_viewer.runs.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures, seam_band_width
-from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, required_splats
+from radiant_viewer.pictures.splat_picture import draw_ground_map, draw_splat_view, fit_camera
+from radiant_viewer.runs.border_figures import border_figures
+from radiant_viewer.runs.run_layers import figures_layer, ground_height, plan_layers
+from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_view, require_splats
 from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
-from radiant_viewer.runs.unplanned import FolderKind, finish_command, seen_box
+from radiant_viewer.runs.unplanned import FolderKind, finish_command, scene_box
 
 """regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats: the model in 3D;
 compare: held-out photographs beside their renders, worst, middle and best."""
@@ -51,11 +52,15 @@ USUAL_VIEW: dict[FolderKind, View] = {"run": "regions", "training": "splats", "s
 
 
 def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None) -> Image:
-    """One view of a run, a training or a scene (H,W,3), without `view` the usual one; BadInput for an unknown view or one it is not
-    ready for, StoreDamaged for broken files.
+    """Return one view of a run, a training or a scene, (H,W,3).
 
-    `camera`, the name of a photograph, is where splats are seen from and what "compare" shows alone; BadInput for another view or name.
-    The height of "compare" is that of its rows.
+    Args:
+        run_folder: as in `load_run_view`.
+        view: one of `View`; None for the usual one.
+        size_wh: of the picture, px; the height of "compare" follows from its rows.
+        camera: name of a photograph: the viewpoint of "splats", or the only row of "compare".
+
+    Raises: BadInput for an unknown view or camera, or where the run lacks its files; StoreDamaged for broken files.
     """
     if view is not None and view not in get_args(View):
         raise BadInput(f"view {view!r} is unknown: use one of {', '.join(get_args(View))}.")
@@ -70,10 +75,10 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
     if view == "cameras":
         return cameras_picture(run.scene, run.roles, run.psnr_db, size_wh)
     if view == "seams":
-        return seams_picture(run.scene, run.cloud_plan, required_splats(run), size_wh)
+        return seams_picture(run.scene, run.cloud_plan, require_splats(run), size_wh)
     if view == "splats":
-        return splats_picture(run.scene, run.cloud_plan, required_splats(run), size_wh, camera)
-    return comparisons(run, size_wh[0], camera)
+        return splats_picture(run.scene, run.cloud_plan, require_splats(run), size_wh, camera)
+    return comparisons_picture(run, size_wh[0], camera)
 
 
 def _require_camera(run: RunView, view: str, camera: str) -> None:
@@ -95,7 +100,7 @@ def plan_picture(  # noqa: PLR0913
     forecasts: Sequence[BorderForecast] = (),
     buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """The map of a plan: regions, strips, cameras and edges with counts and predicted times, borders by forecast where there is one."""
+    """Return the map of a plan: regions, strips, cameras, edges with counts and times, and borders by forecast if given."""
     roles = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out)
     subtitle = f"{len(scene.cameras)} cameras, {_plan_text(cloud_plan, len(roles.device_ids))}"
     ground = ground_height(scene)
@@ -119,7 +124,7 @@ def waypoint_plan_picture(
     forecasts: Sequence[BorderForecast] = (),
     buffers: Sequence[EdgeBuffer] = (),
 ) -> Image:
-    """The map of a plan made from waypoints (P,3) m before anything was captured, borders by forecast where there is one."""
+    """Return the map of a plan of waypoints (P,3) m before capture, with borders by forecast if given."""
     num_devices = sum(len(plan.device_ids) for plan in edge_plans)
     layers = [
         region_layer(cloud_plan),
@@ -141,22 +146,10 @@ def _plan_text(cloud_plan: CloudPlan, num_devices: int) -> str:
     )
 
 
-def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], roles: CameraRoles) -> list[Layer]:
-    """Regions, strips, cameras by region, edges, from the ground up."""
-    ground = ground_height(scene)
-    return [
-        region_layer(cloud_plan, ground),
-        strip_layer(cloud_plan, edge_plans, ground),
-        border_layer(cloud_plan, ground),
-        camera_layer(scene.cameras, roles, "region"),
-        edge_site_layer(cloud_plan, ground),
-    ]
-
-
 def cameras_picture(
     scene: SfmScene, roles: CameraRoles, psnr_db: Mapping[str, float] | None = None, size_wh: tuple[int, int] = SIZE_WH
 ) -> Image:
-    """All cameras over the sparse points in 3D, coloured by PSNR once there are figures, by split before."""
+    """Return all cameras over the sparse points in 3D, coloured by PSNR if there are figures, else by split."""
     unplaced = len(set(psnr_db or ()) - set(scene.cameras.names))
     placed = psnr_db and len(psnr_db) > unplaced
     cameras = camera_layer(scene.cameras, roles, "psnr" if placed else "split", psnr_db)
@@ -172,44 +165,32 @@ def cameras_picture(
 
 
 def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH) -> Image:
-    """The map of the model with its borders coloured by the colour step across them."""
+    """Return the map of the model with its borders coloured by their colour steps."""
     findings = seam_findings(scene, cloud_plan, splats)
     ground, unit = ground_height(scene), scene.frame.unit
     labels = tuple(_finding_label(finding, ground) for finding in findings if finding.found)
-    # The found seams' labels find room before those of the edges.
-    seams = replace(_seam_layer_of(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
+    # Labels of seams are placed before those of edges.
+    seams = replace(figures_layer(scene, cloud_plan, [finding.figures for finding in findings]), labels=labels)
     layers = [border_layer(cloud_plan, ground), seams, edge_site_layer(cloud_plan, ground)]
     drawing = draw_ground_map(layers, splats, drawing_size_wh(size_wh, is_map=True))
     return compose_page(drawing, layers, size_wh, PageText(title="Seams", subtitle=verdict_text(findings, unit), unit=unit))
 
 
-def seam_of(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
-    """The layer of the borders' colour steps; BadInput when the plan has one region only."""
-    return _seam_layer_of(scene, cloud_plan, border_figures(scene, cloud_plan, splats))
-
-
 def worst_border(run: RunView) -> Border:
-    """What was observed of the border with the largest colour step of a run's model, the longest border where there is no verdict;
-    BadInput without any border."""
-    figures = border_figures(run.scene, run.cloud_plan, required_splats(run))
+    """Return the observed part of the border with the largest colour step of a run's model, without a verdict the longest border.
+
+    Raises: BadInput without any border.
+    """
+    figures = border_figures(run.scene, run.cloud_plan, require_splats(run))
     worst = figures[0] if figures[0].has_verdict else max(figures, key=lambda one: one.border.length_m)
     return replace(worst.border, ends=worst.observed_ends)
 
 
-def _seam_layer_of(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[BorderFigures]) -> Layer:
-    pieces = SeamPieces(
-        ends=np.concatenate([one.ends for one in figures]),
-        edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),
-    )
-    label = f"Step over texture (of 255), bands of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
-    return seam_layer(pieces, np.concatenate([one.told for one in figures]), label, ground_height(scene), 2 * VISIBLE_LEVELS)
-
-
 def _finding_label(finding: SeamFinding, ground: float) -> Label:
     border = finding.figures.border
-    what = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.steps else []
+    what = [f"{finding.figures.step_levels:.0f} levels"] if finding.figures.has_step else []
     text = f"{finding.figures.title}\nseam: {', '.join([*what, *finding.quantities])}"
-    # Beside the line, which it must not hide.
+    # Beside the line, so that it does not hide it.
     beside = border.ends.mean(axis=0) + 0.15 * border.length_m * border.toward_first
     return Label(text=text, position=np.append(beside, ground), strong=True)
 
@@ -217,27 +198,27 @@ def _finding_label(finding: SeamFinding, ground: float) -> Label:
 def splats_picture(
     scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_wh: tuple[int, int] = SIZE_WH, camera: str | None = None
 ) -> Image:
-    """The model as our renderer draws it, from all above or from one of its cameras, with the borders of the regions on the ground."""
+    """Return the model by our renderer, from obliquely above or from one of its cameras, with the regions' borders on the ground."""
     ground = ground_height(scene)
     has_regions = any(len(border) for border in cloud_plan.borders)
     layers = [border_layer(cloud_plan, ground), _region_names(cloud_plan, ground)] if has_regions else []
     room_wh = drawing_size_wh(size_wh, is_map=False)
     subtitle = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
     if camera is None:
-        view = fitted_camera(_looked_at(scene, cloud_plan, ground), room_wh)
+        view = fit_camera(_framed_positions(scene, cloud_plan, ground), room_wh)
     else:
-        view = _fitted_to(scene.cameras.named([camera]), room_wh)
+        view = _fit_to_page(scene.cameras.named([camera]), room_wh)
         subtitle += f"   ·   from {camera}"
     text = PageText(title="Model", subtitle=subtitle, unit=scene.frame.unit)
     return compose_page(draw_splat_view(layers, splats, view), layers, size_wh, text)
 
 
-def _looked_at(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
-    """Places (K,3) that a picture of the whole model holds: all regions and a tenth of their width above them, without regions what cameras
-    and points span; far haze and sky do not make them small."""
+def _framed_positions(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
+    """Return places (K,3) that frame the whole model: the regions up to a tenth of their width, or the box of cameras and points;
+    haze and sky do not count."""
     corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
     if not len(corners):
-        return box_corners(seen_box(scene))
+        return box_corners(scene_box(scene))
     rise = [0.0, 0.0, 0.1 * float(np.ptp(corners[:, 0]))]
     return np.concatenate([corners, corners + rise])
 
@@ -248,8 +229,8 @@ def _region_names(cloud_plan: CloudPlan, ground: float) -> Layer:
     return Layer(name="Regions", labels=labels)
 
 
-def _fitted_to(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
-    """The same camera with a picture as large as there is room: all it sees, and more at two sides."""
+def _fit_to_page(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
+    """Return the camera with a picture of `room_wh`: all it sees, and more at two sides."""
     old_wh = camera.sizes_wh[0]
     scale = float(np.min(np.array(room_wh) / old_wh))
     K = camera.Ks[0].copy()
@@ -258,9 +239,11 @@ def _fitted_to(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
     return Cameras(names=camera.names, Ks=K[None], cam_from_world=camera.cam_from_world, sizes_wh=np.array([room_wh], np.int64))
 
 
-def comparisons(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
-    """Photograph, render and difference of the held-out photographs with the lowest, the middle and the highest PSNR, or of `camera`, one
-    below the other; BadInput before evaluation, or where `camera` was trained on."""
+def comparisons_picture(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
+    """Return photograph, render and difference of the held-out photographs with lowest, median and highest PSNR, or of `camera`.
+
+    Raises: BadInput before evaluation, or where `camera` was trained on.
+    """
     if not run.psnr_db:
         raise BadInput(f"{run.folder} has no figures of held-out photographs: {finish_command(run.folder)}.")
     psnr_db = run.psnr_db
@@ -278,8 +261,3 @@ def comparisons(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = N
         rows.append(comparison_picture(photo, render, difference, title=title, width_px=width_px))
     width = max(row.shape[1] for row in rows)
     return np.concatenate([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows])
-
-
-def ground_height(scene: SfmScene) -> float:
-    """Height at which regions are drawn in 3D: that of the lowest tenth of the sparse points, 0 without points."""
-    return float(np.quantile(scene.points[:, 2], 0.1)) if len(scene.points) else 0.0

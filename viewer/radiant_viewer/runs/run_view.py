@@ -1,6 +1,8 @@
-"""`RunView`: what the folder of a run, a training or a scene holds for the eye, read through `radiant_core.io` and checked to fit together.
+"""`RunView`: the contents of a run, a training or a scene, read through `radiant_core.io` and
+checked to fit together.
 
-Read once per window or screenshot. A run that is broken or not finished gives one sentence: what is missing, what finishes it.
+Read once per window or screenshot. The error for a broken or unfinished run names what is missing
+and what makes it.
 """
 
 from __future__ import annotations
@@ -23,12 +25,12 @@ from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_viewer.layers.camera_roles import NOBODY, CameraRoles, camera_roles
-from radiant_viewer.runs.field_files import local_files
-from radiant_viewer.runs.unplanned import FolderKind, finish_command, has_unplanned_scene, kind_of, plan_of_everything, unplanned_scene
+from radiant_viewer.runs.field_files import local_file_names
+from radiant_viewer.runs.unplanned import FolderKind, finish_command, folder_kind, has_unplanned_scene, single_region_plan, unplanned_scene
 
 SCENE_NAME, PLAN_NAME, PLY_NAME, METRICS_NAME = "sfm/scene.safetensors", "plan.json", "scene.ply", "metrics.json"
 DELIVERED = "delivered"
-"""Folder of a run whose photographs stayed on their devices: the poses and the plan of what was delivered."""
+"""Folder of a run in the field: poses and plan of the delivered models."""
 FileStamps = tuple[tuple[str, int, int], ...]
 COMPARISON_KINDS = ("photographs", "renders", "differences")
 """Folders below pictures/ with one PNG per held-out photograph, in the order they are shown."""
@@ -36,12 +38,12 @@ COMPARISON_KINDS = ("photographs", "renders", "differences")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunView:
-    """A run as far as it has come: scene and plan always, model and figures once they exist.
+    """The present state of a run: scene and plan always, model and figures once they exist.
 
-    held_out: names of the cameras that nothing was trained on; psnr_db: figures of held-out photographs by name, None before evaluation.
-    Where photographs stayed with their devices (`in_field`), cameras have numbers for names, those of held-out photographs stayed, too
-    (`unplaced`, sorted), and `files` has the names of the files behind numbers as far as the devices' folders lie in the run's.
-    kind: what the folder is; the plan of a training or a scene is one region without land.
+    held_out: names of the held-out cameras; psnr_db: figures of held-out photographs by name, None before evaluation.
+    Where photographs stayed with their devices (`in_field`), cameras are numbered, held-out photographs have no pose here
+    (`unplaced`, sorted), and `files` maps numbers to file names if the devices' folders are inside the run's.
+    kind: what the folder is; the plan of a training or a scene is one region without borders.
     """
 
     folder: Path
@@ -59,7 +61,7 @@ class RunView:
 
     @property
     def photographs(self) -> tuple[str, ...]:
-        """Names of all that can be chosen: the scene's cameras, then the held-out photographs without one."""
+        """Names of the scene's cameras, then of the held-out photographs without a pose."""
         return (*self.scene.cameras.names, *self.unplaced)
 
     @property
@@ -69,7 +71,7 @@ class RunView:
         return {name: value for name, value in (self.psnr_db or {}).items() if name in known}
 
     def owner(self, index: int) -> str:
-        """The device that took photograph `index` of `photographs`; empty where the plan knows none."""
+        """Return the device of photograph `index` of `photographs`; empty where the plan has none."""
         if index < len(self.scene.cameras):
             device = int(self.roles.device_of_camera[index])
             return self.roles.device_ids[device] if device >= 0 else ""
@@ -83,17 +85,21 @@ class RunView:
 
 
 def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
-    """The run, training or scene in `folder`; BadInput when it is none or not planned yet, StoreDamaged when a file is broken.
+    """Read the run, training or scene in `folder`.
 
-    `with_files`: names of files behind numbers, too, for a window, which writes nothing into the run; nobody else reads devices' records.
+    Args:
+        folder: the folder of `radiant run`, `radiant train` or `radiant sfm`.
+        with_files: fill `RunView.files` from the devices' records; for a window, which writes nothing into the run.
+
+    Raises: BadInput where it is none of them or has no plan yet, StoreDamaged where a file is broken.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise BadInput(f"there is no folder {folder}: name the folder that 'radiant run --out' made.")
-    if (kind := kind_of(folder)) != "run":
+    if (kind := folder_kind(folder)) != "run":
         return _unplanned_view(folder, kind)
     if (folder / DELIVERED).is_dir():
-        # Devices that place their own photographs send poses for what they trained on, and nothing of what they held out.
+        # Devices in the field send poses of training photographs only.
         _require_file(folder, f"{DELIVERED}/plan.json", "the run is not finished")
         scene, plan_path = load_scene(folder / DELIVERED / "scene.safetensors"), folder / DELIVERED / "plan.json"
         held_out: frozenset[str] = frozenset()
@@ -120,7 +126,7 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
         roles=roles,
         in_field=in_field,
         unplaced=tuple(sorted(set(psnr_db or ()) - set(scene.cameras.names))),
-        files=local_files(folder, roles.device_ids) if in_field and with_files else {},
+        files=local_file_names(folder, roles.device_ids) if in_field and with_files else {},
     )
 
 
@@ -129,10 +135,10 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
     is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
     psnr_db = _image_psnr_db(folder / METRICS_NAME) if is_scored else None
     names = scene.cameras.names
-    # A scene may hold copies of photographs, which training leaves out before it splits: what it scored is known only from its figures.
+    # Training drops copies of photographs before it splits: only its figures tell which were held out.
     held = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
     held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
-    cloud_plan, edge_plans = plan_of_everything(scene, int((~held).sum()))
+    cloud_plan, edge_plans = single_region_plan(scene, int((~held).sum()))
     roles, nobody = camera_roles(scene.cameras, cloud_plan, edge_plans, held_out), np.full(len(held), NOBODY, np.int64)
     return RunView(
         folder=folder,
@@ -148,8 +154,8 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
 
 
 def is_planned(folder: Path) -> bool:
-    """Whether a run has come so far that there is a plan to show, or a training that there are cameras."""
-    if kind_of(folder) != "run":
+    """Return whether a run has a plan to show, or a training its cameras."""
+    if folder_kind(folder) != "run":
         return has_unplanned_scene(folder)
     if (folder / DELIVERED).is_dir():
         return (folder / DELIVERED / PLAN_NAME).is_file()
@@ -157,8 +163,7 @@ def is_planned(folder: Path) -> bool:
 
 
 def file_stamps(path: Path) -> FileStamps:
-    """What tells whether `load_run_view` of a run, or the file itself that `path` is, would read something new: of every file that is
-    there its name, time and length."""
+    """Return name, time and length of the files that `load_run_view` reads, or of the file `path`; equal stamps mean equal content."""
     names = (
         SCENE_NAME,
         "scene.safetensors",
@@ -177,19 +182,19 @@ def file_stamps(path: Path) -> FileStamps:
 
 
 def plan_path(folder: Path) -> Path:
-    """Where a run keeps its plan: beside the rest, or with what devices delivered that keep their photographs."""
+    """Return the path of a run's plan; with `delivered` in a run in the field."""
     return folder / DELIVERED / PLAN_NAME if (folder / DELIVERED).is_dir() else folder / PLAN_NAME
 
 
-def required_splats(run: RunView) -> Splats:
-    """The run's model; BadInput with the command that makes it when there is none yet."""
+def require_splats(run: RunView) -> Splats:
+    """Return the run's model; BadInput with the command that makes it where there is none."""
     if run.splats is None:
         raise BadInput(no_model_text(run.folder))
     return run.splats
 
 
 def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
-    """Photograph, render and difference of one held-out photograph; BadInput when the run keeps no pictures of it."""
+    """Return the files of photograph, render and difference of a held-out photograph; BadInput where the run has none."""
     paths = tuple(run.folder / "pictures" / kind / f"{name}.png" for kind in COMPARISON_KINDS)
     missing = [path for path in paths if not path.is_file()]
     if missing and run.in_field:
@@ -207,13 +212,13 @@ def comparison_paths(run: RunView, name: str) -> tuple[Path, Path, Path]:
 
 
 def no_model_text(folder: Path) -> str:
-    """Why a folder holds no model, and what makes one."""
+    """Return why a folder has no model, and what makes one."""
     state = {
         "run": "the run is not finished",
         "training": "the training is not finished",
         "scene": "'radiant sfm' makes cameras and points",
     }
-    return f"{folder} has no {PLY_NAME}: {state[kind_of(folder)]}, {finish_command(folder)}."
+    return f"{folder} has no {PLY_NAME}: {state[folder_kind(folder)]}, {finish_command(folder)}."
 
 
 def _require_file(folder: Path, name: str, reason: str) -> None:

@@ -1,8 +1,10 @@
-"""Which borders of a plan show a seam in a model: colour steps of all, and the step detector of those where they are largest.
+"""Seams at the borders of a plan in a model: colour steps of all borders, and the step detector
+where they are largest.
 
-A border counts as found where its colour step is told from texture (`border_figures`), or where the step detector responds to colour,
-height, density or a gap on the part of it that was observed. That nothing is found proves nothing: the detector misses grey steps
-below some 20/255 and says nothing of plain cuts. O(N) for the steps, a second per examined border.
+A seam is found where the colour step exceeds the texture (`border_figures`), or where the step
+detector responds to colour, height, density or a gap on the observed part. No finding proves no
+absence: the detector misses grey steps below some 20/255 and plain cuts. O(N) for the steps, a
+second per examined border.
 """
 
 from __future__ import annotations
@@ -19,25 +21,25 @@ from radiant_viewer.runs.border_figures import MIN_OBSERVED_SHARE, VISIBLE_LEVEL
 
 NUM_EXAMINED = 6
 MAX_EXAMINED_M = 2000.0
-"""Longer borders are left to their colour steps: their strip would have millions of pixels."""
+"""Longer borders get no step detector: their strip would have millions of pixels."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamFinding:
-    """One border: its figures, and the quantities that the step detector found."""
+    """The figures of a border, and the quantities in which the step detector found a step."""
 
     figures: BorderFigures
     quantities: tuple[Quantity, ...]
 
     @property
     def found(self) -> bool:
-        """Whether a seam was told from what is beside it."""
-        return self.figures.has_verdict and (bool(self.quantities) or self.figures.steps)
+        """Whether a seam was distinguished from the texture beside it."""
+        return self.figures.has_verdict and (bool(self.quantities) or self.figures.has_step)
 
 
 def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_examined: int = NUM_EXAMINED) -> list[SeamFinding]:
-    """All borders, those with a verdict and the largest colour step first; the first `num_examined` of them also by the step detector where
-    the scene has metres. BadInput when the plan has one region only."""
+    """Return all borders, those with a verdict and the largest step first; the first `num_examined` also examined by the step
+    detector if the scene is metric. BadInput where the plan has one region only."""
     findings = []
     for rank, figures in enumerate(border_figures(scene, cloud_plan, splats)):
         can_be_examined = figures.has_verdict and scene.frame.unit == "m" and figures.border.length_m <= MAX_EXAMINED_M
@@ -48,12 +50,12 @@ def seam_findings(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, num_ex
 
 
 def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
-    """What can be said of all borders, with how much of them was observed, and of the first of them beside its texture."""
+    """Return the verdict on all borders with their observed length, and the largest step beside its texture."""
     told = [finding.figures for finding in findings if finding.figures.has_verdict]
     if not told:
         return f"No verdict: less than {MIN_OBSERVED_SHARE:.0%} of each border was observed on both sides"
     found = sum(finding.found for finding in findings)
-    limit = max(figures.told_levels for figures in told)
+    limit = max(figures.detectable_levels for figures in told)
     verdict = (
         f"Seam found at {found} of {len(findings)} border{'s' * (len(findings) != 1)}"
         if found
@@ -61,14 +63,14 @@ def verdict_text(findings: Sequence[SeamFinding], unit: str) -> str:
     )
     observed = sum(figures.observed_length for figures in told)
     total = sum(finding.figures.border.length_m for finding in findings)
-    return f"{verdict}; observed: {part_text(observed, total, unit)}   ·   largest: {told[0].title}, {_beside_texture(told[0])}"
+    return f"{verdict}; observed: {observed_text(observed, total, unit)}   ·   largest: {told[0].title}, {_beside_texture(told[0])}"
 
 
 def step_text(figures: BorderFigures) -> str:
-    """The step of one border beside the texture's, and whether that is seen; for the end of a sentence."""
+    """Return the step of a border beside its texture, and whether it is visible; for the end of a sentence."""
     if not figures.has_verdict:
         return "too little observed for a verdict"
-    size = "told from texture" if figures.steps else "not visible" if figures.step_levels < VISIBLE_LEVELS else "not told from texture"
+    size = "told from texture" if figures.has_step else "not visible" if figures.step_levels < VISIBLE_LEVELS else "not told from texture"
     return f"{_beside_texture(figures)}, {size}"
 
 
@@ -76,8 +78,8 @@ def _beside_texture(figures: BorderFigures) -> str:
     return f"{figures.step_levels:.1f} levels beside {figures.texture_levels:.1f} of texture"
 
 
-def part_text(observed: float, total: float, unit: str) -> str:
-    """How much of borders was observed: "31 m of 60 m"."""
+def observed_text(observed: float, total: float, unit: str) -> str:
+    """Return the observed length of the total: "31 m of 60 m"."""
     return (
         f"all {length_text(total, unit)}" if observed >= 0.999 * total else f"{length_text(observed, unit)} of {length_text(total, unit)}"
     )

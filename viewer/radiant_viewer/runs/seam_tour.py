@@ -1,6 +1,8 @@
-"""The stops of a walk along the borders, worst seam first: where to stand, and what was measured there. Once per run.
+"""The stops of a tour of the borders, worst seam first: the view and the figures of each. Once per
+run.
 
-A stop is one border; its figure is the colour step over its whole observed length, its place the worst piece (`border_figures`).
+A stop is one border, with the colour step over its whole observed length; its place is the worst
+piece (`border_figures`).
 """
 
 from __future__ import annotations
@@ -21,39 +23,39 @@ ELEVATION_DEG, ANGLE_DEG = 38.0, 30.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeamStop:
-    """One border and what was measured there; lengths in the frame's unit."""
+    """One border and its figures; lengths in the frame's unit."""
 
     figures: BorderFigures
 
     @property
     def ends(self) -> FloatArray:
-        """Of the border (2,2) on the map."""
+        """Ends (2,2) of the border on the map."""
         return self.figures.border.ends
 
     @property
     def worst(self) -> FloatArray:
-        """The middle (2,) of its worst piece; of the border where nothing of it was observed."""
+        """Middle (2,) of the worst piece; of the border where nothing was observed."""
         worst = self.figures.worst
         return self.ends.mean(axis=0) if worst is None else self.figures.ends[worst].mean(axis=0)
 
     @property
     def worst_levels(self) -> float:
-        """The colour step there, NaN where nothing was observed."""
+        """Colour step of the worst piece, NaN where nothing was observed."""
         worst = self.figures.worst
         return float("nan") if worst is None else float(self.figures.levels[worst])
 
     @property
     def length(self) -> float:
-        """From end to end."""
+        """Length of the border."""
         return self.figures.border.length_m
 
     @property
     def title(self) -> str:
-        """The two regions."""
+        """The names of the two regions."""
         return self.figures.title
 
     def view(self, height: float) -> ViewPose:
-        """Obliquely along the border over its worst place at a height, a third of the border in view."""
+        """Return an oblique view along the border on its worst place, at ground height `height`, with a third of the border in view."""
         along = (self.ends[1] - self.ends[0]) / max(float(np.linalg.norm(self.ends[1] - self.ends[0])), 1e-12)
         elevation = np.radians(ELEVATION_DEG)
         target = np.array([*self.worst, height])
@@ -63,5 +65,5 @@ class SeamStop:
 
 
 def seam_stops(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> tuple[SeamStop, ...]:
-    """All borders between two regions, the strongest step first, those without a verdict last; BadInput for a plan of one region."""
+    """Return a stop per border, the strongest step first, those without a verdict last; BadInput for a plan of one region."""
     return tuple(SeamStop(figures=figures) for figures in border_figures(scene, cloud_plan, splats))

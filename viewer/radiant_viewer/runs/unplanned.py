@@ -1,8 +1,10 @@
-"""Folders that hold no plan: of `radiant train`, one machine's model, and of `radiant sfm`, cameras and points alone. Read once per view.
+"""Folders without a plan: of `radiant train`, one machine's model, and of `radiant sfm`, cameras
+and points. Read once per view.
 
     training    manifest.json with the settings of a training; scene.ply once it is trained; cameras in sfm/ or in the source it names
     scene       scene.safetensors and result.json
-Everything that asks for a plan gets one of a single region without land: nothing of it is drawn or written.
+Where a plan is required, they get one of a single region without borders, which is neither drawn
+nor written.
 """
 
 from __future__ import annotations
@@ -22,20 +24,20 @@ from radiant_core.scene import SfmScene
 
 FolderKind = Literal["run", "training", "scene"]
 SCENE_NAMES = ("sfm/scene.safetensors", "scene.safetensors")
-"""Where a run or a training, and where `radiant sfm` keeps it."""
+"""Its path in a run or a training, and in a folder of `radiant sfm`."""
 EVERYTHING, ONE_MACHINE = "everything", "one machine"
 
 
-def kind_of(folder: Path) -> FolderKind:
-    """What a folder is; "run" where nothing says otherwise."""
+def folder_kind(folder: Path) -> FolderKind:
+    """Return the kind of a folder; "run" where nothing else is recognised."""
     if not (folder / "manifest.json").is_file():
         return "scene" if (folder / "scene.safetensors").is_file() and (folder / "result.json").is_file() else "run"
     return "training" if "validate" in _settings(folder) else "run"
 
 
 def finish_command(folder: Path) -> str:
-    """How what is missing in a folder is made, for the end of a sentence."""
-    kind = kind_of(folder)
+    """Return the command that completes a folder, for the end of a sentence."""
+    kind = folder_kind(folder)
     if kind == "training":
         return f"finish it with 'radiant train … --out {folder} --resume'"
     if kind == "scene":
@@ -44,9 +46,9 @@ def finish_command(folder: Path) -> str:
 
 
 def unplanned_scene(folder: Path) -> SfmScene:
-    """The cameras and points of a training or a scene; BadInput with what to do where they are not there."""
+    """Read cameras and points of a training or a scene; BadInput with the next step where they are missing."""
     places = [folder / name for name in SCENE_NAMES]
-    source = _settings(folder).get("source") if kind_of(folder) == "training" else None
+    source = _settings(folder).get("source") if folder_kind(folder) == "training" else None
     if isinstance(source, str):
         places += [Path(source) / name for name in SCENE_NAMES]
     for place in places:
@@ -61,7 +63,7 @@ def unplanned_scene(folder: Path) -> SfmScene:
 
 
 def unplanned_photographs(folder: Path) -> Path | None:
-    """The folder of undistorted photographs of a training or a scene; None where nothing says which it is."""
+    """Return the folder of undistorted photographs of a training or a scene; None if unknown."""
     source = _settings(folder).get("source")
     for owner in [folder / "sfm", folder, *([Path(source) / "sfm", Path(source)] if isinstance(source, str) else [])]:
         try:
@@ -74,7 +76,7 @@ def unplanned_photographs(folder: Path) -> Path | None:
 
 
 def has_unplanned_scene(folder: Path) -> bool:
-    """Whether `unplanned_scene` finds one."""
+    """Return whether `unplanned_scene` finds a scene."""
     try:
         unplanned_scene(folder)
     except BadInput:
@@ -82,16 +84,16 @@ def has_unplanned_scene(folder: Path) -> bool:
     return True
 
 
-def seen_box(scene: SfmScene) -> FloatArray:
-    """Lower and upper corner (2,3) of the land below the cameras and of where most of the points lie."""
+def scene_box(scene: SfmScene) -> FloatArray:
+    """Return lower and upper corner (2,3) of the ground below the cameras and of most of the points."""
     box = middle_box(scene.points if len(scene.points) else scene.cameras.centers)
     places = scene.cameras.centers[:, :2]
     box[0, :2], box[1, :2] = np.minimum(box[0, :2], places.min(axis=0)), np.maximum(box[1, :2], places.max(axis=0))
     return box
 
 
-def plan_of_everything(scene: SfmScene, num_trained: int) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-    """One region without land that has the first to last of so many cameras, and one machine in it."""
+def single_region_plan(scene: SfmScene, num_trained: int) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+    """Return a plan of one region without borders and one machine, which has all `num_trained` cameras."""
     nobody = np.zeros(num_trained, np.int64)
     centers = scene.cameras.centers[:, :2]
     cloud = CloudPlan(
@@ -118,7 +120,7 @@ def plan_of_everything(scene: SfmScene, num_trained: int) -> tuple[CloudPlan, tu
 
 
 def _settings(folder: Path) -> dict[str, Any]:
-    """What the manifest says was asked for; nothing where it cannot be read, which others tell who need it."""
+    """Return the settings in the manifest, empty where it cannot be read; readers that need it raise."""
     if not (folder / "manifest.json").is_file():
         return {}
     try:

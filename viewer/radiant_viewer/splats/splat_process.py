@@ -1,4 +1,4 @@
-"""A process that draws the model (`splat_worker`), asked and answered through Qt's event loop. Needs the `desktop` extra."""
+"""The renderer process (`splat_worker`), driven through Qt's event loop. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ END_MS = 2000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """A drawn picture (H,W,3), the number of its request, and how long drawing took."""
+    """A picture (H,W,3), the number of its request, and its drawing time."""
 
     request: int
     image: Image
@@ -29,7 +29,7 @@ class Frame:
 
 
 class SplatProcess(QObject):
-    """One picture at a time: `ask` while `is_busy` is refused by assertion. `failed` says why the process ended by itself."""
+    """Draws one picture at a time: do not call `ask` while `is_busy`. `failed` carries why the process ended by itself."""
 
     ready = Signal()
     drawn = Signal(object)
@@ -49,7 +49,7 @@ class SplatProcess(QObject):
         self._process.start(sys.executable, ["-m", "radiant_viewer.splats.splat_worker", kind, str(ply_path.resolve())])
 
     def ask(self, request: int, camera: Cameras, background: tuple[int, int, int], box: FloatArray | None) -> None:
-        """Draw the one camera; `drawn` comes with a `Frame`."""
+        """Request a picture of the one camera; `drawn` carries the `Frame`."""
         assert self.is_ready and not self.is_busy
         self.is_busy = True
         message = {
@@ -63,11 +63,11 @@ class SplatProcess(QObject):
         self._process.write(json.dumps(message).encode() + b"\n")
 
     def end(self) -> None:
-        """Stop the process; nothing is told any more."""
+        """Stop the process; no signal follows."""
         self._is_ending = True
         self._process.closeWriteChannel()
         if self._process.state() != QProcess.ProcessState.NotRunning:
-            # It may be in the middle of a picture, and holds nothing that must be saved.
+            # It has nothing to save.
             self._process.kill()
             self._process.waitForFinished(END_MS)
 

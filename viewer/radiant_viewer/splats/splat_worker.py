@@ -1,9 +1,10 @@
-"""Draws a model for whoever asks, in a process of its own: `python -m radiant_viewer.splats.splat_worker {own|open3d} MODEL.ply`.
+"""A renderer process: `python -m radiant_viewer.splats.splat_worker {own|open3d} MODEL.ply`.
 
-One JSON line per request on standard input: {"id", "K", "cam_from_world", "size_wh", "background", "box"}; box is null or the
-lower and upper corner (2,3) of what is drawn. Per answer one JSON line {"id", "size_wh", "seconds"} and the picture, H·W·3 bytes of RGB;
-the first line is {"ready", "num_gaussians"}. Ends with its standard input. Open3D aborts at the exit of a process that had more than
-one of its renderers, so this one leaves without cleaning up.
+One JSON line per request on standard input: {"id", "K", "cam_from_world", "size_wh", "background",
+"box"}; box is null or the lower and upper corner (2,3) of what is drawn. Per answer one JSON line
+{"id", "size_wh", "seconds"} and the picture, H·W·3 bytes of RGB; the first line is {"ready",
+"num_gaussians"}. Ends with its standard input. Open3D aborts at the exit of a process that had
+several of its renderers, so this one exits without cleanup.
 """
 
 from __future__ import annotations
@@ -23,28 +24,29 @@ from radiant_core.errors import RadiantError
 from radiant_core.io.ply import load_ply
 from radiant_core.splats import Splats
 from radiant_viewer.pictures.images import Image
-from radiant_viewer.splats.open3d_splats import NEAR_SHARE
 
 if TYPE_CHECKING:
     import open3d as o3d
 
+NEAR_SHARE = 1e-3
+"""Near plane as a share of the distance to the farthest Gaussian: the one that Open3D chooses cuts what lies close to the camera."""
+
 
 class Renderer(Protocol):
-    """Draws a model for one camera over a background (3,) 0 to 255."""
+    """Draws a model for a camera over a background (3,), 0 to 255."""
 
     def draw(self, camera: Cameras, background: tuple[int, int, int]) -> Image:
-        """The picture (H,W,3)."""
+        """Return the picture (H,W,3)."""
         ...
 
 
 class OwnRenderer:
-    """Our own rasterizer: exact, time grows with pixels and Gaussians."""
+    """Our own rasterizer: exact; its time grows with pixels and Gaussians."""
 
     def __init__(self, splats: Splats) -> None:
         self._splats = splats
 
     def draw(self, camera: Cameras, background: tuple[int, int, int]) -> Image:
-        """See `Renderer`."""
         from radiant_core.render.rendered_view import render_views
 
         view = next(render_views(self._splats, camera))
@@ -103,35 +105,35 @@ def _open3d_cloud(splats: Splats) -> o3d.t.geometry.PointCloud:
     return cloud
 
 
-class Boxed:
-    """A model cut to a box; each box is cut once."""
+class CroppedModel:
+    """A model cropped to a box; crops anew only when the box changes."""
 
     def __init__(self, splats: Splats, kind: str) -> None:
         self._splats, self._kind = splats, kind
         self._box: list[list[float]] | None = None
-        self._renderer = self._made(splats)
+        self._renderer = self._make_renderer(splats)
 
     def renderer(self, box: list[list[float]] | None) -> Renderer | None:
-        """Who draws what lies in the box; None where nothing does."""
+        """Return the renderer of the Gaussians in the box; None where there are none."""
         if box != self._box:
             self._box = box
             inside = np.arange(len(self._splats)) if box is None else np.flatnonzero(inside_box(self._splats.means, box))
-            self._renderer = self._made(self._splats.select(inside)) if len(inside) else None
+            self._renderer = self._make_renderer(self._splats.select(inside)) if len(inside) else None
         return self._renderer
 
-    def _made(self, splats: Splats) -> Renderer:
+    def _make_renderer(self, splats: Splats) -> Renderer:
         return OwnRenderer(splats) if self._kind == "own" else Open3DRenderer(splats)
 
 
 def inside_box(means: NDArray[np.float32], box: list[list[float]]) -> NDArray[np.bool_]:
-    """Which of the places (N,3) lie in the box of lower and upper corner (2,3)."""
+    """Return whether each position (N,3) lies in the box of lower and upper corner (2,3)."""
     low, high = np.asarray(box, np.float64)
     return ((means >= low) & (means <= high)).all(axis=1)
 
 
 def serve(kind: str, path: Path, requests: IO[bytes], answers: IO[bytes]) -> None:
-    """Answer until `requests` ends."""
-    boxed = Boxed(splats := load_ply(path), kind)
+    """Answer requests until the stream ends."""
+    boxed = CroppedModel(splats := load_ply(path), kind)
     _answer(answers, {"ready": kind, "num_gaussians": len(splats)})
     for line in requests:
         request = json.loads(line)
@@ -158,7 +160,7 @@ def _answer(answers: IO[bytes], header: dict[str, Any], image: Image | None = No
 
 
 def main() -> int:
-    """The process."""
+    """Run the process and return its exit code."""
     # Graphics drivers write to standard output: it becomes standard error, and answers keep the pipe.
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

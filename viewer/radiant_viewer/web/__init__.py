@@ -1,1 +1,1 @@
-"""The page for a browser, drawn on the machine that has the run."""
+"""The web page of a run, rendered on the machine that has it."""

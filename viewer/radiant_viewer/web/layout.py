@@ -1,6 +1,8 @@
-"""The page's layout in Vuetify: layers at the left, map and 3D view, tables below, the chosen camera's pictures beside them.
+"""The layout of the page in Vuetify: layers left, map and 3D view, tables below, the selected
+camera's pictures beside them.
 
-Built once per server. Names in quotes with `trigger` are methods of the page; all others are its state.
+Built once per server. Names in quotes with `trigger` are methods of the page; all others are its
+state.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from trame.widgets import vuetify3 as v3
 from radiant_viewer.layers.themes import DARK, LIGHT, Theme, hex_color
 
 HEADERS = {
-    # Vue compiles its templates in the browser; everything comes from this machine.
+    # Vue compiles its templates in the browser; all files come from this machine.
     "Content-Security-Policy": (
         "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
         "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws: wss:; frame-ancestors 'none'"
@@ -62,7 +64,7 @@ html, body { overflow: hidden !important; }
 
 
 class PageActions(Protocol):
-    """What the layout needs of the page."""
+    """The actions of the page that the layout calls."""
 
     scene: Any
     fit: Callable[[], None]
@@ -73,13 +75,13 @@ class PageActions(Protocol):
 
 
 def vuetify_theme(theme: Theme) -> dict[str, Any]:
-    """A theme's colours under Vuetify's names."""
+    """Return a theme's colours under Vuetify's names."""
     names = {"background": theme.panel, "surface": theme.field, "primary": theme.accent}
     return {"dark": theme.name == "dark", "colors": {name: hex_color(color) for name, color in names.items()}}
 
 
 def build_layout(server: Any, page: PageActions) -> tuple[Any, Any]:
-    """Lay the page out; returns the widgets of map and 3D view, whose `update` sends a frame."""
+    """Build the page; returns the widgets of map and 3D view, whose `update` sends a frame."""
     for name in ("fit", "select_camera", "fly_to_camera", "go_to_seam", "toggle_solo"):
         server.trigger(name)(getattr(page, name))
     config = {"theme": {"defaultTheme": "light", "themes": {theme.name: vuetify_theme(theme) for theme in (LIGHT, DARK)}}}
@@ -174,10 +176,10 @@ def _camera_table() -> None:
         v_show="tab === 'cameras'",
         items=("order.map(index => cameras[index])",),
         headers=("headers",),
-        # Said in full: trame turns v_model_sort_by into v-model:sort.by, which binds nothing.
+        # Written out: trame turns v_model_sort_by into v-model:sort.by, which binds nothing.
         sort_by=("sort_by",),
         update_sortBy="sort_by = $event",
-        # The server sorts, since an empty cell is not a small number.
+        # The server sorts: the browser would take an empty cell for a small number.
         custom_key_sort=("Object.fromEntries(headers.map(header => [header.key, () => 0]))",),
         must_sort=True,
         density="compact",

@@ -1,7 +1,8 @@
-"""`WebPage`: what the page shows and what happens when somebody clicks. Import only after `web.require_web`.
+"""`WebPage`: the state of the page and its actions. Import only after `web.require_web`.
 
-The browser holds the lists and asks; this machine draws. Everybody who has the page open sees the same view and the same choice.
-Nothing of the run is changed. What crosses the line: lists once, a picture per choice, frames of two views as JPEG.
+The browser holds the lists; this machine renders. All open pages share one view and one selection.
+The run is not changed. Traffic: the lists once, pictures per selection, frames of two views as
+JPEG.
 """
 
 from __future__ import annotations
@@ -16,23 +17,21 @@ from trame.app import get_server
 from radiant_core.errors import BadInput
 from radiant_viewer.layers.camera_layer import highlight_layer
 from radiant_viewer.layers.themes import DARK, LIGHT
-from radiant_viewer.pictures.view_pose import pose_of_camera
-from radiant_viewer.runs.camera_figures import sorted_rows
+from radiant_viewer.pictures.view_pose import camera_pose
+from radiant_viewer.runs.camera_figures import sort_rows
 from radiant_viewer.runs.run_figures import FIGURES
-from radiant_viewer.runs.run_pictures import ground_height, seam_of
+from radiant_viewer.runs.run_layers import color_step_layer, ground_height, hidden_at_first, run_layers
 from radiant_viewer.runs.run_view import RunView
 from radiant_viewer.runs.seam_tour import SeamStop, seam_stops
 from radiant_viewer.web.layout import HEADERS, build_layout
 from radiant_viewer.web.rows import (
-    HIDDEN_AT_FIRST,
     Row,
     camera_headers,
+    camera_pictures,
     camera_rows,
     layer_row,
-    picture_file,
-    pictures_of,
+    picture_url,
     run_camera_figures,
-    run_layers,
     seam_rows,
 )
 from radiant_viewer.web.scene import WebScene
@@ -41,13 +40,13 @@ MAX_MESSAGE_BYTES = 64 * 2**20
 
 
 class WebPage:
-    """The page of one run; make and serve it inside a running event loop."""
+    """The page of one run; create and serve it inside a running event loop."""
 
     def __init__(self, run: RunView) -> None:
         self.run = run
         self.figures = run_camera_figures(run)
-        hidden = HIDDEN_AT_FIRST if run.kind == "run" else HIDDEN_AT_FIRST - {"Cameras by split"}
-        self.scene = WebScene(run_layers(run), hidden, self._later)
+        layers = run_layers(run, with_seams=False)
+        self.scene = WebScene(layers, hidden_at_first(layers), self._later)
         self.stops: tuple[SeamStop, ...] = ()
         self.before_solo: list[str] | None = None
         self.server: Any = get_server(f"radiant-{id(self)}", client_type="vue3")
@@ -60,7 +59,7 @@ class WebPage:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def serve(self, host: str, port: int, secret: str, ready: Callable[[int], None]) -> None:
-        """Serve until cancelled; `ready` gets the port once it is bound."""
+        """Serve until cancelled; `ready` receives the port once it is bound."""
         self.server.cli.set_defaults(authKey=secret, host=host, trame_args="")
         for name, value in HEADERS.items():
             self.server.http_headers.set_header(name, value)
@@ -79,19 +78,19 @@ class WebPage:
             self.scene.close()
 
     def push(self) -> None:
-        """Send both views anew."""
+        """Send a frame of both views."""
         for image in self.images:
             image.update()
 
     def select_camera(self, index: int) -> None:
-        """Mark a camera, stand where it stood, and show its pictures."""
+        """Mark a camera and show its pictures."""
         cameras = self.run.scene.cameras
         if not 0 <= index < len(cameras):
             raise BadInput(f"there is no camera {index}: this run has {len(cameras)}.")
         self.scene.set_mark(highlight_layer(cameras, index))
         state = self.server.state
         state.selected = index
-        state.pictures = pictures_of(self.run, index)
+        state.pictures = camera_pictures(self.run, index)
         state.figures = [
             {"heading": figure.heading, "value": f"{value:.{figure.decimals}f}", "meaning": figure.meaning}
             for figure in FIGURES
@@ -100,19 +99,19 @@ class WebPage:
         self.push()
 
     def fly_to_camera(self) -> None:
-        """Look from where the chosen camera stood."""
+        """Move the 3D view to the selected camera."""
         index = self.server.state.selected
         if index is None:
             return
         cameras = self.run.scene.cameras
         distance = max(float(cameras.centers[index, 2]) - ground_height(self.run.scene), 0.05 * self._side())
-        pose = pose_of_camera(cameras, int(index), distance)
+        pose = camera_pose(cameras, int(index), distance)
         self.scene.view.look(pose, distance)
         self.scene.map.look(pose, 0.25 * self._side())
         self.push()
 
     def go_to_seam(self, index: int) -> None:
-        """Stand at a stop of the seam tour; beyond either end it goes round."""
+        """Move both views to a stop of the seam tour, round at either end."""
         if not self.stops:
             return
         place = index % len(self.stops)
@@ -126,7 +125,7 @@ class WebPage:
         self.push()
 
     def toggle_solo(self, name: str) -> None:
-        """Show one layer alone; a second time brings back what was shown before."""
+        """Show one layer alone; a second call restores the layers shown before."""
         state = self.server.state
         if state.solo == name:
             state.solo, state.visible = "", self.before_solo or []
@@ -136,7 +135,7 @@ class WebPage:
         state.solo, state.visible = name, [name]
 
     def fit(self) -> None:
-        """All layers into both views."""
+        """Fit all layers into both views."""
         self.scene.fit()
         self.push()
 
@@ -157,8 +156,8 @@ class WebPage:
         state.cameras, state.headers = camera_rows(self.figures), camera_headers(self.figures)
         scored = "psnr_db" in self.figures.columns
         state.sort_by = [{"key": "psnr_db" if scored else "name", "order": "asc"}]
-        state.order = sorted_rows(self.figures, state.sort_by[0]["key"]).tolist()
-        state.gantt = picture_file(run.folder / "pictures" / "gantt.png")
+        state.order = sort_rows(self.figures, state.sort_by[0]["key"]).tolist()
+        state.gantt = picture_url(run.folder / "pictures" / "gantt.png")
         state.update({"dark": False, "solo": "", "seams": [], "seam": -1, "seams_note": "Measuring the seams …", "selected": None})
         state.update({"pictures": None, "figures": [], "kind": "photograph", "share": 50, "tab": "cameras", "panes": "both"})
 
@@ -179,10 +178,10 @@ class WebPage:
     def _on_sort(self, sort_by: list[dict[str, str]], **_: object) -> None:
         key, order = (sort_by[0]["key"], sort_by[0]["order"]) if sort_by else ("name", "asc")
         if key in self.figures.columns:
-            self.server.state.order = sorted_rows(self.figures, key, descending=order == "desc").tolist()
+            self.server.state.order = sort_rows(self.figures, key, descending=order == "desc").tolist()
 
     def _on_panes(self, **_: object) -> None:
-        # The browser says the new size first; a map keeps its scale, so that nothing jumps.
+        # The browser sends the new size first; the map keeps its scale.
         self._later(0.3, self.push)
 
     async def _find_seams(self) -> None:
@@ -194,9 +193,9 @@ class WebPage:
                 state.seams_note = "The plan has one region only: there is no border and no seam."
             if run.splats is None or len(run.cloud_plan.edge_ids) < 2:
                 return
-        # Seconds for millions of Gaussians, while the page is in use already.
+        # It takes seconds for millions of Gaussians, while the page is in use.
         self.stops = await asyncio.to_thread(seam_stops, run.scene, run.cloud_plan, run.splats)
-        layer = await asyncio.to_thread(seam_of, run.scene, run.cloud_plan, run.splats)
+        layer = await asyncio.to_thread(color_step_layer, run.scene, run.cloud_plan, run.splats)
         with state:
             self.scene.add_layer(layer)
             state.layers = self._layer_rows()

@@ -1,6 +1,7 @@
-"""What the web page lists, as plain values for JSON: layers with legends, cameras with figures, borders, and pictures as data addresses.
+"""The lists of the web page as JSON values: layers with legends, cameras with figures, borders, and
+pictures as data URLs.
 
-Pure but for reading a photograph. Lists once per run, pictures once per camera that is looked at.
+Pure but for reading photographs. Lists once per run, pictures once per selected camera.
 """
 
 from __future__ import annotations
@@ -14,41 +15,27 @@ import cv2
 import numpy as np
 
 from radiant_core.errors import BadInput
-from radiant_viewer.layers.camera_layer import camera_layer
 from radiant_viewer.layers.detail import moving_note
 from radiant_viewer.layers.layer import Layer
 from radiant_viewer.layers.palette import heat_table
-from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
-from radiant_viewer.layers.themes import LIGHT, Theme, hex_color, themed
+from radiant_viewer.layers.themes import LIGHT, Theme, apply_theme, hex_color
 from radiant_viewer.pictures.images import Image, load_image
 from radiant_viewer.runs.camera_figures import CameraFigures, camera_figures
 from radiant_viewer.runs.photo_access import find_photograph
 from radiant_viewer.runs.run_figures import FIGURES, image_figures
-from radiant_viewer.runs.run_pictures import plan_layers
 from radiant_viewer.runs.run_view import RunView, comparison_paths
-from radiant_viewer.runs.seam_findings import part_text
+from radiant_viewer.runs.seam_findings import observed_text
 from radiant_viewer.runs.seam_tour import SeamStop
 
-HIDDEN_AT_FIRST = frozenset({"Device strips", "Gaussians", "Cameras by device", "Cameras by split", "Cameras by PSNR"})
-"""Layers that cover others: one click away."""
 SHOWN_PX = 1000
-"""Long side of a picture as it is sent; a photograph of 20 megapixels is 8 MB, and the page shows it 400 px wide."""
+"""Long side of a picture as sent; a photograph of 20 megapixels is 8 MB, and the page shows it 400 px wide."""
 JPEG_QUALITY = 88
 Row = dict[str, Any]
 
 
-def run_layers(run: RunView) -> list[Layer]:
-    """All layers of a run but its seams, from the ground up."""
-    regions, strips, borders, cameras, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
-    model = [splat_layer(run.splats)] if run.splats is not None else []
-    colorings = ["device", "split", *(["psnr"] if run.placed_psnr_db else [])]
-    others = [camera_layer(run.scene.cameras, run.roles, coloring, run.placed_psnr_db) for coloring in colorings]  # type: ignore[arg-type]
-    return [regions, strips, sparse_point_layer(run.scene), *model, borders, cameras, *others, edges]
-
-
 def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:
-    """Name, legend entries and colour bar of one layer under a theme."""
-    shown = themed(layer, theme)
+    """Return name, legend entries and colour bar of a layer under a theme."""
+    shown = apply_theme(layer, theme)
     legend, scale = shown.legend, shown.heat
     entries = [{"text": entry.text, "color": hex_color(entry.color), "marker": entry.marker} for entry in legend]
     note = moving_note(layer)
@@ -57,13 +44,13 @@ def layer_row(layer: Layer, theme: Theme = LIGHT) -> Row:
 
 
 def _gradient(start: float) -> str:
-    """The heat scale from left to right as CSS."""
+    """Return the heat scale from left to right as CSS."""
     colors = heat_table(start)[np.linspace(0, 255, 9).astype(int)]
     return f"linear-gradient(to right, {', '.join(hex_color(tuple(color)) for color in colors.tolist())})"
 
 
 def run_camera_figures(run: RunView) -> CameraFigures:
-    """Every figure of every camera: of the plan, the reconstruction, and of the pictures where they were scored."""
+    """Return all figures of all cameras: of plan and reconstruction, and of the scored pictures."""
     base = camera_figures(run.scene, run.roles, run.cloud_plan, run.psnr_db)
     scored = image_figures(run.folder)
     columns, headings = dict(base.columns), dict(base.headings)
@@ -73,7 +60,7 @@ def run_camera_figures(run: RunView) -> CameraFigures:
         if np.isfinite(values).any():
             measured[figure.key] = values
             headings[figure.key] = figure.heading
-    # The plan's own column of it would be the same figure twice.
+    # The table has it already as psnr_db.
     del columns["psnr"], headings["psnr"]
     order = ["name", "region", "device", "use", *measured]
     whole = columns | measured
@@ -81,7 +68,7 @@ def run_camera_figures(run: RunView) -> CameraFigures:
 
 
 def camera_rows(figures: CameraFigures) -> list[Row]:
-    """One row per camera, in the scene's order, numbers as they are shown; its `index` is the camera's."""
+    """Return one row per camera in the scene's order, with numbers as shown; `index` is the camera's."""
     decimals = {figure.key: figure.decimals for figure in FIGURES} | {"points": 0}
     columns = {
         key: [_shown(value, decimals.get(key, 2)) for value in values.tolist()] if values.dtype.kind == "f" else values.tolist()
@@ -91,7 +78,7 @@ def camera_rows(figures: CameraFigures) -> list[Row]:
 
 
 def camera_headers(figures: CameraFigures) -> list[Row]:
-    """Headings of the table in the order of its columns; figures stand to the right."""
+    """Return the headings of the table in the order of its columns; figures are right-aligned."""
     return [
         {"key": key, "title": figures.headings[key], "align": "end" if values.dtype.kind == "f" else "start", "nowrap": True}
         for key, values in figures.columns.items()
@@ -99,7 +86,7 @@ def camera_headers(figures: CameraFigures) -> list[Row]:
 
 
 def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
-    """One row per border in the order of the tour."""
+    """Return one row per border in the order of the tour."""
     return [
         {
             "index": index,
@@ -107,15 +94,15 @@ def seam_rows(stops: Sequence[SeamStop], unit: str) -> list[Row]:
             "step": _shown(stop.figures.step_levels, 1) or "–",
             "texture": _shown(stop.figures.texture_levels, 1) or "–",
             "worst": _shown(stop.worst_levels, 1) or "–",
-            "observed": part_text(stop.figures.observed_length, stop.length, unit),
+            "observed": observed_text(stop.figures.observed_length, stop.length, unit),
             "verdict": stop.figures.verdict,
         }
         for index, stop in enumerate(stops)
     ]
 
 
-def pictures_of(run: RunView, index: int) -> Row:
-    """Photograph, render and difference of a camera as data addresses, "" with a reason where this machine may not see one."""
+def camera_pictures(run: RunView, index: int) -> Row:
+    """Return photograph, render and difference of a camera as data URLs, "" with a reason where a picture is not here."""
     name = run.scene.cameras.names[index]
     shown = {"photograph": "", "render": "", "difference": "", "reason": ""}
     if run.roles.held_out[index]:
@@ -125,24 +112,24 @@ def pictures_of(run: RunView, index: int) -> Row:
             shown["reason"] = str(error)
         else:
             return shown | {
-                key: data_address(load_image(path)) for key, path in zip(("photograph", "render", "difference"), paths, strict=True)
+                key: data_url(load_image(path)) for key, path in zip(("photograph", "render", "difference"), paths, strict=True)
             }
     answer = find_photograph(run, index)
     if answer.path is None:
         return shown | {"reason": answer.reason}
     return shown | {
-        "photograph": data_address(load_image(answer.path)),
+        "photograph": data_url(load_image(answer.path)),
         "reason": "A training photograph: only held-out ones are rendered.",
     }
 
 
-def picture_file(path: Path) -> str:
-    """A PNG of the run as a data address, "" where there is none."""
+def picture_url(path: Path) -> str:
+    """Return a PNG of the run as a data URL, "" where there is none."""
     return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode() if path.is_file() else ""
 
 
-def data_address(image: Image) -> str:
-    """A picture (H,W,3) of at most 1,000 px a side as a JPEG in an address."""
+def data_url(image: Image) -> str:
+    """Return a picture (H,W,3), at most 1,000 px a side, as a JPEG in a data URL."""
     share = min(1.0, SHOWN_PX / max(image.shape[:2]))
     size_wh = (max(1, round(image.shape[1] * share)), max(1, round(image.shape[0] * share)))
     small = cv2.resize(image, size_wh, interpolation=cv2.INTER_AREA) if share < 1 else image

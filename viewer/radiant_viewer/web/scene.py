@@ -1,6 +1,8 @@
-"""`WebScene`: map and 3D view of the web page, drawn on this machine without a window. Knows no browser and no server.
+"""`WebScene`: map and 3D view of the web page, rendered offscreen. Independent of browser and
+server.
 
-Both hold the same layers relative to one float64 origin. A frame is drawn when the page asks for it.
+Both hold the same layers relative to one float64 origin. A frame is drawn when the page asks for
+it.
 """
 
 from __future__ import annotations
@@ -12,28 +14,28 @@ from vtkmodules.vtkRenderingCore import vtkProp
 
 from radiant_core.numerics import FloatArray
 from radiant_viewer.layers.drawing import SLOTS_PER_LAYER, add_layer
-from radiant_viewer.layers.layer import Layer, drawn_positions
+from radiant_viewer.layers.layer import Layer, framing_positions
 from radiant_viewer.layers.map_labels import add_map_labels
 from radiant_viewer.layers.point_detail import Later, PointDetail
-from radiant_viewer.layers.themes import LIGHT, Theme, themed
-from radiant_viewer.pictures.offscreen import aim_camera, egl_window
+from radiant_viewer.layers.themes import LIGHT, Theme, apply_theme
+from radiant_viewer.pictures.offscreen import aim_camera, egl_rendering
 from radiant_viewer.pictures.view_pose import ViewPose
 
 TOP_SLOT = 400
-"""Slot of the map on which marks lie: above a hundred layers."""
+"""Slot of the marks on the map: above a hundred layers."""
 FIRST_SIZE_WH = (480, 400)
 MAX_LABELS, LABEL_SIZE = 40, 13
 SAMPLES = 4
-"""Samples per pixel: lines without steps; eight cost twice the time on a software rasterizer."""
+"""Samples per pixel; eight take twice the time on a software rasterizer."""
 
 
 class WebView:
-    """One of the two views."""
+    """The map or the 3D view."""
 
     def __init__(self, *, is_map: bool, origin: FloatArray, later: Later) -> None:
         self.is_map, self.origin = is_map, origin
         self.actors: dict[str, list[vtkProp]] = {}
-        with egl_window():
+        with egl_rendering():
             self.plotter = pv.Plotter(off_screen=True, window_size=list(FIRST_SIZE_WH))
         window = self.plotter.render_window
         assert window is not None
@@ -46,23 +48,23 @@ class WebView:
             interactor.enable_custom_trackball_style(left="pan", shift_left="pan", control_left="pan", middle="pan", right="dolly")
         else:
             interactor.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)
-        # The interactor's own frames come when the page asks for them.
+        # Frames are rendered when the page requests them.
         window.GetInteractor().EnableRenderOff()
 
     def draw(self, layer: Layer, slot: int, theme: Theme, *, visible: bool) -> None:
-        """Draw a layer in place of the one of its name; on a map it lies over all lower slots."""
+        """Draw a layer in place of the one of its name; on a map a higher slot covers a lower one."""
         self.remove(layer.name)
         height = float(SLOTS_PER_LAYER * slot) if self.is_map else None
-        actors: list[vtkProp] = [*add_layer(self.plotter, themed(layer, theme), self.origin, flat_height=height, detail=self.detail)]
+        actors: list[vtkProp] = [*add_layer(self.plotter, apply_theme(layer, theme), self.origin, flat_height=height, detail=self.detail)]
         if layer.labels and height is not None:
             actors.append(add_map_labels(self.plotter, layer.labels[:MAX_LABELS], self.origin, height, theme, LABEL_SIZE))
         self.actors[layer.name] = actors
         self.show(layer.name, visible)
-        # A frame does not ask what has come since: beyond the near plane of before a mark would be cut off.
+        # Frames keep their clipping range: without this a new mark might be cut off.
         self.plotter.renderer.reset_camera_clipping_range()
 
     def remove(self, name: str) -> None:
-        """Take a layer away, if it is drawn."""
+        """Remove a layer, if it is drawn."""
         for actor in self.actors.pop(name, []):
             self.plotter.renderer.remove_actor(actor, render=False)
 
@@ -87,7 +89,7 @@ class WebView:
         self.plotter.renderer.reset_camera_clipping_range()
 
     def look(self, pose: ViewPose, reach: float) -> None:
-        """Take a pose of the world; a map shows `reach` to either side of what it looks at."""
+        """Move to a pose of the world; a map shows `reach` on either side of the focal point."""
         camera = self.plotter.camera
         if self.is_map:
             self._look_down(pose.focal_point[:2] - self.origin[:2])
@@ -111,7 +113,7 @@ class WebScene:
         self.visible = {layer.name for layer in layers} - set(hidden)
         self.theme = theme
         self.mark: Layer | None = None
-        drawn = drawn_positions(self.layers)
+        drawn = framing_positions(self.layers)
         self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
         self.map, self.view = (WebView(is_map=is_map, origin=self.origin, later=later) for is_map in (True, False))
         self.set_theme(theme)
@@ -123,7 +125,7 @@ class WebScene:
         return self.map, self.view
 
     def set_theme(self, theme: Theme) -> None:
-        """Draw everything anew under a theme."""
+        """Draw all layers under a theme."""
         self.theme = theme
         for view in self.views:
             view.plotter.background_color = pv.Color(theme.view)
@@ -132,7 +134,7 @@ class WebScene:
         self.set_mark(self.mark)
 
     def add_layer(self, layer: Layer, *, visible: bool = True) -> None:
-        """One more layer, over the others."""
+        """Add a layer over the others."""
         self.layers.append(layer)
         if visible:
             self.visible.add(layer.name)
@@ -147,7 +149,7 @@ class WebScene:
                 view.show(layer.name, layer.name in self.visible)
 
     def set_mark(self, mark: Layer | None) -> None:
-        """A layer over all others that no list shows, in place of the one before."""
+        """Draw a mark over all layers in place of the previous one; it is in no list."""
         for view in self.views:
             if self.mark is not None:
                 view.remove(self.mark.name)
@@ -156,13 +158,13 @@ class WebScene:
         self.mark = mark
 
     def fit(self) -> None:
-        """All layers into both views."""
-        drawn = drawn_positions(self.layers)
+        """Fit all layers into both views."""
+        drawn = framing_positions(self.layers)
         for view in self.views:
             view.fit(drawn)
 
     def look(self, pose: ViewPose, reach: float) -> None:
-        """Both views at a place."""
+        """Move both views to a pose."""
         for view in self.views:
             view.look(pose, reach)
 

@@ -1,7 +1,8 @@
-"""`radiant inspect RUN --web`: the run as a page for a browser, drawn on this machine; for machines reached by ssh, and for showing.
+"""`radiant inspect RUN --web`: the run as a web page rendered on this machine, for machines reached
+by ssh.
 
-It binds to 127.0.0.1 and opens only for an address with its secret, 192 random bits anew each time. All it needs comes from this
-machine. Needs the `web` extra; `open_page` says so otherwise. Up in 3 s, then some 50 ms per frame.
+It binds to 127.0.0.1 and requires the secret in its address, 192 fresh random bits. All files come
+from this machine. Needs the `web` extra. Up in 3 s, then some 50 ms per frame.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ LOCAL_HOST = "127.0.0.1"
 
 
 def require_web() -> None:
-    """Raise BadInput, with what to do instead, where the `web` extra is missing."""
+    """Raise BadInput with an alternative where the `web` extra is missing."""
     missing = [name for name in ("trame", "trame_vtk", "trame_vuetify") if importlib.util.find_spec(name) is None]
     if missing:
         raise BadInput(
@@ -34,16 +35,21 @@ def require_web() -> None:
 
 
 def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOCAL_HOST, port: int = PORT) -> None:
-    """Serve a run until interrupted; `announce` gets the address once the page is up. Port 0 is any free one.
+    """Serve a run until interrupted.
 
-    Raises BadInput without the extra, for a broken run, or for a host or port that cannot be bound.
+    Args:
+        run_folder: as in `load_run_view`.
+        announce: receives the address once the page is up.
+        host, port: where to listen; port 0 is any free one.
+
+    Raises: BadInput without the extra, for a broken run, or where host and port cannot be bound.
     """
     require_web()
     _require_free(host, port)
     run = load_run_view(run_folder)
-    # wslink writes a line of its own to stdout without this, and trame would read our command line.
+    # Without this, wslink writes to stdout and trame reads our command line.
     os.environ["WSLINK_READY_MSG"] = ""
-    # A browser that is closed in the middle of a frame is no error of anybody's.
+    # Closing the browser in the middle of a frame is no error.
     for name in ("aiohttp", "wslink"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     from radiant_viewer.web.page import WebPage
@@ -58,7 +64,7 @@ def open_page(run_folder: Path, announce: Callable[[str], None], host: str = LOC
 
 
 def address_text(host: str, port: int, secret: str) -> str:
-    """What to open, and how from another machine."""
+    """Return the address to open, and how to reach it from another machine."""
     shown = LOCAL_HOST if host in ("0.0.0.0", "::") else host  # noqa: S104 (it is compared, not bound)
     address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/?secret={secret}"
     lines = [f"open {address}"]

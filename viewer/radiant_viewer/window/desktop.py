@@ -1,4 +1,4 @@
-"""Whether a window can be opened here: the `desktop` extra and a display, checked before Qt, which would end the process."""
+"""Checks for the `desktop` extra and a display before Qt starts, which would end the process without them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 def install_command(extra: str) -> str:
-    """What to type in Radiant's own folder to install one of its extras."""
+    """Return the command that installs an extra, for Radiant's own folder."""
     return f".venv/bin/pip install -e '.[{extra}]'"
 
 
 def install_text(extra: str) -> str:
-    """How an extra that is missing is installed, for the middle of a sentence."""
+    """Return how to install a missing extra, for the middle of a sentence."""
     return f"run ./setup.sh in the folder of Radiant, or there {install_command(extra)}"
 
 
 def require_desktop() -> None:
-    """Raise BadInput, with what to do instead, where the `desktop` extra or a display is missing."""
+    """Raise BadInput with an alternative where the `desktop` extra or a display is missing."""
     instead = "or make pictures without a window: radiant inspect RUN --screenshot out.png."
     missing = [name for name in ("PySide6", "pyvistaqt") if importlib.util.find_spec(name) is None]
     if missing:

@@ -1,7 +1,8 @@
-"""The desktop window of `radiant inspect RUN|MODEL.ply`: map and 3D view, layers, cameras, photographs, seams, splats, timeline.
+"""The desktop window of `radiant inspect RUN|MODEL.ply`: map and 3D view, layers, cameras,
+photographs, seams, splats, timeline.
 
-It draws the same layers as the headless pictures. Needs the `desktop` extra and a display; `open_window` says so otherwise.
-Building it takes a second or two; showing or hiding a layer redraws both views, some 50 ms each.
+It draws the same layers as the headless pictures. Needs the `desktop` extra and a display. Building
+it takes a second or two; showing or hiding a layer redraws both views, some 50 ms each.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from radiant_viewer.window.window import InspectorWindow
 
 PULSE_MS = 200
-"""How soon a window hears Ctrl-C."""
+"""Longest delay until Ctrl-C closes the window."""
 
 
 def open_window(
@@ -42,31 +44,37 @@ def open_window(
     setting: Callable[[], PlanSetting] | None = None,
     scene: SfmScene | None = None,
 ) -> int:
-    """Show a run, a plan or a PLY until its window is closed and return the exit code; BadInput without a desktop or for a broken run.
+    """Show a run, a plan or a PLY until its window is closed.
 
-    A run at work that has no plan yet is waited for. `setting`: with which machines the plan may be changed, read anew with the run;
-    `scene`: the cameras of a plan without waypoints.
+    Args:
+        path: a run folder, a plan, or a .ply file; a running run without a plan is waited for.
+        feeds: the application's progress and timeline of the run.
+        setting: returns the machines with which the plan can be edited; called again when the run is read again.
+        scene: the cameras of a plan without waypoints.
+
+    Returns: the exit code.
+    Raises: BadInput without a desktop, and as `load_subject`.
     """
     require_desktop()
-    desk = _Desk(Path(path), feeds or RunFeeds(), setting, scene)
-    # What cannot be shown is refused before any window appears.
-    first = desk.read()
+    owner = _WindowOwner(Path(path), feeds or RunFeeds(), setting, scene)
+    # Errors come before any window appears.
+    first = owner.read()
     from PySide6.QtWidgets import QApplication
 
     existing = QApplication.instance()
     application = existing if isinstance(existing, QApplication) else QApplication(sys.argv[:1])
     application.setStyle("Fusion")
-    desk.show(first, theme)
-    with _closed_by_signals(application) as caught:
+    owner.show(first, theme)
+    with _close_on_signals(application) as caught:
         code = application.exec()
     return 128 + caught[-1] if caught else code
 
 
 @contextmanager
-def _closed_by_signals(application: QApplication) -> Iterator[list[int]]:
-    """Ctrl-C and SIGTERM close the windows as their own button does; yields the numbers of the signals that came.
+def _close_on_signals(application: QApplication) -> Iterator[list[int]]:
+    """Let Ctrl-C and SIGTERM close the windows, as their button does; yields the numbers of the received signals.
 
-    An exception, as Python raises for them otherwise, would end one slot of Qt's and leave the window open.
+    Python's KeyboardInterrupt would end one of Qt's slots and leave the window open.
     """
     from PySide6.QtCore import QTimer
 
@@ -77,11 +85,11 @@ def _closed_by_signals(application: QApplication) -> Iterator[list[int]]:
         QTimer.singleShot(0, application.closeAllWindows)
 
     if threading.current_thread() is not threading.main_thread():
-        # Python takes signals in its main thread alone.
+        # Python handles signals in its main thread only.
         yield caught
         return
     before = {number: signal.signal(number, close) for number in (signal.SIGINT, signal.SIGTERM)}
-    # Python looks for signals only when it runs: Qt waits in C++.
+    # Python checks for signals only while it runs, and Qt waits in C++.
     pulse = QTimer()
     pulse.timeout.connect(lambda: None)
     pulse.start(PULSE_MS)
@@ -95,14 +103,14 @@ def _closed_by_signals(application: QApplication) -> Iterator[list[int]]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Reading:
-    """What a window shows, and with which machines its plan may be changed."""
+    """What a window shows, and the setting in which its plan can be edited."""
 
     subject: Subject
     setting: PlanSetting | None
 
 
-class _Desk:
-    """Keeps the window, and puts a new one in its place when the run is to be read anew."""
+class _WindowOwner:
+    """Holds the window, and replaces it when the run is read again."""
 
     def __init__(
         self, path: Path, feeds: RunFeeds, setting: Callable[[], PlanSetting] | None = None, scene: SfmScene | None = None
@@ -111,30 +119,31 @@ class _Desk:
         self.window: InspectorWindow | WaitingWindow | None = None
 
     def read(self) -> _Reading | None:
-        """What is to be shown; None while a run at work has no plan yet. Raises as `load_subject` and the setting."""
+        """Return what to show; None while a running run has no plan. Raises as `load_subject` and the setting."""
         setting = None if self._setting is None else self._setting()
         if self._path.is_dir() and not is_planned(self._path) and self._feeds.progress().is_running:
             return None
         return _Reading(subject=load_subject(self._path, self._scene), setting=setting)
 
     def show(self, reading: _Reading | None, theme: ThemeName) -> None:
-        """Open a window, then close the one before, so that the application does not end in between."""
+        """Open a window, then close the previous one, so that the application does not end in between."""
         from PySide6.QtCore import Qt
 
         from radiant_viewer.window.waiting_window import WaitingWindow
         from radiant_viewer.window.window import InspectorWindow
-        from radiant_viewer.window.window_state import state_of
+        from radiant_viewer.window.window_state import read_window_state, restore_window
 
         before = self.window
         if reading is None:
             self.window = WaitingWindow(self._path, self._feeds, theme)
         else:
-            state = state_of(before) if isinstance(before, InspectorWindow) else None
-            self.window = InspectorWindow(reading.subject, self._feeds, theme, reading.setting, state)
+            state = read_window_state(before) if isinstance(before, InspectorWindow) else None
+            restore = None if state is None else partial(restore_window, state=state)
+            self.window = InspectorWindow(reading.subject, self._feeds, theme, reading.setting, restore)
         self.window.wants_reload.connect(self._reload)
         if isinstance(before, InspectorWindow):
             self.window.setGeometry(before.geometry())
-            # Nobody who writes elsewhere is to lose the keyboard to a run that went on.
+            # A run that goes on must not take the keyboard from another program.
             self.window.setAttribute(Qt.WidgetAttribute.WA_ShowWithoutActivating, not before.isActiveWindow())
         self.window.show()
         if before is not None:
@@ -148,8 +157,8 @@ class _Desk:
         try:
             reading = self.read()
         except RadiantError as error:
-            # What is shown stays: a run may be in the middle of writing.
-            self.window.tell(str(error))
+            # Keep what is shown: the run may be in the middle of writing.
+            self.window.show_status(str(error))
             return
         if reading is not None:
             self.show(reading, self.window.theme.name if isinstance(self.window, InspectorWindow) else "light")

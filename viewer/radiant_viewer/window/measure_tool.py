@@ -1,43 +1,39 @@
-"""Measuring on the map: each click adds a corner; the length of the path and the area of its closure stand in the status bar."""
+"""Measuring on the map: clicks add corners; the status bar shows the length of the path and the area it encloses."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray
 from radiant_viewer.host.canvas import Canvas
+from radiant_viewer.host.protocols import Host
 from radiant_viewer.layers.layer import Label, Layer
 from radiant_viewer.layers.palette import ORANGE
 from radiant_viewer.pictures.measure import area_text, length_text, path_length, polygon_area
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
 
 MARK = "Measurement"
 
 
 class MeasureTool:
-    """Takes clicks on the map while it is active; `corners` (K,2) are what was clicked."""
+    """Takes the clicks on the map while `is_active`; `corners` (K,2) are the clicked places."""
 
-    def __init__(self, window: InspectorWindow, unit: str, height: float) -> None:
-        self._window, self._unit, self._height = window, unit, height
+    def __init__(self, host: Host, unit: str, height: float) -> None:
+        self._host, self._unit, self._height = host, unit, height
         self.is_active = False
         self.corners: FloatArray = np.zeros((0, 2))
-        window.map.click_takers.insert(0, self._on_click)
+        host.map.click_takers.insert(0, self._on_click)
 
     def set_active(self, active: bool) -> None:
-        """Begin anew, or end and take the drawing away."""
+        """Start with no corner, or end and remove the mark."""
         self.is_active = active
         self.corners = np.zeros((0, 2))
-        self._window.remove_mark(MARK)
-        self._window.render_views()
-        self._window.tell("Measure: click corners on the map; Backspace takes the last one back, M ends." if active else "")
+        self._host.remove_mark(MARK)
+        self._host.render_views()
+        self._host.show_status("Measure: click corners on the map; Backspace takes the last one back, M ends." if active else "")
 
     def undo(self) -> None:
-        """Take the last corner back."""
+        """Remove the last corner."""
         if self.is_active and len(self.corners):
             self.corners = self.corners[:-1]
             self._draw()
@@ -49,7 +45,7 @@ class MeasureTool:
 
     @property
     def text(self) -> str:
-        """Length, and area from three corners on."""
+        """Length, and from three corners on the area."""
         length = length_text(path_length(self.corners), self._unit)
         if len(self.corners) < 3:
             return f"Distance {length}"
@@ -65,12 +61,12 @@ class MeasureTool:
 
     def _draw(self) -> None:
         if not len(self.corners):
-            self._window.remove_mark(MARK)
+            self._host.remove_mark(MARK)
         else:
             places = np.column_stack([self.corners, np.full(len(self.corners), self._height)])
             ends = np.stack([places, np.roll(places, -1, axis=0)], axis=1)
             ends = ends if len(places) > 2 else ends[: len(places) - 1]
-            self._window.draw_mark(
+            self._host.draw_mark(
                 Layer(
                     name=MARK,
                     points=places,
@@ -84,5 +80,5 @@ class MeasureTool:
                     labels=(Label(text=self.text.replace("   ·   ", ", "), position=places[-1]),),
                 )
             )
-        self._window.render_views()
-        self._window.tell(self.text)
+        self._host.render_views()
+        self._host.show_status(self.text)

@@ -1,30 +1,29 @@
-"""The docks as panels: a menu that shows, hides and floats each, and a double click on a tab that floats it. Needs the `desktop` extra.
+"""The menu that shows, hides and floats docks; a double click on a tab floats its dock. Needs the
+`desktop` extra.
 
-A dock among tabs has no title bar, since its tab says the same; one that floats gets it back, to be moved and docked by.
+A dock among tabs has no title bar, since its tab repeats the title; a floating one gets it back, as
+a handle.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QEvent, QObject
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QDockWidget, QMainWindow, QMenu, QTabBar, QToolButton, QWidget
 
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
-
 SIZE_WH = (520, 420)
-"""Of a dock that floats for the first time."""
+"""Least size of a floating dock."""
 
 
 class Panels(QObject):
-    """`button` opens the menu; made once all docks stand."""
+    """`button` opens the menu; make it after all docks are placed."""
 
-    def __init__(self, window: InspectorWindow) -> None:
+    def __init__(self, window: QMainWindow, docks: Sequence[QDockWidget]) -> None:
         super().__init__(window)
-        self._window = window
+        self._window, self._docks = window, tuple(docks)
         # Tabs can be dragged out as well.
         window.setDockOptions(window.dockOptions() | QMainWindow.DockOption.GroupedDragging)
         self.button = QToolButton()
@@ -32,10 +31,10 @@ class Panels(QObject):
         self.button.setToolTip("Show, hide or float a panel; a double click on its tab floats it, too")
         self.button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
         menu = QMenu(self.button)
-        for dock in window.all_docks():
+        for dock in docks:
             menu.addAction(dock.toggleViewAction())
         menu.addSeparator()
-        for dock in window.all_docks():
+        for dock in docks:
             float_action = menu.addAction(f"Float {dock.windowTitle()}")
             float_action.setCheckable(True)
             float_action.toggled.connect(partial(self.set_floating, dock))
@@ -45,7 +44,7 @@ class Panels(QObject):
         window.installEventFilter(self)
 
     def set_floating(self, dock: QDockWidget, floating: bool) -> None:
-        """Take a dock out of the window, or put it back where it was."""
+        """Float a dock, or put it back in its place."""
         if dock.isFloating() == floating:
             return
         dock.show()
@@ -56,13 +55,13 @@ class Panels(QObject):
             dock.raise_()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Listen to tab bars, which Qt makes as they are needed."""
+        """Float the dock of a tab on a double click; tab bars are watched as Qt creates them."""
         if event.type() == QEvent.Type.ChildAdded and watched is self._window:
             for bar in self._window.findChildren(QTabBar):
                 bar.installEventFilter(self)
         if isinstance(watched, QTabBar) and isinstance(event, QMouseEvent) and event.type() == QEvent.Type.MouseButtonDblClick:
             title = watched.tabText(watched.tabAt(event.position().toPoint()))
-            for dock in self._window.all_docks():
+            for dock in self._docks:
                 if dock.windowTitle() == title:
                     self.set_floating(dock, True)
                     return True

@@ -1,4 +1,4 @@
-"""`Subject`: what a window shows, a run or a PLY from elsewhere, as layers. Built once per window."""
+"""`Subject`: what a window shows, a run, a plan or a PLY, as layers. Built once per window."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from radiant_core.errors import BadInput
 from radiant_core.io.ply import load_ply
 from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
-from radiant_viewer.editing.plan_layers import with_planning_layers
-from radiant_viewer.layers.camera_layer import camera_layer
+from radiant_viewer.editing.plan_layers import add_planning_layers
 from radiant_viewer.layers.layer import Layer
-from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
+from radiant_viewer.layers.splat_layer import splat_layer
 from radiant_viewer.runs.plan_view import load_plan_view
-from radiant_viewer.runs.run_pictures import ground_height, plan_layers, seam_of
+from radiant_viewer.runs.run_layers import ground_height, run_layers
 from radiant_viewer.runs.run_view import FileStamps, RunView, file_stamps, load_run_view
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """layers from the ground up; splats and run where there are any; unit of the world; ground: height of the regions."""
+    """layers in drawing order; splats and run if there are any; unit of the world; ground: height of the regions."""
 
     path: Path
     layers: tuple[Layer, ...]
@@ -30,12 +29,11 @@ class Subject:
     ground: float
     summary: str
     stamps: FileStamps = ()
-    """Of the files as they were before they were read."""
+    """Stamps of the files before they were read."""
 
 
 def load_subject(path: Path, scene: SfmScene | None = None) -> Subject:
-    """A run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged with one sentence when it is
-    none of them or broken."""
+    """Read a run folder, a .ply file, or a plan, of `scene` where it has no waypoints; BadInput or StoreDamaged where that fails."""
     stamps = file_stamps(path)
     return replace(_load_subject(path, scene), stamps=stamps)
 
@@ -46,16 +44,16 @@ def _load_subject(path: Path, scene: SfmScene | None) -> Subject:
         if not len(splats):
             raise BadInput(f"{path} holds no Gaussian: there is nothing to show.")
         summary = f"{len(splats):,} Gaussians, spherical harmonics of degree {splats.sh_degree}"
-        # Nothing in a PLY says what its unit is.
+        # A PLY has no unit.
         layers = (splat_layer(splats),)
         return Subject(path=path, layers=layers, splats=splats, run=None, unit="units", ground=0.0, summary=summary)
     if path.suffix.lower() == ".json" and not path.is_dir():
-        return subject_of_run(load_plan_view(path, scene))
-    return subject_of_run(load_run_view(path, with_files=True))
+        return run_subject(load_plan_view(path, scene))
+    return run_subject(load_run_view(path, with_files=True))
 
 
-def subject_of_run(run: RunView) -> Subject:
-    """A run with all its layers."""
+def run_subject(run: RunView) -> Subject:
+    """Return a run with all its layers."""
     roles = run.roles
     model = "no model yet" if run.splats is None else f"{len(run.splats):,} Gaussians"
     dealt = f"{len(roles.edge_ids)} regions, {len(roles.device_ids)} devices"
@@ -63,41 +61,10 @@ def subject_of_run(run: RunView) -> Subject:
         dealt = f"{len(run.scene.points):,} points"
     return Subject(
         path=run.folder,
-        layers=tuple(with_planning_layers(run, run_layers(run)) if run.kind == "run" else run_layers(run)),
+        layers=tuple(add_planning_layers(run, run_layers(run)) if run.kind == "run" else run_layers(run)),
         splats=run.splats,
         run=run,
         unit=run.unit,
         ground=ground_height(run.scene),
         summary=f"{len(run.scene.cameras)} cameras, {dealt}, {model}",
     )
-
-
-def _unplanned_layers(run: RunView) -> list[Layer]:
-    """The layers of a training or a scene from the ground up: points, model, cameras by split and by error."""
-    layers = [sparse_point_layer(run.scene)] if len(run.scene.points) else []
-    if run.splats is not None and not any(layer.name == "Gaussians" for layer in layers):
-        layers.append(splat_layer(run.splats))
-    layers.append(camera_layer(run.scene.cameras, run.roles, "split"))
-    return [*layers, camera_layer(run.scene.cameras, run.roles, "psnr", run.psnr_db)] if run.psnr_db else layers
-
-
-def run_layers(run: RunView) -> list[Layer]:
-    """All layers of a run from the ground up: points, plan, cameras, and what the run has beyond: model, seams, errors."""
-    if run.kind != "run":
-        return _unplanned_layers(run)
-    regions, strips, borders, by_region, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
-    # Before capture there are no points, and "0 points" in a legend looks like a run that failed.
-    layers = [regions, strips, *([sparse_point_layer(run.scene)] if len(run.scene.points) else [])]
-    if run.splats is not None and layers[-1].name != "Gaussians":
-        layers.append(splat_layer(run.splats))
-    layers += [
-        borders,
-        by_region,
-        camera_layer(run.scene.cameras, run.roles, "device"),
-        camera_layer(run.scene.cameras, run.roles, "split"),
-    ]
-    if run.placed_psnr_db:
-        layers.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.placed_psnr_db))
-    if run.splats is not None and len(run.cloud_plan.edge_ids) > 1:
-        layers.append(seam_of(run.scene, run.cloud_plan, run.splats))
-    return [*layers, edges]

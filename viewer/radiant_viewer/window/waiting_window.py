@@ -1,4 +1,4 @@
-"""The window of a run that has no plan yet: its stages as they stand, until there is something to draw. Needs the `desktop` extra."""
+"""The window of a run without a plan: its stages, until there is something to draw. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WAITING = "This run has no plan yet: there is nothing to draw. Regions and camer
 
 
 class WaitingWindow(QMainWindow):
-    """`wants_reload` asks for the inspector as soon as the run has a plan."""
+    """Emits `wants_reload` once the run has a plan."""
 
     wants_reload = Signal()
 
@@ -38,12 +38,11 @@ class WaitingWindow(QMainWindow):
         self.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self.progress)
         self.resizeDocks([self.progress], [SIZE_WH[1]], Qt.Orientation.Vertical)
 
-    def tell(self, message: str) -> None:
-        """One line in the status bar."""
+    def show_status(self, message: str) -> None:
         self.statusBar().showMessage(message)
 
     def reload(self) -> None:
-        """Look whether there is a plan."""
+        """Check whether there is a plan now."""
         self.wants_reload.emit()
 
     def _on_polled(self) -> None:

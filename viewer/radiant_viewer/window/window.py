@@ -1,7 +1,9 @@
-"""`InspectorWindow`: the Qt window over a run or a model. Import only after `desktop.require_desktop`.
+"""`InspectorWindow`: the Qt window over a run or a model. Import only after
+`desktop.require_desktop`.
 
-Map and 3D view hold the same layers; whatever selects a camera (table, click, tour) marks it in both and shows its photograph. Each dock
-and tool is a file of its own that asks the window for what it shares: the views, the selection, the theme, the status bar.
+Map and 3D view show the same layers; a camera selected by table, click or tour is marked in both,
+and its photograph is shown. Docks and tools see the window through the protocols in `host`, which
+document the shared methods.
 """
 
 from __future__ import annotations
@@ -19,34 +21,30 @@ from radiant_core.errors import BadInput, RadiantError
 from radiant_core.numerics import FloatArray
 from radiant_viewer.docks.layer_dock import LayerDock
 from radiant_viewer.editing.plan_files import PlanSetting
-from radiant_viewer.editing.planning import Planning, add_planning
+from radiant_viewer.editing.planning import make_planning
 from radiant_viewer.host.canvas import TOP_SLOT, Canvas
 from radiant_viewer.layers.camera_layer import highlight_layer
-from radiant_viewer.layers.layer import Layer, drawn_positions
-from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, style_sheet, themed
+from radiant_viewer.layers.layer import Layer, framing_positions
+from radiant_viewer.layers.themes import LIGHT, THEMES, Theme, ThemeName, apply_theme, style_sheet
 from radiant_viewer.pictures.images import Image, save_png
-from radiant_viewer.pictures.view_pose import pose_of_camera
+from radiant_viewer.pictures.view_pose import camera_pose
 from radiant_viewer.runs.run_feeds import RunFeeds
+from radiant_viewer.runs.run_layers import hidden_at_first
 from radiant_viewer.runs.run_view import RunView, file_stamps
-from radiant_viewer.window.docks import Docks, add_docks, share_room
+from radiant_viewer.window.docks import make_docks, place_docks, place_plan_docks, resize_docks
 from radiant_viewer.window.measure_tool import MeasureTool
 from radiant_viewer.window.panels import Panels
 from radiant_viewer.window.subject import Subject
-from radiant_viewer.window.window_state import WindowState, restore
 
-HIDDEN_AT_FIRST = frozenset(
-    {"Device strips", "Gaussians", "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"}
-)
-"""Layers that cover others: one click away."""
 SELECTED = "Selected camera"
 SIZE_WH = (1280, 800)
 PICK_PX = 14
-"""A click this near to a camera selects it."""
+"""Largest distance of a click from the camera that it selects."""
 _Result = TypeVar("_Result")
 
 
 class InspectorWindow(QMainWindow):
-    """The window of one run or model; `wants_reload` asks whoever opened it to open it anew."""
+    """The window of one run or model; `wants_reload` requests a new window for files that changed."""
 
     wants_reload = Signal()
 
@@ -56,18 +54,18 @@ class InspectorWindow(QMainWindow):
         feeds: RunFeeds | None = None,
         theme: ThemeName = "light",
         setting: PlanSetting | None = None,
-        state: WindowState | None = None,
+        restore: Callable[[InspectorWindow], None] | None = None,
     ) -> None:
         super().__init__()
         self.subject, self.run = subject, subject.run
         self.layers: list[Layer] = list(subject.layers)
-        drawn = drawn_positions(self.layers)
+        drawn = framing_positions(self.layers)
         self.origin: FloatArray = (drawn.min(axis=0) + drawn.max(axis=0)) / 2
         self.theme: Theme = LIGHT
         self.selected: int | None = None
         self._marks: dict[str, Layer] = {}
         self._was_shown = False
-        self._state = state
+        self._restore = restore
         self._tried = subject.stamps
         self._dark_button: list[QAction] = []
         self.edit_button: QAction | None = None
@@ -78,97 +76,88 @@ class InspectorWindow(QMainWindow):
         self.view = Canvas(splitter, "3D", is_map=False, origin=self.origin)
         splitter.setSizes([320, 320])
         self.setCentralWidget(splitter)
-        # Where there are no sparse points below them, the Gaussians are the ground.
-        has_ground = any(layer.name == "Sparse points" for layer in self.layers)
-        shown = set() if has_ground else {"Gaussians"}
-        if not any(layer.name == "Cameras by region" for layer in self.layers):
-            shown.add("Cameras by split")
-        self.layer_dock = LayerDock(self, self.layers, HIDDEN_AT_FIRST - shown, self._on_visibility)
+        self.layer_dock = LayerDock(self.layers, hidden_at_first(self.layers), self._on_visibility)
         self.addDockWidget(Qt.DockWidgetArea.LeftDockWidgetArea, self.layer_dock)
         self.measure = MeasureTool(self, subject.unit, subject.ground)
         for canvas in (self.map, self.view):
             canvas.click_takers.append(self._pick)
-        self.docks: Docks = add_docks(self, subject.run, subject.splats, feeds or RunFeeds(), subject.unit)
-        self.planning: Planning | None = add_planning(self, setting)
+        self.docks = make_docks(self, subject.run, subject.splats, feeds or RunFeeds(), subject.unit)
+        place_docks(self, self.docks)
+        if self.docks.cameras is not None:
+            self.docks.cameras.chosen.connect(self.mark_camera)
         if self.docks.progress is not None:
             self.docks.progress.polled.connect(self._on_polled)
-        self.panels = Panels(self)
+        self.planning = make_planning(self, subject.run, setting)
+        if self.planning is not None:
+            place_plan_docks(self, self.planning, self.layer_dock, self.docks.cameras)
+        self.panels = Panels(self, self.all_docks())
         self._add_actions()
         self.set_theme(theme)
-        self.tell(subject.summary)
+        self.show_status(subject.summary)
         if setting is not None and setting.reason:
-            self.tell(f"{subject.summary}.   {setting.reason}")
+            self.show_status(f"{subject.summary}.   {setting.reason}")
 
-    def tell(self, message: str) -> None:
-        """One line in the status bar."""
+    def show_status(self, message: str) -> None:
         self.statusBar().showMessage(message)
 
     def attempt(self, action: Callable[[], _Result]) -> _Result | None:
-        """Do something a user asked for; what cannot be done is told in the status bar and in a box that can be read at leisure."""
+        """As in `Host`; the sentence is shown in the status bar and in a box."""
         try:
             return action()
         except RadiantError as error:
-            self.tell(str(error))
+            self.show_status(str(error))
             box = QMessageBox(QMessageBox.Icon.Warning, "Radiant", str(error), QMessageBox.StandardButton.Ok, self)
-            # Not modal: it must not stop a flight that is being written, or a test.
+            # Not modal: it must not block a film that is being written, or a test.
             box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
             box.open()
             return None
 
     def set_layer_visible(self, name: str, visible: bool) -> None:
-        """Show or hide a layer in both views, as its check box does; BadInput for an unknown one."""
         self.layer_dock.set_visible(name, visible)
 
-    def replace_layer(self, layer: Layer) -> None:
-        """Draw a layer anew, as after an edit, in the place of the one of its name."""
+    def replace_layer(self, layer: Layer, *, map_only: bool = False) -> None:
         names = [other.name for other in self.layers]
+        if map_only:
+            slot = names.index(layer.name) if layer.name in names else len(names)
+            self.map.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
+            return
         if layer.name in names:
             self.layers[names.index(layer.name)] = layer
         else:
             self.layers.append(layer)
-        self.layer_dock.update_legend(themed(layer, self.theme))
+        self.layer_dock.update_legend(apply_theme(layer, self.theme))
         self._draw(layer)
 
-    def draw_on_map(self, layer: Layer) -> None:
-        """Draw a layer on the map alone, as in a drag; `replace_layer` ends it."""
-        slot = next((index for index, other in enumerate(self.layers) if other.name == layer.name), len(self.layers))
-        self.map.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
-
-    def take_run(self, run: RunView) -> None:
-        """Show the same run with another plan, as after an edit."""
+    def show_run(self, run: RunView) -> None:
         self.run = run
         if self.docks.cameras is not None:
-            self.docks.cameras.take_run(run)
+            self.docks.cameras.show_run(run)
 
     def visible_layers(self) -> list[Layer]:
-        """Those that are drawn now, from the ground up."""
         return [layer for layer in self.layers if self.layer_dock.is_visible(layer.name)]
 
     def draw_mark(self, layer: Layer) -> None:
-        """Draw what a tool or a selection marks, over all layers."""
         self._marks[layer.name] = layer
         for canvas in (self.map, self.view):
             canvas.draw(layer, TOP_SLOT)
 
     def remove_mark(self, name: str) -> None:
-        """Take a mark away, if it is there."""
         self._marks.pop(name, None)
         for canvas in (self.map, self.view):
             canvas.remove(name)
 
     def select_camera(self, name: str) -> None:
-        """Select a camera everywhere; BadInput for an unknown name."""
         if self.run is None or name not in self.run.photographs:
             raise BadInput(f"there is no camera named {name!r} in this run: check the first column of the table.")
         self.select_index(self.run.photographs.index(name))
 
     def select_index(self, index: int) -> None:
-        """Select photograph `index` of `RunView.photographs`, a camera of the scene or one beyond them, through its row of the table."""
+        """Select photograph `index` of `RunView.photographs` through its row of the table."""
         if self.docks.cameras is not None:
             self.docks.cameras.select(index)
 
     def mark_camera(self, index: int) -> None:
-        """What follows from a selected row: its mark in both views, its photograph, its line in the status bar."""
+        """Show a selected photograph: its mark in both views, its picture, its line in the status bar."""
         if self.run is None:
             return
         is_placed = index < len(self.run.scene.cameras)
@@ -181,19 +170,18 @@ class InspectorWindow(QMainWindow):
             self.docks.photo.show_camera(index)
         if self.docks.cameras is not None:
             row = self.docks.cameras.cameras.rows[index]
-            self.tell("   ·   ".join(str(cell) for cell in row[:4] if cell))
+            self.show_status("   ·   ".join(str(cell) for cell in row[:4] if cell))
         if self.isVisible() and is_placed:
             self._show_on_map(self.run.scene.cameras.centers[index])
         self.render_views()
 
     def fly_to_selected(self) -> None:
-        """See the scene from the selected camera."""
         if self.run is None or self.selected is None:
-            self.tell("No camera with a known place is selected: click one in a view or in the table.")
+            self.show_status("No camera with a known place is selected: click one in a view or in the table.")
             return
         center = self.run.scene.cameras.centers[self.selected]
         distance = max(float(abs(center[2] - self.subject.ground)), 1e-3)
-        pose = pose_of_camera(self.run.scene.cameras, self.selected, distance)
+        pose = camera_pose(self.run.scene.cameras, self.selected, distance)
         self.view.set_pose(pose)
         self._show_on_map(center)
         self.render_views()
@@ -201,7 +189,7 @@ class InspectorWindow(QMainWindow):
             self.raise_dock(self.docks.splats)
 
     def _show_on_map(self, place: FloatArray) -> None:
-        """Move the map where a place (3,) lies outside of it."""
+        """Centre the map on a place (3,) that lies outside of it."""
         pixel = self.map.pixels_of(place[None])[0]
         if not ((pixel >= 0) & (pixel <= self.map.size_wh)).all():
             self.map.center_on(place[:2])
@@ -214,11 +202,10 @@ class InspectorWindow(QMainWindow):
 
     @property
     def crop_box(self) -> FloatArray | None:
-        """The box (2,3) outside of which nothing is shown, or None."""
-        return None if self.docks.crop is None else self.docks.crop.active_box
+        return self.docks.crop.active_box
 
     def set_theme(self, name: ThemeName) -> None:
-        """Light or dark, views included."""
+        """Use the light or the dark theme, also in the views."""
         self.theme = THEMES[name]
         for button in self._dark_button:
             button.blockSignals(True)
@@ -229,27 +216,25 @@ class InspectorWindow(QMainWindow):
         for canvas in (self.map, self.view):
             canvas.set_theme(self.theme)
         for layer in self.layers:
-            self.layer_dock.update_legend(themed(layer, self.theme))
+            self.layer_dock.update_legend(apply_theme(layer, self.theme))
         if self.docks.gantt is not None:
             self.docks.gantt.follow_theme()
         self._draw_all()
 
     def reset_views(self) -> None:
         """Fit all layers into both views."""
-        drawn = drawn_positions(self.layers)
+        drawn = framing_positions(self.layers)
         for canvas in (self.map, self.view):
             canvas.fit(drawn)
         self.render_views()
 
-    def render_views(self) -> None:
-        """Draw both views now; before the window is shown there is nothing to draw into."""
-        if not self.isVisible():
-            return
-        for canvas in (self.map, self.view):
-            canvas.render()
+    def render_views(self, *, map_only: bool = False) -> None:
+        if self.isVisible():
+            for canvas in (self.map,) if map_only else (self.map, self.view):
+                canvas.render()
 
     def screenshot(self) -> Image:
-        """Map and 3D view as they are on screen, side by side (H,W,3)."""
+        """Return map and 3D view side by side (H,W,3)."""
         images = [canvas.screenshot() for canvas in (self.map, self.view)]
         height = min(image.shape[0] for image in images)
         return np.concatenate([image[:height] for image in images], axis=1)
@@ -257,21 +242,20 @@ class InspectorWindow(QMainWindow):
     def save_screenshot(self, path: Path) -> None:
         """Write `screenshot` as PNG; BadInput where it cannot be written."""
         save_png(path, self.screenshot())
-        self.tell(f"Saved {path}")
+        self.show_status(f"Saved {path}")
 
     def save_window_picture(self, path: Path) -> None:
-        """Write the whole window, docks included, as PNG; BadInput where it cannot be written."""
+        """Write the window with its docks as PNG; BadInput where it cannot be written."""
         # Grabbed from the screen: Qt's own picture of a widget leaves out what OpenGL drew.
         if not self.screen().grabWindow(int(self.winId())).save(str(path), "PNG"):
             raise BadInput(f"cannot write {path}: choose a folder that exists and a name that ends in .png.")
-        self.tell(f"Saved {path}")
+        self.show_status(f"Saved {path}")
 
     def reload(self) -> None:
-        """Read the run anew, in a new window in the place of this one."""
         self.wants_reload.emit()
 
     def all_docks(self) -> list[QDockWidget]:
-        """Every dock, in the order of the menu."""
+        """Return all docks, in the order of the menu."""
         planning = [] if self.planning is None else [self.planning.dock, self.planning.loads]
         return [self.layer_dock, *planning, *self.docks.all()]
 
@@ -281,38 +265,35 @@ class InspectorWindow(QMainWindow):
         QTimer.singleShot(0, self._on_first_shown)
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """End what runs beside the window, then free both views before Qt takes their windows away; VTK would draw into nothing."""
+        """Stop background work, then close both views before Qt destroys their windows under VTK."""
         self.end()
         for canvas in (self.map, self.view):
             canvas.plotter.close()
         super().closeEvent(event)
 
     def end(self) -> None:
-        """End what runs beside the window; edits that are being solved are kept."""
+        """Stop renderers, polling, films and planning; edits that are being solved stay in their file."""
         for dock in (self.docks.splats, self.docks.progress):
             if dock is not None:
                 dock.end()
-        if self.docks.fly is not None:
-            self.docks.fly.stop()
+        self.docks.fly.stop()
         if self.planning is not None:
             self.planning.end()
 
     def _on_first_shown(self) -> None:
         if self.isVisible() and not self._was_shown:
             self._was_shown = True
-            if self._state is not None:
-                share_room(self)
-                self.reset_views()
-                restore(self, self._state)
-                return
-            # Before the docks are laid out Qt takes a window for wider than it needs to be.
-            room = self.screen().availableSize()
-            self.resize(min(SIZE_WH[0], room.width()), min(SIZE_WH[1], room.height()))
-            share_room(self)
+            if self._restore is None:
+                # Before the docks are laid out Qt takes a window for wider than it needs to be.
+                screen = self.screen().availableSize()
+                self.resize(min(SIZE_WH[0], screen.width()), min(SIZE_WH[1], screen.height()))
+            resize_docks(self, self.docks, self.layer_dock)
             self.reset_views()
+            if self._restore is not None:
+                self._restore(self)
 
     def _on_polled(self) -> None:
-        """Read the run anew once one of its stages has written something, unless somebody is in the middle of something."""
+        """Request a reload once the files have changed, unless the user is in the middle of an action."""
         stamps = file_stamps(self.subject.path)
         if stamps == self._tried or self._is_busy():
             return
@@ -320,9 +301,8 @@ class InspectorWindow(QMainWindow):
         self.reload()
 
     def _is_busy(self) -> bool:
-        planning, fly = self.planning, self.docks.fly
-        is_editing = planning is not None and (planning.tools.is_dragging or (planning.session is not None and planning.session.is_busy))
-        is_filming = fly is not None and fly.job is not None
+        is_editing = self.planning is not None and self.planning.is_busy
+        is_filming = self.docks.fly.job is not None
         has_dialog = QApplication.activeModalWidget() is not None or QApplication.activePopupWidget() is not None
         is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
         return is_editing or is_filming or has_dialog or is_pressed or self.measure.is_active or self.crop_box is not None
@@ -333,7 +313,8 @@ class InspectorWindow(QMainWindow):
         bar.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
         photo, seams, fly, crop = self.docks.photo, self.docks.seams, self.docks.fly, self.docks.crop
         planning = self.planning
-        # Text, tip, key and what is done; an entry without a text has its button in a dock.
+        actions = None if planning is None else planning.actions
+        # Text, tip, key and action; an entry without a text has its button in a dock.
         entries: list[tuple[str, str, str, Callable[[], object] | None]] = [
             ("Fit", "Fit all layers into both views", "F", self.reset_views),
             ("Fly to", "See the scene from the selected camera", "Return", self.fly_to_selected if self.run else None),
@@ -344,11 +325,11 @@ class InspectorWindow(QMainWindow):
             ("", "The next seam", "N", (lambda: seams.step(1)) if seams else None),
             ("", "The seam before", "Shift+N", (lambda: seams.step(-1)) if seams else None),
             ("", "Take the last measured corner back", "Backspace", self.measure.undo),
-            ("", "Add the 3D view as a keyframe", "K", fly.add_view if fly else None),
-            ("", "Undo the last edit of the plan", "Ctrl+Z", planning.undo if planning else None),
-            ("", "Redo it", "Ctrl+Shift+Z", planning.redo if planning else None),
-            ("", "Save the edited plan", "Ctrl+Shift+P", planning.ask_save if planning else None),
-            ("", "Save the plan's regions for a GIS, as GeoJSON", "Ctrl+G", planning.ask_regions if planning else None),
+            ("", "Add the 3D view as a keyframe", "K", fly.add_view),
+            ("", "Undo the last edit of the plan", "Ctrl+Z", actions.undo if actions else None),
+            ("", "Redo it", "Ctrl+Shift+Z", actions.redo if actions else None),
+            ("", "Save the edited plan", "Ctrl+Shift+P", actions.ask_save if actions else None),
+            ("", "Save the plan's regions for a GIS, as GeoJSON", "Ctrl+G", actions.ask_regions if actions else None),
             ("Screenshot…", "Save map and 3D view as PNG", "Ctrl+S", self._ask_screenshot),
             ("", "Save the whole window as PNG", "Ctrl+Shift+S", self._ask_window_picture),
             ("", "Read the run anew", "F5", self.reload),
@@ -382,22 +363,21 @@ class InspectorWindow(QMainWindow):
                 self._dark_button.append(button)
             if text == "Edit plan":
                 self.edit_button = button
-            if text == "Crop" and crop is not None:
+            if text == "Crop":
                 crop.active.toggled.connect(button.setChecked)
         bar.addWidget(self.panels.button)
 
     def _begin_tour(self) -> None:
         if self.docks.seams is not None:
             self.raise_dock(self.docks.seams)
-            # What the model looks like there is what the tour is for.
+            # The tour shows the model at the seams.
             self.raise_dock(self.docks.splats)
             self.docks.seams.go(0)
 
     def _set_cropping(self, active: bool) -> None:
-        if self.docks.crop is not None:
-            self.docks.crop.active.setChecked(active)
-            if active:
-                self.raise_dock(self.docks.crop)
+        self.docks.crop.active.setChecked(active)
+        if active:
+            self.raise_dock(self.docks.crop)
 
     def _draw_all(self) -> None:
         for layer in self.layers:
@@ -410,8 +390,7 @@ class InspectorWindow(QMainWindow):
         slot = next(index for index, other in enumerate(self.layers) if other.name == layer.name)
         for canvas in (self.map, self.view):
             canvas.draw(layer, slot, visible=self.layer_dock.is_visible(layer.name))
-            if self.docks.crop is not None:
-                self.docks.crop.apply_to(canvas)
+            self.docks.crop.apply_to(canvas)
 
     def _on_visibility(self) -> None:
         for layer in self.layers:
@@ -439,7 +418,7 @@ class InspectorWindow(QMainWindow):
     def _ask_window_picture(self) -> None:
         path, _ = QFileDialog.getSaveFileName(self, "Save window", str(Path.cwd() / "window.png"), "PNG (*.png)")
         if path:
-            # The dialog must be off the screen first.
+            # The dialog must have left the screen.
             QTimer.singleShot(300, lambda: self.attempt(lambda: self.save_window_picture(Path(path))))
 
     def _show_shortcuts(self) -> None:

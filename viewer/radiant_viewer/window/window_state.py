@@ -1,22 +1,19 @@
-"""`WindowState`: how somebody has set up a window, carried over when the run it shows is read anew. Needs the `desktop` extra."""
+"""`WindowState`: the user's arrangement of a window, carried over when its run is read again. Needs the `desktop` extra."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QRect
 
 from radiant_core.numerics import FloatArray
 from radiant_viewer.pictures.view_pose import ViewPose
-
-if TYPE_CHECKING:
-    from radiant_viewer.window.window import InspectorWindow
+from radiant_viewer.window.window import InspectorWindow
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WindowState:
-    """Where both views stand, which layers are shown, what is selected, and which docks are in front or float where."""
+    """Poses of both views, visible layers, selection, docks in front and floating docks."""
 
     pose: ViewPose
     map_middle: FloatArray
@@ -30,8 +27,8 @@ class WindowState:
     is_editing: bool
 
 
-def state_of(window: InspectorWindow) -> WindowState:
-    """What `restore` brings back in another window of the same run."""
+def read_window_state(window: InspectorWindow) -> WindowState:
+    """Return the state that `restore_window` gives to another window of the same run."""
     camera = window.map.plotter.camera
     selected = None if window.run is None or window.selected is None else window.run.scene.cameras.names[window.selected]
     docks = window.all_docks()
@@ -45,13 +42,13 @@ def state_of(window: InspectorWindow) -> WindowState:
         camera=selected,
         in_front=tuple(dock.objectName() for dock in docks if not dock.visibleRegion().isEmpty()),
         floating={dock.objectName(): dock.geometry() for dock in docks if dock.isFloating()},
-        keyframes=tuple(window.docks.fly.keyframes) if window.docks.fly is not None else (),
+        keyframes=tuple(window.docks.fly.keyframes),
         is_editing=planning is not None and planning.tools.is_active,
     )
 
 
-def restore(window: InspectorWindow, state: WindowState) -> None:
-    """Set a window up as another one was; what only one of them has stays as it is."""
+def restore_window(window: InspectorWindow, state: WindowState) -> None:
+    """Arrange a window as another one was, as far as both have the same parts."""
     for dock in window.all_docks():
         if dock.objectName() in state.floating:
             dock.setFloating(True)
@@ -66,9 +63,8 @@ def restore(window: InspectorWindow, state: WindowState) -> None:
         window.layer_dock.set_solo(state.solo)
     if state.is_editing and window.edit_button is not None:
         window.edit_button.setChecked(True)
-    if window.docks.fly is not None:
-        for pose in state.keyframes:
-            window.docks.fly.add_keyframe(pose)
+    for pose in state.keyframes:
+        window.docks.fly.add_keyframe(pose)
     if window.run is not None and state.camera in window.run.scene.cameras.names:
         window.select_camera(state.camera)
     window.view.set_pose(state.pose)

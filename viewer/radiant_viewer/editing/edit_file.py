@@ -1,8 +1,8 @@
-"""`KeptFile`: the file in which a window keeps the edits of a plan, and what becomes of them where two windows do.
+"""`EditFile`: the file with the edits of a plan, safe when two windows edit the same plan.
 
-The window that writes first has the file. Another one that finds other bytes in it than it read or wrote itself neither overwrites them nor
-loses its own: it keeps its edits in a file beside, until somebody says whose count. Bytes are compared, not times, at every write; each
-write some milliseconds.
+The window that writes first owns the file. Another window that finds unfamiliar bytes in it writes
+its own edits to a file beside it, until the user resolves the conflict. Bytes are compared, not
+times, at every write; some milliseconds each.
 """
 
 from __future__ import annotations
@@ -13,29 +13,28 @@ from pathlib import Path
 
 from radiant_core.errors import StoreDamaged
 from radiant_core.io.run_store import read_bounded
-from radiant_viewer.editing.edit_log import MAX_LOG_BYTES, KeptEdits, load_edits, move_aside, name_aside, save_edits
+from radiant_viewer.editing.edit_log import MAX_LOG_BYTES, EditHistory, free_path_beside, load_edits, move_aside, save_edits
 
 
-class KeptFile:
-    """`path` is the file of the plan with key `base`; `aside` is where this window keeps its edits since another one wrote the file, None
-    while it has the file for itself."""
+class EditFile:
+    """`path` is the file of the plan with key `base`; `aside` is this window's own file during a conflict, else None."""
 
     def __init__(self, path: Path, base: str) -> None:
         self.path, self._base = path, base
         self.aside: Path | None = None
         self._seen = _digest(path)
 
-    def load(self) -> tuple[KeptEdits, str]:
-        """The edits in the file, and one sentence where they cannot be used; from now on this window has the file."""
+    def load(self) -> tuple[EditHistory, str]:
+        """Return the edits in the file, and a sentence if they are unusable; this window then owns the file."""
         self.aside, self._seen = None, _digest(self.path)
         kept, sentence = load_edits(self.path, self._base)
         if not self.path.exists():
             self._seen = None
         return kept, sentence
 
-    def save(self, kept: KeptEdits) -> None:
-        """Write the edits, or remove the file where there are none; beside it where another window wrote it. BadInput where that fails."""
-        self.find_other()
+    def save(self, kept: EditHistory) -> None:
+        """Write the edits, to `aside` during a conflict; without edits the file is removed. BadInput where that fails."""
+        self.has_foreign_edits()
         target = self.aside or self.path
         if kept.done or kept.undone:
             save_edits(target, self._base, kept)
@@ -45,26 +44,26 @@ class KeptFile:
         if self.aside is None:
             self._seen = _digest(self.path)
 
-    def find_other(self) -> bool:
-        """Whether another window wrote the file since this one read or wrote it."""
+    def has_foreign_edits(self) -> bool:
+        """Return whether another window wrote the file since this one read or wrote it."""
         if self.aside is None and _digest(self.path) != self._seen:
-            self.aside = name_aside(self.path)
+            self.aside = free_path_beside(self.path)
         return self.aside is not None
 
-    def take_over(self, kept: KeptEdits) -> str:
-        """Write these edits into the file after all; returns one sentence about where what stood there is kept. BadInput as `save`."""
+    def take_over(self, kept: EditHistory) -> str:
+        """Overwrite the file, and return a sentence about the renamed edits of the other window. BadInput as `save`."""
         theirs = move_aside(self.path) if self.path.exists() else None
         mine, self.aside, self._seen = self.aside, None, None
         self.save(kept)
         if mine is not None:
-            # Its edits are in the file itself now.
+            # These edits are in the file itself now.
             with suppress(OSError):
                 mine.unlink()
         return "" if theirs is None else f"The other window's edits are kept as {theirs.name}."
 
 
 def _digest(path: Path) -> str | None:
-    """Of the bytes of a file, None where there is none."""
+    """Return the hash of a file, None where there is none."""
     if not path.exists():
         return None
     try:

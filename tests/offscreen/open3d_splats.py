@@ -1,6 +1,6 @@
 """Gaussians as Open3D draws them, in a process of their own: two of its renderers in one process end it with an abort.
 
-`python -m radiant_viewer.splats.open3d_splats IN.npz OUT.npy` is that process. For looking, and for comparing with our own renderer:
+`python open3d_splats.py IN.npz OUT.npy` is that process. The oracle for our renderer and for the PLY files that we write:
 Open3D keeps positions in 16 bits, clamps colours per Gaussian, draws harmonics up to degree 2, and a tile is sometimes
 wrong in one frame, so several frames are drawn. Some 3 s to start, 0.2 s to 0.6 s per frame of 640×480.
 """
@@ -41,7 +41,7 @@ def render_open3d_splats(ply_path: Path, camera: Cameras, num_frames: int = 5) -
         source, target = Path(folder) / "in.npz", Path(folder) / "out.npy"
         request = {"K": camera.Ks[0], "cam_from_world": camera.cam_from_world[0], "size_wh": camera.sizes_wh[0]}
         np.savez(source, ply_path=str(ply_path.resolve()), num_frames=num_frames, **request)
-        command = [sys.executable, "-m", "radiant_viewer.splats.open3d_splats", str(source), str(target)]
+        command = [sys.executable, __file__, str(source), str(target)]
         try:
             result = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
         except subprocess.TimeoutExpired as error:

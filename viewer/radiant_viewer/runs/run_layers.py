@@ -1,0 +1,86 @@
+"""The layers of a run from the ground up: window, page and pictures take them from here. Once per run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.scene import SfmScene
+from radiant_core.splats import Splats
+from radiant_viewer.layers.camera_layer import camera_layer
+from radiant_viewer.layers.camera_roles import CameraRoles
+from radiant_viewer.layers.layer import Layer
+from radiant_viewer.layers.region_layer import border_layer, edge_site_layer, region_layer, strip_layer
+from radiant_viewer.layers.seam_layer import SeamPieces, seam_layer
+from radiant_viewer.layers.splat_layer import sparse_point_layer, splat_layer
+from radiant_viewer.runs.border_figures import VISIBLE_LEVELS, BorderFigures, border_figures, seam_band_width
+from radiant_viewer.runs.run_view import RunView
+
+COVERING = frozenset({"Device strips", "Gaussians", "Overlap", "Footprints", "Cameras by device", "Cameras by split", "Cameras by PSNR"})
+"""Layers that cover others."""
+
+
+def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
+    """Return all layers of a run: points, plan, cameras and, as far as the run has them, model, errors and seams.
+
+    A training or a scene has no plan: its layers are points, model, and cameras by split and error.
+    """
+    # Before capture there are no points, and "0 points" in a legend looks like a run that failed.
+    points = [sparse_point_layer(run.scene)] if len(run.scene.points) else []
+    # The points of a run in the field are its Gaussians already.
+    if run.splats is not None and not any(layer.name == "Gaussians" for layer in points):
+        points.append(splat_layer(run.splats))
+    cameras = [camera_layer(run.scene.cameras, run.roles, "split")]
+    if run.placed_psnr_db:
+        cameras.append(camera_layer(run.scene.cameras, run.roles, "psnr", run.placed_psnr_db))
+    if run.kind != "run":
+        return [*points, *cameras]
+    regions, strips, borders, by_region, edges = plan_layers(run.scene, run.cloud_plan, run.edge_plans, run.roles)
+    by_device = camera_layer(run.scene.cameras, run.roles, "device")
+    seams = []
+    if with_seams and run.splats is not None and len(run.cloud_plan.edge_ids) > 1:
+        seams.append(color_step_layer(run.scene, run.cloud_plan, run.splats))
+    return [regions, strips, *points, borders, by_region, by_device, *cameras, *seams, edges]
+
+
+def hidden_at_first(layers: Sequence[Layer]) -> frozenset[str]:
+    """Return the names of the layers that a window or page hides at first, since they cover others."""
+    names = {layer.name for layer in layers}
+    # Without sparse points below them, the Gaussians are the ground.
+    shown = {"Gaussians"} - ({"Gaussians"} if "Sparse points" in names else set())
+    return COVERING - shown - (set() if "Cameras by region" in names else {"Cameras by split"})
+
+
+def plan_layers(scene: SfmScene, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], roles: CameraRoles) -> list[Layer]:
+    """Return regions, strips, borders, cameras by region and edges, in drawing order."""
+    ground = ground_height(scene)
+    return [
+        region_layer(cloud_plan, ground),
+        strip_layer(cloud_plan, edge_plans, ground),
+        border_layer(cloud_plan, ground),
+        camera_layer(scene.cameras, roles, "region"),
+        edge_site_layer(cloud_plan, ground),
+    ]
+
+
+def color_step_layer(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats) -> Layer:
+    """Return the layer of the borders' colour steps; BadInput where the plan has one region only."""
+    return figures_layer(scene, cloud_plan, border_figures(scene, cloud_plan, splats))
+
+
+def figures_layer(scene: SfmScene, cloud_plan: CloudPlan, figures: Sequence[BorderFigures]) -> Layer:
+    """Return the layer of borders whose figures are known; its scale ends at twice the levels that are visible, or higher."""
+    pieces = SeamPieces(
+        ends=np.concatenate([one.ends for one in figures]),
+        edge_pairs=np.concatenate([np.tile([one.border.first, one.border.second], (len(one.ends), 1)) for one in figures]),
+    )
+    label = f"Step over texture (of 255), bands of {seam_band_width(cloud_plan):.3g} {scene.frame.unit}"
+    levels = np.concatenate([one.levels_above_texture for one in figures])
+    return seam_layer(pieces, levels, label, ground_height(scene), 2 * VISIBLE_LEVELS)
+
+
+def ground_height(scene: SfmScene) -> float:
+    """Return the height at which regions are drawn in 3D: the lowest tenth of the sparse points, 0 without points."""
+    return float(np.quantile(scene.points[:, 2], 0.1)) if len(scene.points) else 0.0
