@@ -37,6 +37,9 @@ _FLAGS = {
     "methods": "--method",
     "num_placements": "--placements",
 }
+OF_RUN = "run"
+"""The layout of a cell that has the plan, the settings and the seed of the run that the scene is of."""
+_OF_A_LAYOUT = ("quick", "num_seeds", "num_placements", "long_side_px")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +69,7 @@ class BenchOptions:
     methods: tuple[str, ...] = ()
     """Methods to compare (methods), sections of the page (paper) or ablations (train); empty for all."""
     layout: str = "2x2"
-    """Edges x devices per edge."""
+    """Edges x devices per edge, or `OF_RUN`."""
     num_placements: int = 1
     """Placements of the edges."""
     max_gaussians: int | None = None
@@ -83,9 +86,14 @@ class BenchOptions:
         for field in fields(self):
             accepted_by = ACCEPTED_BY.get(field.name, get_args(BenchName))
             if getattr(self, field.name) != field.default and name not in accepted_by:
-                flag = _FLAGS.get(field.name, "--" + field.name.replace("_", "-"))
-                raise BadInput(f"{flag} is for {', '.join(accepted_by)}, not for {name}: leave it out.")
+                raise BadInput(f"{_flag(field.name)} is for {', '.join(accepted_by)}, not for {name}: leave it out.")
+            if self.layout == OF_RUN and field.name in _OF_A_LAYOUT and getattr(self, field.name) != field.default:
+                raise BadInput(f"--layout {OF_RUN} uses the plan and settings of the run: leave out {_flag(field.name)}.")
         if name in ("methods", "paper") and (self.scene is None or self.out is None):
             raise BadInput(f"the benchmark {name} needs --scene, a run or a folder of 'radiant sfm', and --out, a folder for its models.")
         if self.bless and self.baseline is None:
             raise BadInput("--bless writes the figures into the file of --baseline: name it.")
+
+
+def _flag(name: str) -> str:
+    return _FLAGS.get(name, "--" + name.replace("_", "-"))

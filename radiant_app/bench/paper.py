@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.bench.method_cells import Layout
-from radiant_app.bench.paper_arms import Arms, load_arms
+from radiant_app.bench.arms import Arms, load_arms
+from radiant_app.bench.cells import Layout, bench_settings
 from radiant_app.bench.paper_balance import balance_part
 from radiant_app.bench.paper_parts import Part, border_part, epochs_part, fed3dgs_part, fusion_part, main_part, regions_part
 from radiant_app.bench.paper_plan import plan_part
@@ -64,7 +64,8 @@ class PaperBench:
 
 def bench_paper(bench: PaperBench) -> list[Metric]:
     """Page, pictures and JSON in `bench.out`; the figures of its tables as metrics `paper.<scene>.<part>.<cell>.<arm>.…`."""
-    arms = load_arms(bench.scene, bench.out, QUICK_LAYOUT if bench.quick else LAYOUT, bench.long_side_px, bench.num_steps)
+    layout = QUICK_LAYOUT if bench.quick else LAYOUT
+    arms = load_arms(bench.scene, bench.out, layout, bench_settings(bench.long_side_px, bench.num_steps))
     bench.out.mkdir(parents=True, exist_ok=True)
     seeds = range(bench.num_seeds)
     made: dict[str, Part] = {}

@@ -14,18 +14,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from radiant_app.bench.method_cells import Cell, Trained, device_rows
-from radiant_app.bench.methods import Made, join_cell
-from radiant_app.bench.paper_arms import Arm, Arms
+from radiant_app.bench.arms import Arm, Arms
+from radiant_app.bench.cells import Cell, Train
+from radiant_app.bench.methods import joined
 from radiant_app.bench.paper_parts import Part
 from radiant_app.report.progress import tracked
-from radiant_core.aggregate.config import aggregate_preset
-from radiant_core.plan.plans import CloudPlan, EdgePlan
+from radiant_core.hierarchy.messages import DeviceModel, DeviceTask
+from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.hierarchy.reporter import Reporter
+from radiant_core.train.views import TrainingViews
 
 if TYPE_CHECKING:
     from radiant_viewer.charts.latency_chart import PlanLatency
 
-Plans = tuple[CloudPlan, tuple[EdgePlan, ...]]
 NAMES = ("even", "balanced")
 
 
@@ -72,7 +73,7 @@ def balance_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     del quick
     cells = [arms.cell(arms.layout, seed) for seed in seeds]
     jobs = tracked([(name, cell) for name in NAMES for cell in cells], "bench paper, balance")
-    done = [(name, arms.row(cell, _arm(name)), _times(cell, _plans(name, cell))) for name, cell in jobs]
+    done = [(name, arms.row(cell, _arm(name)), _times(cell, _recipe(name, cell))) for name, cell in jobs]
     every = [device for _, _, own in done for device in own]
     photograph_s = sum(device.cpu_s for device in every) / sum(device.num_photographs for device in every)
     even, balanced = (
@@ -135,42 +136,41 @@ def _drawn(side: _Side) -> PlanLatency:
     return PlanLatency(name=side.name, note=note, devices=tuple(devices))
 
 
-def _plans(name: str, cell: Cell) -> Plans:
-    return cell.even_plan if name == "even" else cell.plan
+def _recipe(name: str, cell: Cell) -> Recipe:
+    return cell.even if name == "even" else cell.recipe
 
 
 def _arm(name: str) -> Arm:
-    aggregate = aggregate_preset("default")
-
-    def make(cell: Cell) -> Made:
-        plans = _plans(name, cell)
-        return join_cell(cell, aggregate, plans, _models(cell, plans))
-
-    return Arm(name=f"{name} steps by photographs", make=make, settings=aggregate)
+    return Arm(
+        name=f"{name} steps by photographs",
+        make=lambda cell, recipe: joined(cell, recipe, _train_by_photographs(cell)),
+        recipe=lambda cell: _recipe(name, cell),
+    )
 
 
-def _models(cell: Cell, plans: Plans) -> list[list[Trained]]:
-    """Per edge the models of its devices with photographs, each with its share of all steps."""
-    num_devices = sum(len(plan.device_ids) for plan in plans[1])
-    per_photograph = cell.train.num_steps * num_devices / len(cell.scene.training.cameras)
+def _train_by_photographs(cell: Cell) -> Train:
+    """Trains a device's model with its photographs' share of all devices' steps."""
+    num_devices = len(cell.recipe.system.devices)
+    per_photograph = cell.recipe.train.num_steps * num_devices / len(cell.scene.training.cameras)
 
-    def model(rows: list[int]) -> Trained:
-        steps = max(1, round(per_photograph * len(rows)))
-        return cell.cache.trained(cell.scene, rows, replace(cell.train, seed=cell.seed, num_steps=steps))
+    def train(task: DeviceTask, views: TrainingViews, reporter: Reporter) -> DeviceModel:
+        num_steps = max(1, round(per_photograph * len(views)))
+        return cell.cache.train(replace(task, train=replace(task.train, num_steps=num_steps)), views, reporter)
 
-    return [[model(rows.tolist()) for rows in device_rows(plan)] for plan in plans[1]]
+    return train
 
 
-def _times(cell: Cell, plans: Plans) -> list[DeviceTime]:
-    found: list[DeviceTime] = []
-    for plan, models in zip(plans[1], _models(cell, plans), strict=True):
-        waiting = iter(models)
-        for index, device in enumerate(plan.device_ids):
-            count = len(plan.cameras_of(device))
-            cpu_s = next(waiting).cpu_s if count else 0.0
-            speed = cell.speeds[index % len(cell.speeds)]
-            found.append(DeviceTime(device=device, speed=speed, num_photographs=count, cpu_s=cpu_s))
-    return found
+def _times(cell: Cell, recipe: Recipe) -> list[DeviceTime]:
+    models = cell.trained(recipe, _train_by_photographs(cell))
+    return [
+        DeviceTime(
+            device=device.id,
+            speed=device.speed or 1.0,
+            num_photographs=len(recipe.cameras_of(device.id)),
+            cpu_s=float(models[device.id].summary["cpu_s"]) if device.id in models else 0.0,
+        )
+        for device in recipe.system.devices
+    ]
 
 
 def _mean_times(of_seeds: Sequence[Sequence[DeviceTime]]) -> list[DeviceTime]:

@@ -7,7 +7,7 @@
     fusion    cut at both tiers, retrain at the edges alone, at the cloud alone, at both; on two systems
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
 
-An arm that several sections show is made once (`paper_arms.py`).
+An arm that several sections show is made once (`arms.py`).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.bench.method_cells import DEVICE_SPEEDS, Cell, Layout
-from radiant_app.bench.methods import METHODS
-from radiant_app.bench.paper_arms import Arm, ArmRow, Arms, epochs_arm, method_arm
+from radiant_app.bench.arms import Arm, ArmRow, Arms
+from radiant_app.bench.cells import DEVICE_SPEEDS, Cell, Layout
+from radiant_app.bench.methods import METHODS, epochs_arm
 from radiant_app.report.progress import tracked
 from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.evaluate.seam_error import MIN_IMAGES
@@ -75,7 +75,7 @@ def fed3dgs_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Part:
     from radiant_viewer.charts.curve_chart import CurvePoint, curve_picture
 
-    rows = _rows(arms, [(arms.cell(arms.layout, seed), method_arm(name)) for name in methods for seed in seeds], "main")
+    rows = _rows(arms, [(arms.cell(arms.layout, seed), METHODS[name]) for name in methods for seed in seeds], "main")
     lines = ["| method | PSNR dB | SSIM | Gaussians | CPU s | training Mpx |", "|---|---|---|---|---|---|"]
     for name in methods:
         own = [row for row in rows if row.arm == name]
@@ -83,8 +83,8 @@ def _main_table(arms: Arms, seeds: Sequence[int], methods: Sequence[str]) -> Par
             f"| {_called(name)} | {_mean(own, 'mean_psnr_db'):.2f} | {_mean(own, 'mean_ssim'):.3f} | {_mean(own, 'num_gaussians'):,.0f} |"
             f" {_mean(own, 'cpu_s'):.0f} | {_mean(own, 'training_px') / 1e6:.0f} |"
         )
-    devices = [model for seed in seeds for edge in arms.cell(arms.layout, seed).devices for model in edge]
-    cpu_s, pixels = sum(m.cpu_s for m in devices) / len(seeds), sum(m.training_px for m in devices) / len(seeds)
+    devices = [model.summary for seed in seeds for model in arms.cell(arms.layout, seed).devices.values()]
+    cpu_s, pixels = (sum(summary[name] for summary in devices) / len(seeds) for name in ("cpu_s", "training_px"))
     lines += [
         "",
         f"Seconds and pixels come on top of the devices' trainings, {cpu_s:.0f} s and {pixels / 1e6:.0f} Mpx, which all methods but the",
@@ -108,9 +108,9 @@ def regions_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
 
     layouts = LAYOUTS[:2] if quick else LAYOUTS
     cells = {layout: [arms.cell(layout, seed) for seed in seeds] for layout in layouts}
-    jobs = [(cell, method_arm(name)) for layout in layouts for cell in cells[layout] for name in REGION_METHODS]
+    jobs = [(cell, METHODS[name]) for layout in layouts for cell in cells[layout] for name in REGION_METHODS]
     rows = _rows(arms, jobs, "regions")
-    lengths_m = {layout: border_length_m(*own[0].plan) for layout, own in cells.items()}
+    lengths_m = {layout: border_length_m(own[0].recipe.cloud_plan, own[0].recipe.edge_plans) for layout, own in cells.items()}
     lines = ["| layout | regions | borders m | method | PSNR dB | SSIM | CPU s | training Mpx |", "|---|---|---|---|---|---|---|---|"]
     table: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name in REGION_METHODS}
     for layout in layouts:
@@ -213,7 +213,7 @@ def fusion_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
         "paper": "retrain at both, as `paper`",
     }
     cells = {system: [arms.cell(system[0], seed, system[1]) for seed in seeds] for system in systems}
-    jobs = [(cell, method_arm(name)) for own in cells.values() for cell in own for name in settings]
+    jobs = [(cell, METHODS[name]) for own in cells.values() for cell in own for name in settings]
     rows = _rows(arms, jobs, "fusion")
     lines = ["| system | joining | PSNR dB | SSIM | Gaussians | CPU s |", "|---|---|---|---|---|---|"]
     for number, ((layout, speeds), own_cells) in enumerate(cells.items(), 1):
@@ -236,7 +236,7 @@ def border_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     bands = [mask.band for mask in arms.masks(cell)]
     if not any(band.any() for band in bands):
         return Part(title=title, text="No held-out photograph sees a border.")
-    views = {name: arms.views(cell, method_arm(name)) for name in tracked(("centralised", *REGION_METHODS), "bench paper, border")}
+    views = {name: arms.views(cell, METHODS[name]) for name in tracked(("centralised", *REGION_METHODS), "bench paper, border")}
     images = zip(views["crop"], views["centralised"], arms.photographs, strict=True)
     excess = [((cut.image - photograph) ** 2 - (whole.image - photograph) ** 2).sum(axis=2) for cut, whole, photograph in images]
     index, place = _worst_window([error * band for error, band in zip(excess, bands, strict=True)])

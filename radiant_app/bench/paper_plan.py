@@ -10,11 +10,10 @@ The last two are of synthetic cameras in five clusters with six unequal edges.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from radiant_app.bench.paper_arms import Arms
+from radiant_app.bench.arms import Arms
 from radiant_app.bench.paper_parts import Part
 from radiant_app.bench.plan import camera_layout, unequal_system
 from radiant_app.report.progress import tracked
@@ -35,12 +34,13 @@ def plan_part(arms: Arms, seeds: Sequence[int], quick: bool) -> Part:
     from_west = np.argsort(cell.scene.training.cameras.centers[:, 0], kind="stable")
     counts = sorted({max(2, round(share * len(from_west))) for share in (QUICK_SHARES if quick else SHARES)})
     models = [
-        cell.cache.trained(
-            cell.scene, np.sort(from_west[:count]).tolist(), replace(cell.train, seed=cell.seed, num_steps=STEPS_PER_PHOTOGRAPH * count)
-        )
+        cell.model_of(cell.scene.training.restricted_to(np.sort(from_west[:count])), num_steps=STEPS_PER_PHOTOGRAPH * count)
         for count in tracked(counts, "bench paper, plan")
     ]
-    costs = {"Training (CPU s)": [model.cpu_s for model in models], "Model (MB)": [model.splats.num_bytes / 1e6 for model in models]}
+    costs = {
+        "Training (CPU s)": [float(model.summary["cpu_s"]) for model in models],
+        "Model (MB)": [model.splats.num_bytes / 1e6 for model in models],
+    }
     positions = camera_layout("clustered", 200 if quick else 1600, np.random.default_rng(3))
     system = place_edges(unequal_system(6, np.random.default_rng(3)), positions, None, seed=0)
     compared = compare(positions, system)

@@ -79,7 +79,7 @@ def _measure_training(options: BenchOptions) -> Sequence[Metric]:
 
 
 def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
-    from radiant_app.bench.method_cells import layout_of
+    from radiant_app.bench.cells import layout_of
     from radiant_app.bench.methods import MethodBench, bench_methods, curves_of, methods_table
 
     assert options.scene is not None and options.out is not None, "checked with the options"
@@ -96,7 +96,8 @@ def _measure_methods(options: BenchOptions) -> Sequence[Metric]:
     )
     rows, metrics = bench_methods(bench)
     typer.echo(methods_table(rows))
-    detail = f"{rows[0].scene}, {bench.layout}, {bench.long_side_px} px; CPU time after the devices' trainings"
+    dealt = "the plan and settings of its run" if bench.layout is None else f"{bench.layout}, {bench.long_side_px} px"
+    detail = f"{rows[0].scene}, {dealt}; CPU time after the devices' trainings"
     _draw(options.plot, curves_of(rows), "Joining: quality against time and size", detail)
     return metrics
 

@@ -25,7 +25,7 @@ def bench(
     ablations: Annotated[bool, typer.Option("--ablations", help="train: switch one thing off at a time.")] = False,
     plot: BenchPlot = None,
     method: Annotated[list[str] | None, typer.Option(help="methods: those compared; paper: sections; train: ablations; else all.")] = None,
-    layout: Annotated[str, typer.Option(help="methods: edges x devices per edge.")] = "2x2",
+    layout: Annotated[str, typer.Option(help="methods: edges x devices per edge; run: plan and settings of the run.")] = "2x2",
     placements: Annotated[int, typer.Option(min=1, max=100, help="methods: placements of the edges.")] = 1,
     max_gaussians: Annotated[int | None, typer.Option(min=1, help="methods: reduce every method's model to as many.")] = None,
     out: Annotated[Path | None, typer.Option("--out", help="methods, paper, train: folder of models; a later call resumes.")] = None,

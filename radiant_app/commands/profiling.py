@@ -17,9 +17,8 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +30,10 @@ from radiant_app.run.dealing import deal_files
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import message_record
-from radiant_core.io.records import save_cameras, save_scene
-from radiant_core.io.run_store import read_json, write_json
+from radiant_core.hierarchy.messages import CloudOutlook, DeviceTask, EdgeTask, Renderer
+from radiant_core.io.messages import save_task
+from radiant_core.io.records import save_cameras
+from radiant_core.io.run_store import read_json
 from radiant_core.plan.devices.device_split import long_axis
 from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
@@ -51,7 +51,7 @@ _TRAINING_SHARE = 0.7
 _RETRAIN_STEP_COST = 2.0
 """A step of retraining against one of training, at a guess: twice the Gaussians. Only divides the time."""
 UPLOAD = "float16"
-_UNLIMITED_CLOUD = {"limits": asdict(Cloud(memory_bytes=1e18)), "share": 1.0}
+_UNLIMITED_CLOUD = CloudOutlook(limits=Cloud(memory_bytes=1e18), share=1.0)
 """What an edge's task says of the cloud where the edge is to pool."""
 
 
@@ -120,7 +120,7 @@ class Measuring:
     """The training photographs alone."""
     images: Path
     train: TrainConfig
-    backend: str
+    backend: Renderer
     num_threads: int | None
     listen: Listener
     clock: Callable[[], float] = time.monotonic
@@ -176,12 +176,8 @@ class Measuring:
         folder = self._folder(f"devices/{count}-{num_steps}")
         own = self.scene.restricted_to(np.sort(self._order[:count]))
         deal_files(self.images, own.cameras.names, folder / "photos")
-        save_scene(folder / "scene.safetensors", own)
-        seconds = self._run(
-            "device",
-            folder,
-            {"train": message_record(shortened(self.train, num_steps)), "backend": self.backend, "upload": UPLOAD, "memory_bytes": None},
-        )
+        task = DeviceTask(train=shortened(self.train, num_steps), backend=self.backend, upload=UPLOAD, scene=own)
+        seconds = self._run("device", folder, task)
         summary = read_json(folder / "summary.json", ("train_s", "model_bytes"))
         return DeviceSample(
             num_cameras=count,
@@ -195,22 +191,24 @@ class Measuring:
         folder = self._folder(f"edges/{count}-{num_devices}")
         cameras = self.scene.cameras
         names = [f"device-{index + 1}" for index in range(num_devices)]
-        for name, rows in zip(names, np.array_split(self._order[:count], num_devices), strict=True):
+        shares = np.array_split(self._order[:count], num_devices)
+        for name, rows in zip(names, shares, strict=True):
             place = folder / "inbox" / name
             place.mkdir(parents=True)
             shutil.copyfile(self.work / f"devices/{count}-{num_steps}" / "model.safetensors", place / "model.safetensors")
             save_cameras(place / "cameras.safetensors", cameras.select(np.sort(rows)))
         aggregate = aggregate_preset("default")
         # A model agrees with itself: it is retrained all the same.
-        joined = asdict(replace(aggregate, num_epochs=max(1, num_epochs), agreement_db=None))
-        common = {
-            "train": message_record(self.train),
-            "backend": self.backend,
-            "upload": UPLOAD,
-            "teachers": [],
-            "strips": [[]] * num_devices,
-        }
-        task = {"devices": names, "aggregate": joined, "cloud": _UNLIMITED_CLOUD if self.edges_pool else None, **common}
+        task = EdgeTask(
+            devices=tuple(names),
+            num_dealt=tuple(map(len, shares)),
+            strips=((),) * num_devices,
+            train=self.train,
+            aggregate=replace(aggregate, num_epochs=max(1, num_epochs), agreement_db=None),
+            backend=self.backend,
+            upload=UPLOAD,
+            cloud=_UNLIMITED_CLOUD if self.edges_pool else None,
+        )
         seconds = self._run("edge", folder, task)
         train_s = read_json(folder / "summary.json", ("train_s",))["train_s"]
         left_s = train_s * (aggregate.num_epochs / num_epochs - 1) if num_epochs else 0.0
@@ -228,9 +226,9 @@ class Measuring:
         folder.mkdir(parents=True)
         return folder
 
-    def _run(self, kind: str, folder: Path, task: dict[str, Any]) -> float:
+    def _run(self, kind: str, folder: Path, task: DeviceTask | EdgeTask) -> float:
         """Run one node as a run would; its seconds, the start of its process among them."""
-        write_json(folder / "task.json", task)
+        save_task(folder, task)
         stage = str(folder.relative_to(self.work))
         node = NodeTask(kind=kind, stage=stage, folder=folder, key=stage)
         executor = LocalExecutor(num_workers=1, clock=self.clock, command=self._command)

@@ -24,7 +24,7 @@ from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, St
 from radiant_app.files.run_folder import Manifest, opened_folder
 from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.pooled import require_size, sfm_stage
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_app.workers.evaluation import image_row, save_comparison, scored_part, summary_of
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
 from radiant_app.workers.reporting import EventReporter

@@ -18,7 +18,7 @@ from radiant_app.events import Warned
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.config import RunConfig
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_app.workers.tasks import PositionsTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, StageFailed
@@ -95,6 +95,7 @@ def device_folders(source: Path, system: System) -> dict[str, Path] | None:
 
 
 def captured_photographs(config: RunConfig, poses: GivenPoses | None, folders: dict[str, Path] | None, progress: Progress) -> Captured:
+    """What is known of the photographs before they are planned; BadInput where positions or poses are missing."""
     if poses is None and folders is not None and config.cell_m is not None:
         return _counted_by_devices(config.cell_m, folders, progress)
     captured = _by_poses(poses, folders, config.source, progress) if poses is not None else _by_gps(config, folders, progress)
@@ -217,6 +218,7 @@ def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress
 
 
 def photo_folder(source: Path) -> Path:
+    """The folder of photographs in a source: images/ where there is one."""
     return source / "images" if (source / "images").is_dir() else source
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from radiant_app.events import Decided, Listener
+from radiant_app.events import Decided
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.config import RunConfig
+from radiant_app.run.progress import Progress
 from radiant_app.workers.regions import regions_task
 from radiant_core import __version__
 from radiant_core.decisions import Decision
@@ -29,19 +28,17 @@ def placed_by_raster(system: System, positions: FloatArray, origin: FloatArray |
     return place_edges(system, places, origin, seed)
 
 
-def plan_at_cloud(
-    config: RunConfig, cell_m: float, system: System, positions: FloatArray, running: tuple[Listener, Callable[[], float]]
-) -> CloudPlan:
-    """The plan of a run whose cloud gets the raster alone, in planning/; `running` is the listener and the clock."""
-    listen, clock = running
+def plan_at_cloud(config: RunConfig, cell_m: float, system: System, positions: FloatArray, progress: Progress) -> CloudPlan:
+    """The plan of a run whose cloud gets the raster alone, in planning/."""
     folder = config.out / STAGE
     folder.mkdir(exist_ok=True)
     task = regions_task(count_raster(positions, cell_m), system, config.plan.method)
     save_task(folder, task)
-    run_task(NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task_key(task))), listen, clock)
+    node = NodeTask(kind="regions", stage=STAGE, folder=folder, key=content_key(__version__, task_key(task)))
+    run_task(node, progress.listen, progress.clock)
     regions, _ = load_plan(folder / "regions.json")
     plan = assign_to_regions(regions, positions, system)
-    listen(Decided(decision=raster_decision(cell_m, plan)))
+    progress.listen(Decided(decision=raster_decision(cell_m, plan)))
     return plan
 
 

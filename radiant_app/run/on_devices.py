@@ -21,9 +21,10 @@ from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, received
 from radiant_app.run.prediction_error import save_system
+from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import score_on_devices
 from radiant_app.run.source import Plan
-from radiant_app.run.stages import Progress, load_plan_before_capture, plan_around, plan_stage, warn_of_predictions
+from radiant_app.run.stages import load_plan_before_capture, plan_around, plan_stage, warn_of_predictions
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_app.workers.tasks import FieldTask, PlacingTask, SfmSettings
 from radiant_core.aggregate.tree import Tree

@@ -25,11 +25,11 @@ from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.prediction_error import prediction_of
+from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
 from radiant_app.run.rescue import Rescue, plan_key, replanned
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
-    Progress,
     counted,
     counting_down,
     executor_of,

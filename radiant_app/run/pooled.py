@@ -18,9 +18,10 @@ from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, deal_files, deal_masks, received
+from radiant_app.run.progress import Progress
 from radiant_app.run.source import Plan
 from radiant_app.run.source_key import source_key
-from radiant_app.run.stages import Progress, plan_stage
+from radiant_app.run.stages import plan_stage
 from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS
 from radiant_app.workers.sources import sfm_task
 from radiant_app.workers.tasks import EvaluateTask

@@ -16,7 +16,7 @@ import numpy as np
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, deal_files, received
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_app.workers.delivering import give_task, introduce_scoring
 from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, region_width, summary_of
 from radiant_app.workers.tasks import Move, ScoreTask

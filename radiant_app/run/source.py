@@ -9,7 +9,7 @@ from typing import Protocol
 from radiant_app.executors.protocol import Executor
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.photographs import Photographs
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.plan.plans import CloudPlan, EdgePlan

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from radiant_app.events import Decided, Event, Listener, StageSkipped, Warned
+from radiant_app.events import Decided, Warned
 from radiant_app.executors.emulated import EmulatedExecutor
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
-from radiant_app.files.run_folder import Manifest
 from radiant_app.run.cloud_planning import placed_by_raster, plan_at_cloud
 from radiant_app.run.config import RunConfig
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
+from radiant_app.run.progress import Progress
 from radiant_app.run.time_left import TimeLeftListener
-from radiant_app.workers.reporting import read_notes
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree
 from radiant_core.choices import UploadFormat
@@ -42,24 +41,6 @@ ATTEMPTS = 3
 """How often a node is tried whose process was killed or whose machine is gone: more often it is not chance."""
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of an edge's retraining on the plain PyTorch backend."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """Who listens and which clock runs; passed through the stages."""
-
-    manifest: Manifest
-    listener: Listener
-    clock: Callable[[], float]
-    started_s: float
-
-    def listen(self, event: Event) -> None:
-        """Record an event and pass it on."""
-        self.manifest.note(event, self.clock() - self.started_s)
-        self.listener(event)
-        if isinstance(event, StageSkipped):
-            for noted in read_notes(self.manifest.folder / event.stage, event.stage):
-                self.listen(noted)
 
 
 def nodes_of(system: System) -> tuple[str, ...]:
@@ -96,7 +77,7 @@ def plan_stage(
 
 def _planned(config: RunConfig, system: System, positions: FloatArray, progress: Progress) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     if config.cell_m is not None:
-        regions = plan_at_cloud(config, config.cell_m, system, positions, (progress.listen, progress.clock))
+        regions = plan_at_cloud(config, config.cell_m, system, positions, progress)
         return regions, split_edges(positions, regions, system)
     cloud_plan = plan_regions(positions, system, method=config.plan.method)
     if isinstance(cloud_plan, PlanInfeasible):

@@ -10,17 +10,27 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.bench.method_cells import Layout, layout_of, random_sites
+from radiant_app.bench.cells import Layout, layout_of, random_sites
 from radiant_app.bench.methods import METHODS, MethodBench, bench_methods, curves_of, methods_table
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.runner import run_bench
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.config import RunConfig, TrainOptions
+from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
+from radiant_core.io.ply import save_ply
+from radiant_core.io.records import load_splats
+from radiant_core.io.run_store import read_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
+
+UNEQUAL = "\n".join(
+    f'[[edge]]\nid = "{edge}"\n' + "\n".join(f'[[edge.device]]\nid = "{edge}{n}"\ntrain_s = {{ linear = {n}.0 }}' for n in (1, 2))
+    for edge in ("north", "south")
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +45,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> MethodBench:
 
 def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     rows, metrics = bench_methods(replace(bench, methods=("crop", "paper", "ours", "ours edges", "photographs")))
-    made = {row.method: row for row in rows}
+    made = {row.arm: row for row in rows}
     assert list(made) == ["centralised", "crop", "paper", "ours", "ours edges", "photographs"]
     assert all(len(row.psnr_db) == 2 and np.isfinite(row.psnr_db).all() and row.num_gaussians > 100 for row in rows)
     assert made["crop"].training_px == 0 < made["ours"].training_px < made["paper"].training_px
@@ -47,10 +57,29 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     table = methods_table(rows)
     assert table.count("\n") == len(rows) + 1 and "| scene | ours |" in table
     assert set(curves_of(rows)) == set(made)
-    stamps = {path: path.stat().st_mtime_ns for path in (bench.out / "rows").iterdir()}
+    stamps = {path: path.stat().st_mtime_ns for path in (bench.out / "joined").iterdir()}
     again, _ = bench_methods(replace(bench, methods=("paper",)))
-    assert [row for row in again if row.method == "paper"] == [made["paper"]]
-    assert stamps == {path: path.stat().st_mtime_ns for path in (bench.out / "rows").iterdir()}
+    assert [row for row in again if row.arm == "paper"] == [made["paper"]]
+    assert stamps == {path: path.stat().st_mtime_ns for path in (bench.out / "joined").iterdir()}
+
+
+def test_ours_in_a_runs_cell_is_the_scene_that_the_run_wrote_bit_for_bit(tmp_path: Path) -> None:
+    train = TrainOptions(preset="draft", long_side_px=96, num_steps=30, max_num_splats=1500)
+    system = tmp_path / "system.toml"
+    system.write_text(UNEQUAL)
+    source, out = sample_scenes_folder() / "hamlet" / "images", tmp_path / "run"
+    run(RunConfig(source=source, out=out, system=system, seed=3, train=train))
+    bench = MethodBench(scene=out, out=tmp_path / "out", layout=layout_of("run"), methods=("crop", "ours", "even"))
+    rows, _ = bench_methods(bench)
+    assert [(row.cell, row.arm, row.seed) for row in rows] == [("run-run-s3", name, 3) for name in ("centralised", "crop", "ours", "even")]
+    (model,) = (tmp_path / "out" / "joined").glob("run-run-s3-ours-*.safetensors")
+    save_ply(tmp_path / "ours.ply", load_splats(model))
+    assert (tmp_path / "ours.ply").read_bytes() == (out / "cloud" / "scene.ply").read_bytes()
+    num_steps = [read_json(path)["num_steps"] for path in (*out.glob("edges/*/summary.json"), out / "cloud" / "summary.json")]
+    ours = next(row for row in rows if row.arm == "ours")
+    assert ours.training_px == num_steps[-1] * 96 * 72 > 0 and num_steps[:-1] == [0, 0]
+    with pytest.raises(BadInput, match="no edge that received models"):
+        bench_methods(replace(bench, scene=out / "sfm", out=tmp_path / "other"))
 
 
 def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:
@@ -66,14 +95,15 @@ def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:
 
 def test_rivals_train_and_join_on_the_same_work(bench: MethodBench) -> None:
     rows, _ = bench_methods(replace(bench, methods=("even", "vastgaussian")))
-    made = {row.method: row for row in rows}
+    made = {row.arm: row for row in rows}
     assert set(made) == {"centralised", "even", "vastgaussian"}
     assert made["vastgaussian"].training_px > 0 and made["even"].num_gaussians > 100
 
 
 def test_a_layout_is_edges_times_devices() -> None:
     assert layout_of("3x2") == Layout(num_edges=3, num_devices=2) and str(layout_of("3x2")) == "3x2"
-    assert len(layout_of("3x2").system().devices) == 6
+    three = layout_of("3x2")
+    assert three is not None and len(three.system().devices) == 6 and layout_of("run") is None
     for wrong in ("", "2", "2x", "0x2", "2x2x2", "axb", "-1x2"):
         with pytest.raises(BadInput, match="layout"):
             layout_of(wrong)
@@ -110,6 +140,7 @@ def test_the_command_prints_a_table_and_draws_a_picture(bench: MethodBench, tmp_
         ({"scene": bench.scene}, "needs --scene"),
         ({"scene": bench.scene, "out": tmp_path, "presets": ("default",)}, "--preset"),
         ({"scene": bench.scene, "out": tmp_path, "max_gaussians": 0}, "expected at least 1"),
+        ({"scene": bench.scene, "out": tmp_path, "layout": "run", "num_seeds": 2}, "leave out --seeds"),
     ):
         with pytest.raises(BadInput, match=told):
             run_bench("methods", None, BenchOptions(**options))

@@ -11,11 +11,11 @@ import pytest
 from rich.console import Console
 from shapely import LineString, Polygon
 
-from radiant_app.bench.method_cells import Layout, load_bench_scene
-from radiant_app.bench.methods import METHODS
+from radiant_app.bench.arms import load_arms
+from radiant_app.bench.cells import Layout, bench_settings
+from radiant_app.bench.methods import METHODS, epochs_arm
 from radiant_app.bench.options import BenchOptions
 from radiant_app.bench.paper import PAGE_ORDER, PARTS, PaperBench, bench_paper
-from radiant_app.bench.paper_arms import Arms, epochs_arm, method_arm
 from radiant_app.bench.paper_parts import _worst_window, border_length_m
 from radiant_app.bench.runner import run_bench
 from radiant_app.commands.demo import sample_scenes_folder
@@ -67,18 +67,19 @@ def test_a_page_of_every_part_is_made_once_and_kept(scene: Path, tmp_path: Path)
 
 def test_kept_figures_are_those_of_the_kept_model(scene: Path, tmp_path: Path) -> None:
     layout = Layout(num_edges=2, num_devices=1)
-    arms = Arms(scene=load_bench_scene(scene, 48), out=tmp_path, num_steps=8, layout=layout)
-    cell = arms.cell(layout)
-    row = arms.row(cell, method_arm("crop"))
+    arms = load_arms(scene, tmp_path, layout, bench_settings(48, 8))
+    cell = arms.first
+    row = arms.row(cell, METHODS["crop"])
     assert epochs_arm("ours", 0).name == epochs_arm("paper", 0).name == "crop"
     assert (epochs_arm("ours", 5).name, epochs_arm("paper", 10).name, epochs_arm("ours", 4).name) == ("ours", "paper", "ours 4 epochs")
-    views = arms.views(cell, method_arm("crop"))
+    views = arms.views(cell, METHODS["crop"])
     errors = [((view.image - photograph) ** 2).mean() for view, photograph in zip(views, arms.photographs, strict=True)]
     np.testing.assert_allclose(row.psnr_db, -10 * np.log10(errors), rtol=1e-5)
     reference = render_views(cell.centralised.splats, arms.scene.held_out_views.cameras)
     assert [mask.labels.shape for mask in arms.masks(cell)] == [view.depth.shape for view in reference]
     for layout in (Layout(num_edges=2, num_devices=1), Layout(num_edges=2, num_devices=2)):
-        plan, edge_plans = arms.cell(layout).plan
+        recipe = arms.cell(layout).recipe
+        plan, edge_plans = recipe.cloud_plan, recipe.edge_plans
         outlines = [strip for own in edge_plans for strip in own.strips if len(strip)]
         # Lines inside the scene's outline, found by shapely from the strips alone.
         whole = Polygon(np.concatenate(outlines)).convex_hull

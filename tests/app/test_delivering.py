@@ -177,14 +177,20 @@ def test_a_teacher_takes_what_its_one_device_addresses_to_the_edge(run: Path) ->
     assert list(refused(run, "teachers/a")) == ["b"]
 
 
-def test_what_goes_up_is_the_model_in_its_upload_format_and_what_the_task_names(run: Path) -> None:
+def test_what_goes_up_is_the_model_in_its_upload_format_with_its_cameras_and_an_uncertain_frame(run: Path) -> None:
     folder = run / "devices/a"
-    assert signed_upload(folder, {"upload": "float32"}) == []
-    for upload, source in (("float32", "model.safetensors"), ("spz", "upload.safetensors"), ("float16", "upload.safetensors")):
-        (folder / source).write_text(f"{upload} bytes")
-        (folder / "frame.json").write_text("{}")
-        task = {"upload": upload, "sends": ["cameras.safetensors", "frame.json"]}
-        assert signed_upload(folder, task) == ["delivery.json", "delivery.sig"]
-        files = read_json(folder / "delivery.json")["files"]
-        assert sorted(files) == ["cameras.safetensors", "frame.json", "model.safetensors"]
-        assert files["model.safetensors"]["bytes"] == len(f"{upload} bytes") and files["frame.json"]["bytes"] == 2
+    exact, uncertain = ({"status": "placed", "reason": "", "uncertainty": found} for found in (None, {"position_m": 1.0}))
+    for frame, expected in ((exact, []), (uncertain, ["frame.json"])):
+        (folder / "upload.safetensors").unlink(missing_ok=True)
+        write_json(folder / "frame.json", frame)
+        for upload, source in (("float32", "model.safetensors"), ("spz", "upload.safetensors"), ("float16", "upload.safetensors")):
+            (folder / source).write_text(f"{upload} bytes")
+            assert signed_upload(folder) == ["delivery.json", "delivery.sig"]
+            files = read_json(folder / "delivery.json")["files"]
+            assert sorted(files) == ["cameras.safetensors", *expected, "model.safetensors"]
+            assert files["model.safetensors"]["bytes"] == len(f"{upload} bytes")
+
+
+def test_a_folder_that_is_no_runs_sends_nothing_signed(run: Path) -> None:
+    shutil.rmtree(run / "devices/a" / "identity")
+    assert signed_upload(run / "devices/a") == []

@@ -8,22 +8,26 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from radiant_app.run.field_dealing import DeviceShare, FieldDealer
 
 from radiant_app.events import Event, StageDone, StageStarted, Warned
 from radiant_app.executors.fold import Faults
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
+from radiant_app.run.captured import Captured
 from radiant_app.run.config import ExecutionOptions, PlanOptions, RunConfig
-from radiant_app.run.dealing import SharedDealer
+from radiant_app.run.dealing import Dealer
+from radiant_app.run.on_devices import DevicePhotographs
+from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.promises import promises_of
 from radiant_app.run.rescue import Rescue, plan_key, replanned
+from radiant_app.run.source import Plan
 from radiant_app.run.time_left import LATE_FACTOR, LEAST_S, TimeLeftListener
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.frames import Frame, geodetic_from_enu
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.numerics import FloatArray
@@ -37,28 +41,35 @@ from radiant_core.train.config import train_preset
 from tests.core.scenes import cameras_above
 
 
-def planned(run: Path) -> tuple[SharedDealer, Tree]:
-    """Two edges of two devices over 40 photographs."""
+def planned(run: Path) -> tuple[Dealer, Tree]:
+    """Two edges of two devices over 40 photographs, beside 6 that are held out."""
     scene = SfmScene(
-        cameras=cameras_above([tuple(xy) for xy in np.random.default_rng(0).uniform(-20, 20, (40, 2)).round(2).tolist()]),
+        cameras=cameras_above([tuple(xy) for xy in np.random.default_rng(0).uniform(-20, 20, (46, 2)).round(2).tolist()]),
         points=np.zeros((0, 3)),
         colors=np.zeros((0, 3), np.uint8),
         observations=np.zeros((0, 2), np.int64),
         frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
     )
-    positions = scene.cameras.centers[:, :2]
+    photographs = PooledPhotographs(config=RunConfig(source=run, out=run), scene=scene, images=run)
+    positions = photographs.training.cameras.centers[:, :2]
     system = place_edges(even_system(2, 2), positions, None, 0)
     cloud = plan_regions(positions, system)
     assert isinstance(cloud, CloudPlan)
     edges = split_edges(positions, cloud, system)
     save_plan(run / "plan.json", cloud, edges)
-    settings = {"train": train_preset("draft"), "aggregate": aggregate_preset("default"), "backend": "native"}
-    dealer = SharedDealer(run=run, system=system, cloud_plan=cloud, edge_plans=edges, images=run, scene=scene, **settings)
-    return dealer, tree_of_plan(cloud, edges)
+    train, aggregate = train_preset("draft"), aggregate_preset("default")
+    recipe = Recipe(system=system, cloud_plan=cloud, edge_plans=edges, train=train, aggregate=aggregate, backend="native")
+    return Dealer(run=run, recipe=recipe, photographs=photographs), tree_of_plan(cloud, edges)
 
 
-def positions_of(dealer: SharedDealer) -> FloatArray:
-    return dealer.scene.cameras.centers[:, :2]
+def positions_of(dealer: Dealer) -> FloatArray:
+    positions = dealer.photographs.positions
+    assert positions is not None
+    return positions
+
+
+def plan_of(dealer: Dealer) -> Plan:
+    return Plan(system=dealer.recipe.system, cloud=dealer.recipe.cloud_plan, edges=dealer.recipe.edge_plans)
 
 
 def cameras_by_device(edges: Collection[EdgePlan]) -> dict[str, set[int]]:
@@ -67,57 +78,53 @@ def cameras_by_device(edges: Collection[EdgePlan]) -> dict[str, set[int]]:
 
 def test_a_lost_devices_photographs_go_to_those_that_have_not_begun_and_a_resumed_run_knows(tmp_path: Path) -> None:
     dealer, tree = planned(tmp_path)
-    first = dealer.cloud_plan, dealer.edge_plans
+    first = plan_of(dealer)
     lost, other, *waiting = [node for node in tree if node.tier == "device"]
-    before = cameras_by_device(dealer.edge_plans)
+    before = cameras_by_device(dealer.recipe.edge_plans)
     events: list[Event] = []
-    rescue = Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key=plan_key(*first), listen=events.append)
+    rescue = Rescue(
+        dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key=plan_key(first.cloud, first.edges), listen=events.append
+    )
     # As the fold says it: who is lost neither runs nor is done.
     rescue(lost, {other.id})
-    after = cameras_by_device(dealer.edge_plans)
+    after = cameras_by_device(dealer.recipe.edge_plans)
     assert after[lost.name] == set() and after[other.name] == before[other.name]
     assert set().union(*(after[node.name] for node in waiting)) == set(range(40)) - before[other.name]
     assert sum(map(len, after.values())) == 40
     assert any(
         isinstance(event, Warned) and f"{len(before[lost.name])} photographs of {lost.name} go to" in event.message for event in events
     )
-    save_plan(tmp_path / "plan.json", *first)
-    _, resumed = replanned(tmp_path, *first)
-    assert cameras_by_device(resumed) == after == cameras_by_device(load_plan(tmp_path / "plan.json")[1])
-    assert replanned(tmp_path, dealer.cloud_plan, dealer.edge_plans)[1] is dealer.edge_plans, "another plan is left as it is"
+    save_plan(tmp_path / "plan.json", first.cloud, first.edges)
+    assert cameras_by_device(replanned(tmp_path, first).edges) == after == cameras_by_device(load_plan(tmp_path / "plan.json")[1])
+    assert replanned(tmp_path, plan_of(dealer)).edges is dealer.recipe.edge_plans, "another plan is left as it is"
 
 
 def test_where_every_other_device_has_begun_the_plan_stays_and_the_loss_is_named(tmp_path: Path) -> None:
     dealer, tree = planned(tmp_path)
-    plan, (lost, *_) = dealer.cloud_plan, [node for node in tree if node.tier == "device"]
+    plan, (lost, *_) = dealer.recipe.cloud_plan, [node for node in tree if node.tier == "device"]
     events: list[Event] = []
     Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=events.append)(
         lost, {node.id for node in tree}
     )
-    assert dealer.cloud_plan is plan and not (tmp_path / "replanned").exists()
+    assert dealer.recipe.cloud_plan is plan and not (tmp_path / "replanned").exists()
     (warning,) = events
     assert isinstance(warning, Warned) and "are in no model: every other device has begun or is full; --resume" in warning.message
-    assert set(dealer.missing()) == set(cameras_by_device(dealer.edge_plans)), "nothing of this run is done"
+    assert set(dealer.missing()) == set(cameras_by_device(dealer.recipe.edge_plans)), "nothing of this run is done"
 
 
 def test_photographs_in_one_folder_follow_the_new_plan_where_devices_fetch_them(tmp_path: Path) -> None:
-    shared, tree = planned(tmp_path)
-
-    def shares(plans: Collection[EdgePlan]) -> dict[str, DeviceShare]:
-        own = cameras_by_device(plans).items()
-        return {
-            device: DeviceShare(source=tmp_path, names=tuple(f"{row}.jpg" for row in sorted(rows)), held_out=(), copy=True)
-            for device, rows in own
-            if rows
-        }
-
-    settings = {name: getattr(shared, name) for name in ("run", "system", "cloud_plan", "edge_plans", "train", "aggregate", "backend")}
-    field = FieldDealer(**settings, frames="known", shares=shares(shared.edge_plans), origin=None, poses=None, sfm={}, deal=shares)
+    pooled, tree = planned(tmp_path)
+    assert isinstance(pooled.photographs, PooledPhotographs)
+    cameras, training = pooled.photographs.scene.cameras, pooled.photographs.training.cameras
+    captured = Captured(names=cameras.names, owners=(None,) * len(cameras), positions=cameras.centers, origin=None)
+    config = RunConfig(source=tmp_path, out=tmp_path, frames="known")
+    field = DevicePhotographs(config=config, captured=captured, folders=None, poses=None)
+    dealer = Dealer(run=tmp_path, recipe=pooled.recipe, photographs=field)
     lost, other, *_ = [node for node in tree if node.tier == "device"]
     kept = field.shares[other.name]
-    Rescue(dealer=field, positions=positions_of(shared), tree=tree, first_plan_key="", listen=lambda event: None)(lost, {other.id})
+    Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=lambda event: None)(lost, {other.id})
     assert lost.name not in field.shares and field.shares[other.name] == kept
-    assert sorted(name for share in field.shares.values() for name in share.names) == sorted(f"{row}.jpg" for row in range(40))
+    assert sorted(name for share in field.shares.values() for name in share.names) == sorted(training.names)
 
 
 def test_planned_positions_of_a_device_without_photographs_are_dealt_to_the_others_for_a_new_flight(tmp_path: Path) -> None:
@@ -152,8 +159,8 @@ def test_a_node_is_late_by_the_plan_only_once_another_of_its_tier_was_measured(t
     told: list[Event] = []
     watch = TimeLeftListener(
         listen=told.append,
-        system=dealer.system,
-        edge_plans=dealer.edge_plans,
+        system=dealer.recipe.system,
+        edge_plans=dealer.recipe.edge_plans,
         num_workers=4,
         emulated=False,
         clock=lambda: now_s,

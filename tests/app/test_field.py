@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +16,6 @@ from typing import cast
 
 import numpy as np
 import pytest
-from radiant_app.run.field import Captured, _by_poses, _middle, _tell_unplaced
 from rich.console import Console
 
 from radiant_app.commands.demo import sample_scenes_folder
@@ -24,23 +24,27 @@ from radiant_app.commands.replan import ReplanRequest, replan_files
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
 from radiant_app.report.html import ledger_by_tier
 from radiant_app.report.progress import ProgressDisplay
+from radiant_app.run.captured import Captured, _by_poses, _middle, _warn_of_unplaced
 from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
-from radiant_app.run.stages import Progress
+from radiant_app.run.progress import Progress
 from radiant_app.workers.field_nodes import _placed, _placed_once, run_field, run_positions
-from radiant_app.workers.inbox import _are_one_group
 from radiant_app.workers.nodes import run_node
 from radiant_app.workers.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.tasks import FieldTask, PlacingTask, PositionsTask, SfmSettings
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.hierarchy.joining import are_one_group
+from radiant_core.io.messages import load_task, save_task
 from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene
-from radiant_core.io.run_store import write_json
 from radiant_core.plan.revision.replan import Situation
 from radiant_core.sfm.given_poses import read_given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
+from radiant_core.train.config import train_preset
 from radiant_viewer.runs.run_view import load_run_view
 from tests.app.alex_weights import write_alex_weights
 from tests.app.canary import PHOTOGRAPH_KINDS, POSE_KINDS, SEGMENTS, add_broken, canaries_of, files_with, watermark
@@ -69,6 +73,10 @@ def finished(hamlet: Path, system: Path, tmp_path_factory: pytest.TempPathFactor
     photos, known = folder / "photos", SfmOptions(poses=hamlet / "known")
     config = RunConfig(source=photos, frames="known", sfm=known, system=system, out=folder / "run", train=TINY)
     return config, run(config)
+
+
+def reporter(stage: str, listen: Callable[[Event], None] = lambda event: None) -> EventReporter:
+    return EventReporter(stage=stage, emit=listen)
 
 
 def test_every_device_scores_its_own_and_only_numbers_go_up(finished: tuple[RunConfig, RunResult]) -> None:
@@ -111,12 +119,12 @@ def test_the_inspector_reads_such_a_run(finished: tuple[RunConfig, RunResult]) -
 def test_a_device_that_begins_again_makes_the_same_scene(finished: tuple[RunConfig, RunResult], tmp_path: Path) -> None:
     config, _ = finished
     shutil.copytree(config.out / "devices" / "north-1", tmp_path / "north-1")
-    task = json.loads((tmp_path / "north-1" / "task.json").read_text())
-    first, second = (_placed_once(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene for _ in range(2))
+    task = load_task(FieldTask, tmp_path / "north-1").placing
+    first, second = (_placed_once(tmp_path / "north-1", task, "photographs", reporter("devices/north-1")).scene for _ in range(2))
     assert len(first.points) > 100 and first.points.tobytes() == second.points.tobytes()
     assert first.observations.tobytes() == second.observations.tobytes()
     (tmp_path / "north-1" / "placed" / "scene.safetensors").write_bytes(b"")
-    assert len(_placed_once(tmp_path / "north-1", task, "devices/north-1", lambda event: None).scene.points) > 100
+    assert len(_placed_once(tmp_path / "north-1", task, "photographs", reporter("devices/north-1")).scene.points) > 100
 
 
 def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> None:
@@ -153,13 +161,13 @@ def test_a_device_says_that_its_photographs_changed_before_it_begins_again(finis
     device = tmp_path / "north-1"
     shutil.copytree(config.out / "devices" / "north-1", device)
     shutil.copytree(config.source, tmp_path / "photos")
-    task = json.loads((device / "task.json").read_text())
-    for name in task["names"][:1]:
-        (tmp_path / "photos" / name).write_bytes(b"no photograph")
-    (device / "task.json").write_text(json.dumps({**task, "source": str(tmp_path / "photos")}))
+    task = load_task(FieldTask, device)
+    name = task.placing.names[0]
+    (tmp_path / "photos" / name).write_bytes(b"no photograph")
     events: list[Event] = []
-    run_field(device, "devices/north-1", events.append)
-    assert isinstance(events[0], Warned) and "its photographs changed" in events[0].message and task["names"][0] not in events[0].message
+    moved = replace(task, placing=replace(task.placing, source=str(tmp_path / "photos")))
+    run_field(device, moved, reporter("devices/north-1", events.append))
+    assert isinstance(events[0], Warned) and "its photographs changed" in events[0].message and name not in events[0].message
 
 
 def test_weights_for_lpips_make_every_device_score_again_and_nothing_else(finished: tuple[RunConfig, RunResult], tmp_path: Path) -> None:
@@ -193,7 +201,7 @@ def preload(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [([True, True, True], False), ([True, True, False], True), ([False, False, True], True), ([False, False, False], True)],
 )
 def test_models_that_do_not_hang_together_are_no_group(kept: list[bool], expected: bool) -> None:
-    assert _are_one_group([(1,), (0,), ()], kept) is expected
+    assert are_one_group([(1,), (0,), ()], kept) is expected
 
 
 @pytest.mark.parametrize("frames", ["known", "gps"])
@@ -334,15 +342,21 @@ def test_a_device_that_cannot_deliver_is_named_and_the_rest_goes_on(hamlet: Path
     assert f"photographs that never arrived, of south-1 ({len(dealt.cameras_of('south-1'))}): have them taken again" in new["warnings"]
 
 
+def placing_in(source: Path) -> PlacingTask:
+    """By GPS, of photographs in a device's own folder."""
+    sfm = SfmSettings(matching="auto", seed=0, two_view_points=True)
+    origin = (50.0, 8.0, 100.0)
+    return PlacingTask(frames="gps", source=str(source), names=(), held_out=(), copy=False, origin=origin, sfm=sfm, poses=None)
+
+
 def test_a_device_that_fails_names_no_photograph(hamlet: Path, tmp_path: Path) -> None:
     source, folder = tmp_path / "captured", tmp_path / "devices" / "north-1"
     source.mkdir()
     folder.mkdir(parents=True)
     name = "secret [of] mine.jpg"
     (source / name).write_bytes((hamlet / "images" / "drone_0000.jpg").read_bytes()[:5000])
-    task = {"frames": "gps", "source": str(source), "names": [name], "held_out": [], "copy": False, "origin": [50.0, 8.0, 100.0]}
-    task["sfm"] = {"matching": "auto", "seed": 0, "two_view_points": True, "memory_bytes": None}
-    write_json(folder / "task.json", task)
+    placing = replace(placing_in(source), names=(name,))
+    save_task(folder, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
     events: list[Event] = []
     run_node("field", folder, "devices/north-1", events.append)
     assert any("truncated" in event.message for event in events if isinstance(event, Warned))
@@ -369,10 +383,12 @@ def test_whatever_a_device_says_is_without_its_names(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_all_devices_has_no_secret_names(tmp_path: Path) -> None:
-    write_json(tmp_path / "task.json", {"source": str(tmp_path), "names": ["a.jpg"], "held_out": [], "copy": True})
-    assert own_names("field", tmp_path).without("a.jpg is truncated") == "a.jpg is truncated"
-    write_json(tmp_path / "task.json", {"source": str(tmp_path), "names": ["a.jpg"], "held_out": [], "copy": False})
-    assert own_names("field", tmp_path).without("a.jpg is truncated") == f"{HIDDEN} is truncated"
+    for copy, said in ((True, "a.jpg"), (False, HIDDEN)):
+        placing = replace(placing_in(tmp_path), names=("a.jpg",), copy=copy)
+        save_task(tmp_path, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
+        assert own_names("field", tmp_path).without("a.jpg is truncated") == f"{said} is truncated"
+    save_task(tmp_path, PositionsTask(source=str(tmp_path), cell_m=None, held_out=("a.jpg",), owned=True))
+    assert own_names("positions", tmp_path).without("a.jpg is truncated") == f"{HIDDEN} is truncated"
     assert own_names("device", tmp_path).without("a.jpg is truncated") == "a.jpg is truncated"
 
 
@@ -385,7 +401,7 @@ def test_unplaced_photographs_of_a_devices_own_folder_are_counted() -> None:
     ]:
         heard: list[Event] = []
         captured = Captured(names=("a.jpg", "b.jpg", "c.jpg"), owners=owners, positions=nowhere, origin=None)
-        _tell_unplaced(captured, cast(Progress, SimpleNamespace(listen=heard.append)))
+        _warn_of_unplaced(captured, cast(Progress, SimpleNamespace(listen=heard.append)))
         told = [event.message for event in heard if isinstance(event, Warned)]
         assert len(told) == len(expected) and all(message.startswith(start) for message, start in zip(told, expected, strict=True))
         assert owners[0] is None or ".jpg" not in " ".join(told)
@@ -507,10 +523,9 @@ def test_copies_are_counted_once_and_neither_planned_nor_named(owned: bool, haml
     for path in photographs:
         for name in (path.name, f"z_{path.name}"):
             shutil.copy(path, tmp_path / "photos" / name)
-    task = {"photographs": str(tmp_path / "photos"), "cell_m": None, "held_out": [], "owned": owned}
-    (tmp_path / "task.json").write_text(json.dumps(task))
+    task = PositionsTask(source=str(tmp_path / "photos"), cell_m=None, held_out=(), owned=owned)
     told: list[Event] = []
-    run_positions(tmp_path, "positions", told.append)
+    run_positions(tmp_path, task, reporter("positions", told.append))
     assert list(json.loads((tmp_path / "positions.json").read_text())["photographs"]) == [path.name for path in photographs]
     warnings = [event.message for event in told if isinstance(event, Warned)]
     # A device's own are told by its structure from motion, which knows the broken ones, too.
@@ -531,10 +546,10 @@ def test_a_frame_counts_the_positions_that_it_is_from(hamlet: Path, tmp_path: Pa
         lambda photo_folder, work, config, report: scene_from_colmap(hamlet / "known", photo_folder, work, report),
     )
     origin = next(place for place in photograph_positions(photos).values() if place is not None)
-    task = {"source": str(photos), "copy": False, "frames": "gps", "origin": list(origin), "sfm": {"matching": "auto", "seed": 0}}
     told: list[Event] = []
-    write_json(tmp_path / "task.json", task)
-    _placed(tmp_path, task, "devices/a", told.append)
+    placing = replace(placing_in(photos), origin=origin)
+    save_task(tmp_path, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
+    _placed(tmp_path, placing, reporter("devices/a", told.append))
     (frame,) = [event.decision for event in told if isinstance(event, Decided) and event.decision.topic == "frame"]
     assert frame.reason.startswith("from 12 positions;")
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +13,22 @@ import numpy as np
 import pytest
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.workers.delivering import introduce
-from radiant_app.workers.inbox import NOTHING, numbered, read_inbox, save_frames, sim3_of, sim3_record
+from radiant_app.workers.delivering import IDENTITY, introduce
+from radiant_app.workers.inbox import received_device_models, received_edge_models, save_arrivals
+from radiant_app.workers.reporting import EventReporter
+from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.frames import FrameUncertainty, Sim3
-from radiant_core.geometry import frame_refinement
 from radiant_core.geometry.frame_refinement import PlacedModel, RefinedFrame
+from radiant_core.hierarchy import joining
+from radiant_core.hierarchy.joining import Arrivals, admit, numbered
+from radiant_core.hierarchy.messages import EdgeTask
+from radiant_core.io.messages import NOTHING, sim3_of, sim3_record
 from radiant_core.io.records import save_cameras
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.upload import save_upload
 from radiant_core.splats import Splats
+from radiant_core.train.config import train_preset
 from tests.core.scenes import cameras_above, ground_splats
 
 GROUND = ground_splats()
@@ -38,6 +46,26 @@ def arrive(folder: Path, name: str, model: Splats = GROUND, cameras: Cameras | N
         save_cameras(place / "cameras.safetensors", cameras)
     if uncertainty is not ...:
         (place / "frame.json").write_text(json.dumps({"status": "placed", "reason": "", "uncertainty": uncertainty}))
+
+
+def read_inbox(
+    folder: Path, senders: list[str], stage: str, listen: Callable[[Event], None], dealt: dict[str, int] | None = None
+) -> Arrivals:
+    """What an edge joins of what arrived from these devices."""
+    num_dealt = tuple((dealt or dict.fromkeys(senders, len(CAMERAS))).values())
+    task = EdgeTask(
+        train=train_preset("draft"),
+        backend="native",
+        devices=tuple(senders),
+        num_dealt=num_dealt,
+        strips=((),) * len(senders),
+        aggregate=AggregateConfig(),
+    )
+    return admit(received_device_models(folder, task), num_dealt, EventReporter(stage=stage, emit=listen))
+
+
+def saved(folder: Path, inbox: Arrivals) -> list[str]:
+    return save_arrivals(folder, inbox.corrections, inbox.refused, inbox.uncertainty)
 
 
 def warnings(events: list[Event]) -> list[str]:
@@ -83,7 +111,7 @@ def test_cameras_with_another_senders_names_cost_that_one_nothing(tmp_path: Path
 def test_an_empty_inbox_is_no_error(tmp_path: Path) -> None:
     inbox = read_inbox(tmp_path, ["a"], "edges/north", lambda event: None)
     assert inbox.models == () and inbox.senders == () and list(inbox.refused) == ["a"] and inbox.corrections == {"a": None}
-    assert save_frames(tmp_path, inbox) == ["corrections.json", "refused.json", "frame.json"]
+    assert saved(tmp_path, inbox) == ["corrections.json", "refused.json", "frame.json"]
     assert read_json(tmp_path / "frame.json") == {"status": "missing", "reason": "", "uncertainty": None}
     # What a node that delivers nothing says of itself.
     assert NOTHING == {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "first_loss": 0.0, "last_loss": 0.0}
@@ -96,19 +124,22 @@ def test_cameras_are_a_devices_an_edges_virtual_ones_or_none(tmp_path: Path) -> 
     arrive(tmp_path, "nothing", cameras=None)
     for name in ("device", "edge"):
         save_cameras(tmp_path / "inbox" / name / "virtual_cameras.safetensors", two)
-    inbox = read_inbox(tmp_path, ["device", "edge", "nothing"], "cloud", lambda event: None)
-    assert [len(cameras) for cameras in inbox.cameras] == [6, 2, 0]
+    reporter = EventReporter(stage="cloud", emit=lambda event: None)
+    at_cloud = admit(received_edge_models(tmp_path, ["device", "edge", "nothing"], 48), [6, 6, 6], reporter)
+    assert [len(cameras) for cameras in at_cloud.cameras] == [2, 2, 0], "the cloud does not look at poses of devices"
+    at_edge = read_inbox(tmp_path, ["device", "nothing"], "edges/north", lambda event: None)
+    assert [len(cameras) for cameras in at_edge.cameras] == [6, 0]
 
 
-def test_only_signed_uploads_are_read_where_they_have_to_be(tmp_path: Path) -> None:
+def test_only_signed_uploads_are_read_in_the_folder_of_a_run(tmp_path: Path) -> None:
+    edge = tmp_path / "edges/north"
     introduce(tmp_path, "edges/north", None)
     introduce(tmp_path, "devices/a", "edges/north")
-    arrive(tmp_path / "edges/north", "a")
-    read = {
-        signed: read_inbox(tmp_path / "edges/north", ["a"], "edges/north", lambda event: None, signed=signed) for signed in (False, True)
-    }
-    assert read[False].senders == ("a",) and read[True].senders == () and "delivery.json" in read[True].refused["a"]
-    assert read_inbox(tmp_path / "edges/north", ["a"], "edges/north", lambda event: None).senders == ("a",)
+    arrive(edge, "a")
+    signed = read_inbox(edge, ["a"], "edges/north", lambda event: None)
+    assert signed.senders == () and "delivery.json" in signed.refused["a"]
+    shutil.rmtree(edge / IDENTITY)
+    assert read_inbox(edge, ["a"], "edges/north", lambda event: None).senders == ("a",), "a folder that was made by hand"
 
 
 @pytest.mark.parametrize(
@@ -131,7 +162,7 @@ def test_an_uncertainty_that_is_none_refuses_its_sender_alone(tmp_path: Path, wr
     arrive(tmp_path, "b", uncertainty=wrong)
     inbox = read_inbox(tmp_path, ["a", "b"], "edges/north", lambda event: None)
     assert inbox.senders == ("a",) and "frame.json" in inbox.refused["b"] and "\n" not in inbox.refused["b"]
-    assert inbox.uncertainty is not None and inbox.uncertainty.keys() == SURE.keys()
+    assert inbox.uncertainty is not None and asdict(inbox.uncertainty).keys() == SURE.keys()
 
 
 def test_what_is_said_of_a_frame_ends_at_4_kB(tmp_path: Path) -> None:
@@ -180,7 +211,7 @@ def test_models_move_as_their_frames_were_refined_and_refused_ones_stay_out(tmp_
         report(1, 3, "a and b")
         return answer
 
-    monkeypatch.setattr(frame_refinement, "refine_frames", refine_frames)
+    monkeypatch.setattr(joining, "refine_frames", refine_frames)
     events: list[Event] = []
     inbox = read_inbox(tmp_path, ["a", "b", "c"], "edges/north", events.append)
     assert [model.name for model in asked] == ["a", "b", "c"] and {model.uncertainty.position_m for model in asked} == {7.0}
@@ -191,34 +222,35 @@ def test_models_move_as_their_frames_were_refined_and_refused_ones_stay_out(tmp_
     # A camera sees the moved world from where it saw the old one.
     np.testing.assert_allclose(inbox.cameras[1].centers, TURNED.apply(CAMERAS.centers), atol=1e-12)
     # Joined they are as sure as the surest of them: the refused one is surer, and is not there.
-    assert inbox.uncertainty == {"position_m": 1.0, "scale": 0.1, "rotation_rad": 0.01}
+    assert inbox.uncertainty == FrameUncertainty(position_m=1.0, scale=0.1, rotation_rad=0.01)
     decisions = [event.decision for event in events if isinstance(event, Decided)]
     assert [(one.topic, one.choice, one.figure) for one in decisions] == [
         ("frame of a", "moved onto its neighbours", 0.25),
         ("frame of c", "moved onto its neighbours", 0.25),
     ]
     assert decisions[0].reason == "geometry shared with 1 neighbours; scale changed by 1000.0 mm per m"
-    assert save_frames(tmp_path, inbox) == ["corrections.json", "refused.json", "frame.json"]
+    assert saved(tmp_path, inbox) == ["corrections.json", "refused.json", "frame.json"]
     moves = read_json(tmp_path / "corrections.json")
     assert moves["b"] is None and moves["a"] == sim3_record(TURNED) and read_json(tmp_path / "refused.json") == inbox.refused
-    assert read_json(tmp_path / "frame.json") == {"status": "placed", "reason": "", "uncertainty": inbox.uncertainty}
+    assert read_json(tmp_path / "frame.json") == {"status": "placed", "reason": "", "uncertainty": asdict(inbox.uncertainty)}
 
 
 def test_models_beside_each_other_are_as_unsure_as_the_worst_and_one_alone_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("a", "b"):
         arrive(tmp_path, name, uncertainty=SURE)
     answer = (refined("ok", (), 1.0), refined("alone", (), 3.0, residual_m=None))
-    monkeypatch.setattr(frame_refinement, "refine_frames", lambda models, report: answer)
+    monkeypatch.setattr(joining, "refine_frames", lambda models, report: answer)
     events: list[Event] = []
     inbox = read_inbox(tmp_path, ["a", "b"], "edges/north", events.append)
-    assert inbox.senders == ("a", "b") and inbox.uncertainty == {"position_m": 3.0, "scale": 0.3, "rotation_rad": 0.03}
+    assert inbox.senders == ("a", "b") and inbox.uncertainty is not None
+    assert asdict(inbox.uncertainty) == pytest.approx({"position_m": 3.0, "scale": 0.3, "rotation_rad": 0.03})
     alone = [event.decision for event in events if isinstance(event, Decided)][1]
     assert (alone.choice, alone.figure, alone.reason) == ("stays where GPS puts it", None, "it is alone.")
 
 
 def test_where_every_frame_is_refused_nothing_is_joined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arrive(tmp_path, "a", uncertainty=SURE)
-    monkeypatch.setattr(frame_refinement, "refine_frames", lambda models, report: (refined("refused", (), 1.0),))
+    monkeypatch.setattr(joining, "refine_frames", lambda models, report: (refined("refused", (), 1.0),))
     inbox = read_inbox(tmp_path, ["a"], "edges/north", lambda event: None)
     assert inbox.models == () and inbox.uncertainty is None and inbox.refused == {"a": "it is refused."}
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from radiant_app.commands.aggregate import aggregate
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.commands.steps import aggregate
 from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
-from radiant_app.workers import cloud_task
+from radiant_app.workers import nodes
 from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
@@ -63,7 +63,7 @@ def test_what_the_machine_cannot_join_is_cut_with_a_warning_and_what_an_edge_poo
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     by_views = joined_again(trained, tmp_path / "views", max_cameras=10)
-    monkeypatch.setattr(cloud_task, "available_bytes", lambda: 100_000_000)
+    monkeypatch.setattr(nodes, "available_bytes", lambda: 100_000_000)
     by_machine = joined_again(trained, tmp_path / "machine")
     assert by_views.choice == by_machine.choice == "models are cut at their borders instead of retrained"
     (views_warning,), (warning,) = by_views.warnings, by_machine.warnings
@@ -84,12 +84,12 @@ def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path
     shutil.copytree(trained, folder)
     scene, config = load_ply(trained / "scene.ply"), config_of(trained.parent / "town", folder)
     cut_off = joined_again(folder, tmp_path / "cut", memory_bytes=1e8)
-    assert not (tmp_path / "cut" / cloud_task.CUT_NAME).exists(), "a limit of the system file is there at the next try too"
-    (folder / "cloud" / cloud_task.CUT_NAME).touch()
+    assert not (tmp_path / "cut" / nodes.CUT_NAME).exists(), "a limit of the system file is there at the next try too"
+    (folder / "cloud" / nodes.CUT_NAME).touch()
     again: list[Event] = []
     run(config, again.append, resume=True)
     assert next(event.stage for event in again if isinstance(event, StageDone)) == "cloud"
     np.testing.assert_array_equal(load_ply(folder / "scene.ply").means, scene.means)
-    assert not (folder / "cloud" / cloud_task.CUT_NAME).exists()
+    assert not (folder / "cloud" / nodes.CUT_NAME).exists()
     aggregate(folder, tmp_path / "joined.ply", "default", None, ProgressDisplay(Console(quiet=True)))
     assert held_out_db(trained, load_ply(tmp_path / "joined.ply")) > held_out_db(trained, cut_off.splats) + 0.3

@@ -26,9 +26,9 @@ from radiant_app.report.html import TIERS
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import EvaluateOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
-from radiant_app.workers.inbox import read_inbox
+from radiant_app.workers.delivering import IDENTITY
 from radiant_app.workers.memory import resident_bytes
-from radiant_app.workers.nodes import run_cloud, run_device, run_edge
+from radiant_app.workers.nodes import run_node
 from radiant_app.workers.sources import all_files
 from radiant_core import __version__
 from radiant_core.aggregate.extend import NewRegion
@@ -197,26 +197,33 @@ def test_an_edge_says_how_many_gaussians_it_left_out(finished: tuple[RunConfig, 
         assert decision.figure == pytest.approx(100 * left_out / given)
 
 
+def by_hand(node: Path, folder: Path) -> Path:
+    """A copy of a node's folder, whose task may be changed: nothing there is signed."""
+    shutil.copytree(node, folder)
+    shutil.rmtree(folder / IDENTITY)
+    return folder
+
+
 def test_a_devices_memory_limits_its_gaussians(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:
     config, _, _ = finished
-    shutil.copytree(next((config.out / "devices").iterdir()), tmp_path / "device")
+    by_hand(next((config.out / "devices").iterdir()), tmp_path / "device")
     task = read_json(tmp_path / "device" / "task.json")
     assert task["memory_bytes"] is None, "the system names no limit"
     events: list[Event] = []
     write_json(tmp_path / "device" / "task.json", {**task, "memory_bytes": 64e9})
-    run_device(tmp_path / "device", "devices/one", events.append)
+    run_node("device", tmp_path / "device", "devices/one", events.append)
     (decision,) = (event.decision for event in events if isinstance(event, Decided) and event.decision.topic == "memory")
     assert decision.choice.startswith(f"at most {TINY.max_num_splats:,} Gaussians") and decision.figure == 64e3
     write_json(tmp_path / "device" / "task.json", {**task, "memory_bytes": 1e6})
     with pytest.raises(BadInput, match="1 MB of memory leave room for 0 Gaussians, expected 1,000 or more: give"):
-        run_device(tmp_path / "device", "devices/one", events.append)
+        run_node("device", tmp_path / "device", "devices/one", events.append)
 
 
 def test_too_little_memory_makes_a_smaller_budget_that_the_next_process_keeps(
     finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
 ) -> None:
     config, _, _ = finished
-    shutil.copytree(next((config.out / "devices").iterdir()), tmp_path / "device")
+    by_hand(next((config.out / "devices").iterdir()), tmp_path / "device")
     task = read_json(tmp_path / "device" / "task.json")
     wanted = {**task["train"], "max_num_splats": 1_000_000}
     # A million Gaussians need over 1 GB beside the process.
@@ -225,7 +232,7 @@ def test_too_little_memory_makes_a_smaller_budget_that_the_next_process_keeps(
 
     def choice() -> str:
         events: list[Event] = []
-        run_device(tmp_path / "device", "devices/one", events.append)
+        run_node("device", tmp_path / "device", "devices/one", events.append)
         return next(event.decision.choice for event in events if isinstance(event, Decided) and event.decision.topic == "memory")
 
     first = choice()
@@ -246,30 +253,29 @@ def test_a_device_that_sends_more_cameras_than_it_was_dealt_is_refused_by_its_ed
     finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
 ) -> None:
     config, _, _ = finished
-    shutil.copytree(config.out, tmp_path / "run")
-    edge = next(folder for folder in sorted((tmp_path / "run/edges").iterdir()) if len(list((folder / "inbox").iterdir())) > 1)
-    task = {**read_json(edge / "task.json"), "signed": False, "teachers": []}
-    photographs = [len(list((tmp_path / "run/devices" / device / "photos").iterdir())) for device in task["devices"]]
+    joining = next(folder for folder in sorted((config.out / "edges").iterdir()) if len(list((folder / "inbox").iterdir())) > 1)
+    edge = by_hand(joining, tmp_path / "edge")
+    task = {**read_json(edge / "task.json"), "teachers": []}
+    photographs = [len(list((config.out / "devices" / device / "photos").iterdir())) for device in task["devices"]]
     assert task["num_dealt"] == photographs
     write_json(edge / "task.json", task)
     greedy, *others = task["devices"]
     _send_more_cameras(edge / "inbox" / greedy / "cameras.safetensors", 20_000)
     events: list[Event] = []
-    run_edge(edge, "edges/one", events.append)
+    run_node("edge", edge, "edges/one", events.append)
     told = f"it sends 20,000 cameras, where {photographs[0]} photographs were dealt to it."
     assert read_json(edge / "refused.json") == {greedy: told}
     assert f"the model of {greedy} is left out: {told}" in [event.message for event in events if isinstance(event, Warned)]
     assert len(load_cameras(edge / "virtual_cameras.safetensors")) == sum(photographs[1:])
     assert read_json(edge / "summary.json")["num_models"] == len(others)
 
-    cloud = tmp_path / "run/cloud"
-    task = {**read_json(cloud / "task.json"), "signed": False}
+    cloud = by_hand(config.out / "cloud", tmp_path / "cloud")
+    task = read_json(cloud / "task.json")
     _, edge_plans = load_plan(config.out / "plan.json")
     assert task["num_dealt"] == [len(plan.camera_indices) for plan in edge_plans if plan.edge_id in task["edges"]]
     for name in task["edges"]:
         _send_more_cameras(cloud / "inbox" / name / "virtual_cameras.safetensors", 500)
-    write_json(cloud / "task.json", task)
-    run_cloud(cloud, "cloud", events.append)
+    run_node("cloud", cloud, "cloud", events.append)
     assert {reason[:22] for reason in read_json(cloud / "refused.json").values()} == {"it sends 500 cameras, "}
 
 
@@ -284,20 +290,23 @@ def test_a_model_out_of_its_cameras_sight_is_refused_and_the_rest_is_joined(
 ) -> None:
     config, _, _ = finished
     edge = next(folder for folder in sorted((config.out / "edges").iterdir()) if len(list((folder / "inbox").iterdir())) > 1)
-    shutil.copytree(edge, tmp_path / "edge")
+    by_hand(edge, tmp_path / "edge")
     senders = read_json(tmp_path / "edge" / "task.json")["devices"]
     bad, *good = senders
     place = tmp_path / "edge" / "inbox" / bad / "model.safetensors"
     model = load_upload(place)
     save_upload(place, replace(model, means=model.means + np.float32(1e5)), "float32")
     events: list[Event] = []
-    inbox = read_inbox(tmp_path / "edge", senders, "edges/one", events.append)
-    assert inbox.senders == tuple(good) and inbox.corrections[bad] is None and set(inbox.refused) == {bad}
+    run_node("edge", tmp_path / "edge", "edges/one", events.append)
+    moves = read_json(tmp_path / "edge" / "corrections.json")
+    assert [name for name in senders if moves[name] is not None] == good and moves[bad] is None
+    assert list(read_json(tmp_path / "edge" / "refused.json")) == [bad]
     (warning,) = (event.message for event in events if isinstance(event, Warned))
     assert warning.startswith(f"the model of {bad} is left out: its own cameras see 0.0% of its Gaussians")
     for name in good:
         (tmp_path / "edge" / "inbox" / name / "model.safetensors").write_bytes(b"no model")
-    assert run_edge(tmp_path / "edge", "edges/one", events.append) == ["summary.json", "corrections.json", "refused.json", "frame.json"]
+    outputs = run_node("edge", tmp_path / "edge", "edges/one", events.append)
+    assert outputs == ["summary.json", "corrections.json", "refused.json", "frame.json", "notes.json"]
     assert set(read_json(tmp_path / "edge" / "refused.json")) == set(senders)
     assert read_json(tmp_path / "edge" / "frame.json") == {"status": "missing", "reason": "", "uncertainty": None}
 

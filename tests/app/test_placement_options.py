@@ -12,16 +12,22 @@ from radiant_app.cli.app import app
 from radiant_app.commands.train import TrainRequest, train
 from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.workers.sources import reconstruct_source, sfm_task
+from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput
+from radiant_core.io.messages import message_of, message_record
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
 
 GIVEN: list[dict[str, Any]] = [{"up": "ground"}, {"distance": "a.jpg,b.jpg,3"}, {"height_m": 40.0}]
 
 
-def test_a_task_tells_what_was_asked_for_and_no_more() -> None:
-    assert sfm_task(Path("photos"), {}, None, {"up": "auto", "distance": None, "height_m": None})["placement"] == {}
-    assert sfm_task(Path("photos"), {}, None, {"up": "down", "height_m": 40.0})["placement"] == {"up": "down", "height_m": 40.0}
+def test_a_task_carries_what_was_asked_for() -> None:
+    asked = Placement(up="down", height_m=40.0)
+    task = sfm_task(Path("photos"), SfmConfig(), None, asked)
+    assert message_of(SfmTask, message_record(task)).placement == asked
+    assert sfm_task(Path("photos"), SfmConfig(), None, Placement()).placement == Placement(up="auto", distance=None, height_m=None)
     with pytest.raises(BadInput, match="keep one"):
-        sfm_task(Path("photos"), {}, None, {"distance": "a.jpg,b.jpg,3", "height_m": 40.0})
+        Placement(distance="a.jpg,b.jpg,3", height_m=40.0)
 
 
 @pytest.mark.parametrize("given", GIVEN)
@@ -56,7 +62,7 @@ def test_a_length_or_direction_that_is_none_is_refused_before_anything_is_writte
 def test_a_scene_and_poses_that_come_with_the_photographs_keep_their_frame(given: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "train" / "metadata").mkdir(parents=True)
     with pytest.raises(BadInput, match="brings its own frame"):
-        reconstruct_source(sfm_task(tmp_path, {}, None, given), tmp_path / "work", lambda progress: None)
+        reconstruct_source(sfm_task(tmp_path, SfmConfig(), None, Placement(**given)), tmp_path / "work", lambda progress: None)
     (tmp_path / "scene.safetensors").touch()
     with pytest.raises(BadInput, match="is a scene, which has its frame"):
         train(TrainRequest(source=tmp_path, out=tmp_path / "out", **given))
@@ -67,7 +73,7 @@ def test_a_photograph_that_is_not_there_is_named_before_the_work_begins(tmp_path
     told: list[Any] = []
     for placement in ({"up": "nobody.jpg"}, {"distance": "nobody.jpg,hamlet_00.jpg,3"}):
         with pytest.raises(BadInput, match=r"nobody\.jpg"):
-            reconstruct_source(sfm_task(hamlet, {}, None, placement), tmp_path / "work", told.append)
+            reconstruct_source(sfm_task(hamlet, SfmConfig(), None, Placement(**placement)), tmp_path / "work", told.append)
     assert {progress.phase for progress in told} == {"checking photographs"}
 
 

@@ -34,7 +34,7 @@ from radiant_app.files.event_file import EventFile, read_progress
 from radiant_app.report.pace import Pace, clock_text
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.report.tables import print_figures
-from radiant_app.workers.nodes import sfm_progress
+from radiant_app.workers.reporting import sfm_progress
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import write_json
 from radiant_core.sfm.config import SfmProgress, number_phases

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,16 @@ from rich.console import Console
 from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.cloud_planning import cloud_task, placed_by_raster, planned_at_cloud, planned_from_raster, run_regions
+from radiant_app.run.cloud_planning import placed_by_raster
 from radiant_app.run.config import PlanOptions, RunConfig
-from radiant_app.workers.field_nodes import told_raster
+from radiant_app.workers.field_nodes import raster_record
+from radiant_app.workers.regions import planned_at_cloud, planned_from_raster, regions_task, run_regions
+from radiant_app.workers.reporting import EventReporter
+from radiant_app.workers.tasks import RegionsTask
 from radiant_core.errors import BadInput
 from radiant_core.frames import enu_from_geodetic
+from radiant_core.io.messages import load_task, message_record, save_task
 from radiant_core.io.records import load_plan
-from radiant_core.io.run_store import write_json
 from radiant_core.plan.counts.count_raster import DEFAULT_CELL_M, count_raster
 
 ORIGIN = np.array([47.35, 8.51, 420.0])
@@ -33,7 +37,7 @@ def captured(count: int = 60) -> np.ndarray:
 @pytest.mark.parametrize("cell_m", [1.0, 5.0, 100.0])
 def test_a_device_tells_how_many_lie_in_a_cell_and_no_position(cell_m: float) -> None:
     places = captured()
-    told = told_raster(places, cell_m)
+    told = raster_record(places, cell_m)
     cells = np.array(told["cells"])
     assert cells[:, 2].sum() == 60 and told["altitude_m"] % 10 == 0
     middles = np.column_stack([cells[:, :2], np.full(len(cells), 420.0)])
@@ -44,21 +48,22 @@ def test_a_device_tells_how_many_lie_in_a_cell_and_no_position(cell_m: float) ->
     text = json.dumps(told)
     assert not any(repr(float(value)) in text for value in places[:, :2].ravel())
     # The same cells from any start: two devices at one place tell the same.
-    assert {tuple(cell[:2]) for cell in told_raster(places[:7], cell_m)["cells"]} <= {tuple(cell[:2]) for cell in told["cells"]}
-    assert told_raster(places[:0], cell_m) == {"cells": [], "altitude_m": None}
+    assert {tuple(cell[:2]) for cell in raster_record(places[:7], cell_m)["cells"]} <= {tuple(cell[:2]) for cell in told["cells"]}
+    assert raster_record(places[:0], cell_m) == {"cells": [], "altitude_m": None}
 
 
 def test_the_cloud_answers_from_its_task_alone(tmp_path: Path) -> None:
     positions = enu_from_geodetic(captured(), ORIGIN)[:, :2]
     system = placed_by_raster(even_system(3, 2), positions, None, 20.0, 0)
-    task = cloud_task(count_raster(positions, 20.0), system, "exact")
-    text = json.dumps(task)
+    task = regions_task(count_raster(positions, 20.0), system, "exact")
+    text = json.dumps(message_record(task))
     assert not any(device.id in text for device in system.devices) and "device" not in text
-    write_json(tmp_path / "task.json", task)
-    assert run_regions(tmp_path, "planning", lambda event: None) == ["regions.json"]
+    save_task(tmp_path, task)
+    told = load_task(RegionsTask, tmp_path)
+    assert run_regions(tmp_path, told, EventReporter(stage="planning", emit=lambda event: None)) == ["regions.json"]
     regions, edges = load_plan(tmp_path / "regions.json")
     assert edges == () and regions.counts.sum() == 60
-    again = planned_at_cloud(json.loads((tmp_path / "task.json").read_text()))
+    again = planned_at_cloud(told)
     np.testing.assert_array_equal(again.weights, regions.weights)
     plan = planned_from_raster(system, positions, 20.0, "exact")
     np.testing.assert_array_equal(plan.weights, regions.weights)
@@ -68,11 +73,10 @@ def test_the_cloud_answers_from_its_task_alone(tmp_path: Path) -> None:
 def test_what_the_edges_cannot_hold_is_refused_with_its_reason() -> None:
     positions = enu_from_geodetic(captured(), ORIGIN)[:, :2]
     system = placed_by_raster(even_system(2, 1), positions, None, 20.0, 0)
-    task = cloud_task(count_raster(positions, 20.0), system, "exact")
-    for edge in task["edges"]:
-        edge["max_cameras"] = 20
+    task = regions_task(count_raster(positions, 20.0), system, "exact")
+    full = tuple(replace(edge, max_cameras=20) for edge in task.edges)
     with pytest.raises(BadInput, match="can hold 40 of 60"):
-        planned_at_cloud(task)
+        planned_at_cloud(replace(task, edges=full))
 
 
 def test_radiant_plan_from_a_raster_says_so_and_refuses_what_needs_positions(tmp_path: Path) -> None:

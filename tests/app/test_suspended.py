@@ -186,8 +186,8 @@ def test_the_time_of_a_node_that_stood_still_says_nothing_of_others(tmp_path: Pa
     now_s, told = 0.0, list[Event]()
     watch = TimeLeftListener(
         listen=told.append,
-        system=dealer.system,
-        edge_plans=dealer.edge_plans,
+        system=dealer.recipe.system,
+        edge_plans=dealer.recipe.edge_plans,
         num_workers=4,
         emulated=False,
         clock=lambda: now_s,

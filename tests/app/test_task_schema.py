@@ -8,68 +8,100 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from radiant_app.workers.task_schema import SCHEMAS, require_schema, require_task
 
 from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, give_task, introduce, introduce_scoring, take_task
+from radiant_app.workers.tasks import (
+    TASKS,
+    EvaluateTask,
+    FieldTask,
+    JobTask,
+    Move,
+    PlacingTask,
+    PlannedEdge,
+    PositionsTask,
+    RegionsTask,
+    ScoreTask,
+    SfmSettings,
+    SfmTask,
+    TeacherTask,
+    received_task,
+)
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
-from radiant_core.io.run_store import write_json
+from radiant_core.frames import Frame, Sim3
+from radiant_core.hierarchy.messages import NO_CAMERAS, CloudOutlook, CloudTask, DeviceTask, EdgeTask
+from radiant_core.io.messages import load_task, message_record, save_task
+from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.delivery import RECORD_NAME, SIGNATURE_NAME
 from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME
+from radiant_core.plan.profiles.cost_curves import CostCurve
+from radiant_core.plan.system import Cloud
+from radiant_core.scene import SfmScene
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.config import train_preset
 from tests.memory_folder import memory_folder
 
 DEVICE, EDGE = "devices/a-1", "edges/a"
 SHARED = ("task.json", "scene.safetensors", "photos")
-TRAINED = {"train": asdict(train_preset("draft")), "backend": "native", "checkpoint_every_s": 10.0}
-SENDING = {**TRAINED, "upload": "float32", "sends": ["cameras.safetensors"]}
-DEVICE_TASK = {**SENDING, "memory_bytes": None}
-TASKS: dict[str, dict[str, Any]] = {
-    "device": DEVICE_TASK,
-    "field": {
-        **DEVICE_TASK,
-        "frames": "gps",
-        "source": "/photos",
-        "names": ["a.jpg"],
-        "held_out": ["b/c.jpg"],
-        "copy": True,
-        "changed": [[10, 20]],
-        "origin": [45.0, 7.5, 300.0],
-        "sfm": {"matching": "auto", "seed": 0, "two_view_points": True, "memory_bytes": None},
-        "model": None,
-    },
-    "teacher": {"long_side_px": 64, "backend": "native", "num_dealt": 2, "signed": True, "checkpoint_every_s": 10.0},
-    "edge": {
-        **SENDING,
-        "devices": ["a-1"],
-        "num_dealt": [2],
-        "strips": [[[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]]],
-        "aggregate": asdict(AggregateConfig()),
-        "cloud": {"limits": {"memory_bytes": 1e9, "time_s": None, "max_cameras": None}, "share": 0.5},
-        "memory_bytes": None,
-        "signed": True,
-        "teachers": [],
-    },
-    "cloud": {
-        **TRAINED,
-        "edges": ["a"],
-        "num_dealt": [2],
-        "sites": [[0.0, 1.0]],
-        "weights": [0.0],
-        "aggregate": asdict(AggregateConfig()),
-        "signed": True,
-    },
-    "score": {
-        "corrections": [{"scale": 1.0, "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0.0, 0.0, 0.0]}],
-        "long_side_px": 64,
-        "backend": "native",
-        "lpips": None,
-    },
+TRAIN = train_preset("draft")
+SCENE = SfmScene(
+    cameras=NO_CAMERAS,
+    points=np.zeros((0, 3)),
+    colors=np.zeros((0, 3), np.uint8),
+    observations=np.zeros((0, 2), np.int64),
+    frame=Frame(kind="unscaled", origin_lat_lon_alt=np.zeros(3)),
+)
+MESSAGES: dict[str, Any] = {
+    "sfm": SfmTask(source="/photos", sfm=SfmConfig(), masks=None, placement=Placement()),
+    "positions": PositionsTask(source="/photos", cell_m=20.0, held_out=("b.jpg",), owned=True),
+    "regions": RegionsTask(
+        cell_m=20.0,
+        cells=((0, 1),),
+        counts=(3,),
+        edges=(PlannedEdge(id="a", position=(0.0, 1.0), uplink_bytes_per_s=1e6, time_s=CostCurve(linear=1.0), max_cameras=9),),
+        method="exact",
+    ),
+    "device": DeviceTask(train=TRAIN, backend="native", scene=SCENE),
+    "field": FieldTask(
+        train=TRAIN,
+        backend="native",
+        placing=PlacingTask(
+            frames="gps",
+            source="/photos",
+            names=("a.jpg",),
+            held_out=("b/c.jpg",),
+            copy=True,
+            origin=(45.0, 7.5, 300.0),
+            sfm=SfmSettings(matching="auto", seed=0, two_view_points=True),
+            poses=None,
+        ),
+        changed=((10, 20),),
+    ),
+    "teacher": TeacherTask(long_side_px=64, backend="native", num_dealt=2),
+    "edge": EdgeTask(
+        train=TRAIN,
+        backend="native",
+        devices=("a-1",),
+        num_dealt=(2,),
+        strips=(((0.0, 1.0), (2.0, 3.0), (4.0, 5.0)),),
+        aggregate=AggregateConfig(),
+        cloud=CloudOutlook(limits=Cloud(memory_bytes=1e9), share=0.5),
+    ),
+    "cloud": CloudTask(
+        train=TRAIN, backend="native", edges=("a",), num_dealt=(2,), sites=((0.0, 1.0),), weights=(0.0,), aggregate=AggregateConfig()
+    ),
+    "evaluate": EvaluateTask(backend="native", seams=True, lpips=None),
+    "score": ScoreTask(
+        corrections=(Move.of(Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))),), long_side_px=64, backend="native", lpips=None
+    ),
+    "run": JobTask(config={"source": "photos"}, resume=True),
 }
 
 
@@ -89,7 +121,7 @@ def given(run: Path, device: str = DEVICE, seed: int = 0) -> Path:
     for name in ("one.jpg", "two.jpg"):
         (folder / "photos" / name).write_bytes(name.encode() * 20)
     (folder / "scene.safetensors").write_bytes(b"scene")
-    write_json(folder / "task.json", {**DEVICE_TASK, "train": asdict(train_preset("draft")) | {"seed": seed}})
+    write_json(folder / "task.json", message_record(replace(MESSAGES["device"], train=replace(TRAIN, seed=seed))))
     give_task(run, EDGE, device, "device_task", folder, SHARED)
     return folder
 
@@ -242,29 +274,37 @@ def tampered_tasks(folder: Path, count: int, seed: int) -> list[str]:
     return taken
 
 
-@pytest.mark.parametrize("kind", SCHEMAS)
-def test_a_task_has_exactly_the_fields_of_its_kind(kind: str, tmp_path: Path) -> None:
-    path, right = tmp_path / "task.json", TASKS[kind]
-    write_json(path, right)
-    require_schema(kind, path)
+@pytest.mark.parametrize("kind", TASKS)
+def test_a_task_has_exactly_the_fields_of_its_kind_and_comes_back_as_it_was(kind: str, tmp_path: Path) -> None:
+    save_task(tmp_path, MESSAGES[kind])
+    path = tmp_path / "task.json"
+    right = read_json(path)
+    back = load_task(TASKS[kind], tmp_path)
+    assert message_record(back) == right and type(back) is type(MESSAGES[kind])
     wrongs = [{key: value for key, value in right.items() if key != left_out} for left_out in right]
     wrongs += [{**right, "more": 1}, {**right, "backend": "cuda; rm"}]
     wrongs += [{**right, key: "1"} for key, value in right.items() if isinstance(value, int | float | dict)]
     wrongs += [{**right, "train": {**right["train"], "num_steps": 0}}] if "train" in right else []
-    wrongs += [{**right, key: ["../x"]} for key in ("names", "devices", "edges", "sends") if key in right]
+    wrongs += [{**right, key: ["../x"]} for key in ("devices", "edges") if key in right]
+    wrongs += [{**right, "placing": {**right["placing"], key: ["../x"]}} for key in ("names", "held_out") if "placing" in right]
     for wrong in wrongs:
         write_json(path, wrong)
         with pytest.raises(BadInput, match=r"task\.json: "):
-            require_schema(kind, path)
+            load_task(TASKS[kind], tmp_path)
     path.write_text('{"a": 1, "a": 2}')
     with pytest.raises(BadInput, match="is not valid JSON"):
-        require_schema(kind, path)
+        load_task(TASKS[kind], tmp_path)
 
 
 def test_what_is_no_node_of_a_run_is_not_asked_for_a_signature(tmp_path: Path) -> None:
-    write_json(tmp_path / "task.json", {"train": {}})
-    require_task("device", tmp_path)
-    require_task("sfm", run_with(tmp_path / "run", DEVICE) / DEVICE)
+    save_task(tmp_path, MESSAGES["device"])
+    assert received_task("device", tmp_path).train == TRAIN
+    folder = run_with(tmp_path / "run", DEVICE) / DEVICE
+    save_task(folder, MESSAGES["sfm"])
+    assert received_task("sfm", folder) == MESSAGES["sfm"]
+    save_task(folder, MESSAGES["device"])
+    with pytest.raises(BadInput, match=r"delivery\.json"):
+        received_task("device", folder)
 
 
 def test_a_worker_refuses_a_changed_task_before_it_works(tmp_path: Path) -> None:

@@ -14,15 +14,18 @@ import pytest
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
-from radiant_app.run.dealing import SharedDealer
+from radiant_app.run.config import RunConfig
+from radiant_app.run.dealing import Dealer
+from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.workers.nodes import run_node
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.frames import Frame
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_splats
 from radiant_core.io.run_store import is_sealed, read_json, seal
-from radiant_core.io.transport.upload import BYTES_FACTORS, load_upload
+from radiant_core.io.transport.upload import BYTES_FACTORS, UploadFormat, load_upload
 from radiant_core.plan.counts.deadline import device_time_s
 from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan
@@ -37,10 +40,12 @@ Note = Callable[[Event], None]
 
 
 @pytest.fixture(scope="module")
-def dealt(tmp_path_factory: pytest.TempPathFactory) -> SharedDealer:
+def dealt(tmp_path_factory: pytest.TempPathFactory) -> Dealer:
     """A planned run of one edge with two devices, in float32; every test deals into a folder of its own."""
     folder = tmp_path_factory.mktemp("ground")
-    truth, cameras = ground_splats(), cameras_above([(-2, -1), (-2, 1), (0, 0), (2, -1), (2, 1)], size_wh=(64, 48))
+    truth, cameras = ground_splats(), cameras_above([(0, 1), (-2, -1), (-2, 1), (0, 0), (2, -1), (2, 1)], size_wh=(64, 48))
+    # The first is held out.
+    cameras = replace(cameras, names=tuple(f"{index}.png" for index in range(len(cameras))))
     (folder / "photos").mkdir()
     for view in render_views(truth, cameras):
         cv2.imwrite(str(folder / "photos" / view.name), view.image_bytes[..., ::-1])
@@ -48,26 +53,25 @@ def dealt(tmp_path_factory: pytest.TempPathFactory) -> SharedDealer:
     frame = Frame(kind="metric", origin_lat_lon_alt=np.zeros(3), residual_m=0.0)
     colors = np.full((len(points), 3), 128, np.uint8)
     scene = SfmScene(cameras=cameras, points=points, colors=colors, observations=everyone, frame=frame)
-    positions = cameras.centers[:, :2]
+    photographs = PooledPhotographs(config=RunConfig(source=folder / "photos", out=folder / "run"), scene=scene, images=folder / "photos")
+    positions = photographs.training.cameras.centers[:, :2]
     system = place_edges(even_system(1, 2), positions, None, 0)
     cloud_plan = plan_regions(positions, system)
     assert isinstance(cloud_plan, CloudPlan)
-    return SharedDealer(
+    recipe = Recipe(
         system=system,
-        run=folder / "run",
-        images=folder / "photos",
-        scene=scene,
         cloud_plan=cloud_plan,
         edge_plans=split_edges(positions, cloud_plan, system),
         train=replace(train_preset("draft"), num_steps=20, long_side_px=64, max_num_splats=300),
         aggregate=AggregateConfig(num_epochs=1),
         backend="native",
     )
+    return Dealer(run=folder / "run", recipe=recipe, photographs=photographs)
 
 
-def folded(dealer: SharedDealer, *, teachers: bool, listen: Note = lambda event: None, without: str = "") -> Tree:
+def folded(dealer: Dealer, *, teachers: bool, listen: Note = lambda event: None, without: str = "") -> Tree:
     """Run every node but those of the tier `without` and what needs them, as an executor would, here."""
-    tree = tree_of_plan(dealer.cloud_plan, dealer.edge_plans, teachers=teachers)
+    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, teachers=teachers)
     for node in tree:
         if without and (node.tier == without or any(child.tier == without for child in node)):
             continue
@@ -82,24 +86,24 @@ def teacher_choice(events: list[Event]) -> str:
     return next(event.decision.choice for event in events if isinstance(event, Decided) and event.decision.topic == "teachers")
 
 
-def scene_bytes(dealer: SharedDealer) -> bytes:
+def scene_bytes(dealer: Dealer) -> bytes:
     return (dealer.run / "cloud" / "scene.ply").read_bytes()
 
 
 @pytest.fixture(scope="module")
-def late(dealt: SharedDealer) -> SharedDealer:
+def late(dealt: Dealer) -> Dealer:
     folded(dealt, teachers=False)
     return dealt
 
 
-def with_devices_of(late: SharedDealer, folder: Path) -> SharedDealer:
+def with_devices_of(late: Dealer, folder: Path) -> Dealer:
     """A copy of a run whose devices are done."""
     shutil.copytree(late.run / "devices", folder / "devices")
     shutil.copyfile(late.run / "run.json", folder / "run.json")
     return replace(late, run=folder, ledger=[])
 
 
-def test_early_teachers_change_no_bit_of_the_scene(late: SharedDealer, tmp_path: Path) -> None:
+def test_early_teachers_change_no_bit_of_the_scene(late: Dealer, tmp_path: Path) -> None:
     early, events = with_devices_of(late, tmp_path), []
     tree = folded(early, teachers=True, listen=events.append)
     assert [node.tier for node in tree] == ["device", "teacher", "device", "teacher", "edge", "cloud"]
@@ -109,7 +113,7 @@ def test_early_teachers_change_no_bit_of_the_scene(late: SharedDealer, tmp_path:
     assert [row["tier"] for row in early.ledger] == ["device", "device", "edge", "cloud"], "what an edge is sent counts once"
 
 
-def test_a_teacher_that_was_killed_leaves_the_rest_to_its_edge(late: SharedDealer, tmp_path: Path) -> None:
+def test_a_teacher_that_was_killed_leaves_the_rest_to_its_edge(late: Dealer, tmp_path: Path) -> None:
     early = with_devices_of(late, tmp_path)
     tree = folded(early, teachers=True, without="edge")
     for teacher in (node for node in tree if node.tier == "teacher"):
@@ -124,12 +128,12 @@ def test_a_teacher_that_was_killed_leaves_the_rest_to_its_edge(late: SharedDeale
         task = early.prepare(node)
         assert task is not None
         seal(task.folder, task.key, run_node(task.kind, task.folder, task.stage, events.append))
-    num_left = len(late.edge_plans[0].cameras_of(second.name)) - 1
+    num_left = len(late.recipe.edge_plans[0].cameras_of(second.name)) - 1
     assert teacher_choice(events) == f"{num_left} of 5 views were rendered before the last device arrived"
     assert scene_bytes(early) == scene_bytes(late)
 
 
-def test_resuming_after_a_kill_between_teacher_and_edge_takes_the_views(late: SharedDealer, tmp_path: Path) -> None:
+def test_resuming_after_a_kill_between_teacher_and_edge_takes_the_views(late: Dealer, tmp_path: Path) -> None:
     early = with_devices_of(late, tmp_path)
     folded(early, teachers=True, without="edge")
     again: list[Event] = []
@@ -139,7 +143,7 @@ def test_resuming_after_a_kill_between_teacher_and_edge_takes_the_views(late: Sh
     assert scene_bytes(early) == scene_bytes(late)
 
 
-def test_views_of_another_run_are_not_taken_when_teachers_are_late(late: SharedDealer, tmp_path: Path) -> None:
+def test_views_of_another_run_are_not_taken_when_teachers_are_late(late: Dealer, tmp_path: Path) -> None:
     early = with_devices_of(late, tmp_path)
     folded(early, teachers=True, without="edge")
     events: list[Event] = []
@@ -147,10 +151,10 @@ def test_views_of_another_run_are_not_taken_when_teachers_are_late(late: SharedD
     assert teacher_choice(events).startswith("0 of 5")
 
 
-def test_other_models_make_teachers_render_anew(late: SharedDealer, tmp_path: Path) -> None:
+def test_other_models_make_teachers_render_anew(late: Dealer, tmp_path: Path) -> None:
     early = with_devices_of(late, tmp_path)
     folded(early, teachers=True)
-    seeded = replace(early, train=replace(early.train, seed=5), ledger=[])
+    seeded = replace(early, recipe=replace(early.recipe, train=replace(early.recipe.train, seed=5)), ledger=[])
     events: list[Event] = []
     folded(seeded, teachers=True, listen=events.append)
     assert sum(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in events) == 5
@@ -158,8 +162,8 @@ def test_other_models_make_teachers_render_anew(late: SharedDealer, tmp_path: Pa
 
 
 @pytest.mark.parametrize("upload", ["float16", "spz"])
-def test_a_run_with_compressed_uploads_keeps_its_models_and_sends_less(late: SharedDealer, tmp_path: Path, upload: UploadFormat) -> None:
-    small = replace(late, run=tmp_path, upload=upload, ledger=[])
+def test_a_run_with_compressed_uploads_keeps_its_models_and_sends_less(late: Dealer, tmp_path: Path, upload: UploadFormat) -> None:
+    small = replace(late, run=tmp_path, recipe=replace(late.recipe, upload=upload), ledger=[])
     tree = folded(small, teachers=True)
     for node in tree:
         if node.tier == "device":
@@ -175,10 +179,13 @@ def test_a_run_with_compressed_uploads_keeps_its_models_and_sends_less(late: Sha
     folded(replace(small, ledger=[]), teachers=True, listen=lambda event: pytest.fail(f"a sealed node ran again: {event}"))
 
 
-def test_a_model_that_the_format_cannot_hold_is_sent_as_float32_with_a_warning(late: SharedDealer, tmp_path: Path) -> None:
-    scattered = late.scene.points.copy()
+def test_a_model_that_the_format_cannot_hold_is_sent_as_float32_with_a_warning(late: Dealer, tmp_path: Path) -> None:
+    assert isinstance(late.photographs, PooledPhotographs)
+    scene = late.photographs.scene
+    scattered = scene.points.copy()
     scattered[0] = 1e8
-    far = replace(late, run=tmp_path, upload="spz", scene=replace(late.scene, points=scattered), ledger=[])
+    photographs = replace(late.photographs, scene=replace(scene, points=scattered))
+    far = replace(late, run=tmp_path, recipe=replace(late.recipe, upload="spz"), photographs=photographs, ledger=[])
     events: list[Event] = []
     folded(far, teachers=False, listen=events.append, without="edge")
     warned = [event for event in events if isinstance(event, Warned)]
@@ -196,20 +203,20 @@ def test_the_plan_counts_the_bytes_of_the_upload() -> None:
     np.testing.assert_allclose(saved_s, sending_s * (1 - BYTES_FACTORS["spz"]), rtol=1e-12)
 
 
-def test_single_devices_get_no_teacher(dealt: SharedDealer) -> None:
-    lonely = replace(dealt.edge_plans[0], device_of_camera=np.zeros(5, np.int64))
-    assert [node.tier for node in tree_of_plan(dealt.cloud_plan, [lonely], teachers=True)] == ["device", "edge", "cloud"]
+def test_single_devices_get_no_teacher(dealt: Dealer) -> None:
+    lonely = replace(dealt.recipe.edge_plans[0], device_of_camera=np.zeros(5, np.int64))
+    assert [node.tier for node in tree_of_plan(dealt.recipe.cloud_plan, [lonely], teachers=True)] == ["device", "edge", "cloud"]
 
 
-def prepared_edge(dealer: SharedDealer) -> tuple[NodeTask, list[str]]:
+def prepared_edge(dealer: Dealer) -> tuple[NodeTask, list[str]]:
     """The edge of a run whose devices are done, before it runs, and its devices."""
-    tree = tree_of_plan(dealer.cloud_plan, dealer.edge_plans, teachers=False)
+    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, teachers=False)
     tasks = {node.id: dealer.prepare(node) for node in tree if node.tier != "cloud"}
     (edge,) = (task for name, task in tasks.items() if name.startswith("edges/") and task is not None)
     return edge, sorted(Path(name).name for name in tasks if name.startswith("devices/"))
 
 
-def test_an_edge_leaves_out_what_was_changed_on_its_way(late: SharedDealer, tmp_path: Path) -> None:
+def test_an_edge_leaves_out_what_was_changed_on_its_way(late: Dealer, tmp_path: Path) -> None:
     edge, (first, second) = prepared_edge(with_devices_of(late, tmp_path))
     inbox = edge.folder / "inbox"
     # Whole files of the right kind, but not those that were signed.
@@ -223,7 +230,7 @@ def test_an_edge_leaves_out_what_was_changed_on_its_way(late: SharedDealer, tmp_
     assert any(isinstance(event, Warned) and f"the model of {first} is left out" in event.message for event in warnings)
 
 
-def test_uploads_of_another_run_or_key_are_refused(late: SharedDealer, tmp_path: Path) -> None:
+def test_uploads_of_another_run_or_key_are_refused(late: Dealer, tmp_path: Path) -> None:
     dealer = with_devices_of(late, tmp_path)
     (tmp_path / "run.json").unlink()
     edge, devices = prepared_edge(dealer)
@@ -239,11 +246,11 @@ def test_uploads_of_another_run_or_key_are_refused(late: SharedDealer, tmp_path:
     assert list(refused) == [first] and "not signed by the key that is registered" in refused[first]
 
 
-def test_a_renewed_key_makes_its_device_sign_anew(late: SharedDealer, tmp_path: Path) -> None:
+def test_a_renewed_key_makes_its_device_sign_anew(late: Dealer, tmp_path: Path) -> None:
     dealer = with_devices_of(late, tmp_path)
     _, (first, second) = prepared_edge(dealer)
     shutil.rmtree(tmp_path / "devices" / first / "identity")
-    tree = tree_of_plan(dealer.cloud_plan, dealer.edge_plans, teachers=False)
+    tree = tree_of_plan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, teachers=False)
     tasks = {Path(node.id).name: dealer.prepare(node) for node in tree if node.tier == "device"}
     sealed = {name: is_sealed(task.folder, task.key) for name, task in tasks.items() if task is not None}
     assert sealed == {first: False, second: True}

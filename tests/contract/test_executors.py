@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,8 +22,6 @@ from radiant_app.run.pipeline import run
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput
 
-from .ray_machines import ray_cluster
-
 DEVICES = tuple(Tree(id=f"devices/{number}", tier="device") for number in "123")
 TEACHERS = tuple(Tree(id=f"edges/a/teachers/{device.name}", tier="teacher", children=(device,)) for device in DEVICES)
 TAUGHT = Tree(id="cloud", tier="cloud", children=(Tree(id="edges/a", tier="edge", children=TEACHERS),))
@@ -36,15 +34,6 @@ seal(Path('.'), 'key', ['made'])
 """
 PROGRESS = StageProgress(stage="devices/1", done=1, total=2, note="half")
 Make = Callable[[dict[str, str]], Executor]
-
-
-@pytest.fixture(scope="session")
-def address() -> Iterator[str]:
-    if find_spec("ray") is None:
-        pytest.skip("Ray is not installed: the extra `cluster` brings it")
-    with ray_cluster() as cluster:
-        cluster.start("head", num_cpus=2, offers=["edge:a"])
-        yield cluster.address
 
 
 @pytest.fixture(params=["local", "ray"])

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.workers.inbox import VIRTUAL_CAMERAS, VIRTUAL_VIEWS
 from radiant_core.evaluate.image_error import psnr_db
+from radiant_core.io.messages import VIRTUAL_CAMERAS, VIRTUAL_VIEWS
 from radiant_core.io.records import load_cameras, load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.io.view_file import load_views

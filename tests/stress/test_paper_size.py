@@ -17,10 +17,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.run.dealing import SharedDealer
+from radiant_app.run.config import RunConfig
+from radiant_app.run.dealing import Dealer
+from radiant_app.run.pooled import PooledPhotographs
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.aggregate.tree import tree_of_plan
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.plan.counts.deadline import device_time_s
 from radiant_core.plan.devices.device_split import split_edges
@@ -124,18 +127,18 @@ def plan_scene(folder: Path, num_cameras: int) -> None:
 def deal_scene(folder: Path, num_cameras: int) -> None:
     """Every device's folder with its photographs and its part of the scene."""
     plan, edge_plans = load_plan(folder / "plan.json")
-    scene = training_scene(folder)
-    dealer = SharedDealer(
-        system=placed_fleet(scene),
-        run=folder / "run",
-        images=folder / "images",
-        scene=scene,
+    scene = load_scene(folder / "scene.safetensors")
+    config = RunConfig(source=folder / "images", out=folder / "run")
+    photographs = PooledPhotographs(config=config, scene=scene, images=folder / "images")
+    recipe = Recipe(
+        system=placed_fleet(photographs.training),
         cloud_plan=plan,
         edge_plans=tuple(edge_plans),
         train=train_preset("draft"),
         aggregate=AggregateConfig(),
         backend="native",
     )
+    dealer = Dealer(run=folder / "run", recipe=recipe, photographs=photographs)
     for node in tree_of_plan(plan, edge_plans):
         if node.tier == "device":
             dealer.prepare(node)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from radiant_app.workers.node_decisions import join_memory_decision
-
 from radiant_core.aggregate.cloud_choice import cloud_needs, kept_statistics_bytes, pixels_of, retrain_memory_bytes
 from radiant_core.aggregate.retrain import Teacher, cut_at_borders
 from radiant_core.cameras import Cameras
+from radiant_core.hierarchy.decisions import join_memory_decision
 from radiant_core.splats import Splats
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES
 from tests.core.scenes import cameras_above, ground_splats

@@ -418,7 +418,3 @@ def test_a_track_names_points_that_are_there_up_to_the_last(text_model: Path, tm
         else:
             with pytest.raises(BadInput, match="names a 2D point that its image does not have"):
                 read_model(folder)
-
-
-def test_what_the_module_offers_is_there() -> None:
-    assert all(hasattr(colmap, name) for name in colmap.__all__)

@@ -1,4 +1,4 @@
-"""Arms of `radiant bench paper`: each one way of making the model of a cell, cached with its scores. Once per (cell, arm).
+"""Arms of `radiant bench methods` and `paper`: each one way of making the model of a cell, cached with its scores. Once per (cell, arm).
 
 Models and scores are stored in the output folder under the hash of their inputs, so that an
 interrupted benchmark resumes, and an arm that several sections show is made once. The bands along
@@ -11,55 +11,47 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.bench.method_cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, load_bench_scene
-from radiant_app.bench.methods import METHODS, OPAQUE, Made, join_cell
+from radiant_app.bench.cells import DEVICE_SPEEDS, BenchScene, Cell, Layout, ModelCache, dealt_cell, load_bench_scene, run_cell
 from radiant_app.workers.evaluation import region_width
 from radiant_core import __version__
-from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
 from radiant_core.evaluate.image_error import psnr_db, ssim
 from radiant_core.evaluate.seam_error import SeamMasks, seam_masks
 from radiant_core.evaluate.seam_scores import seam_scores
+from radiant_core.evaluate.shown_pixels import select_strongest
+from radiant_core.hierarchy.messages import DeviceSettings
+from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.records import load_splats, save_splats
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.render.rendered_view import RenderedView, render_views
-from radiant_core.train.config import train_preset
+from radiant_core.splats import Splats
 
-MAX_NUM_SPLATS = 200_000
-"""Of a device's model."""
+OPAQUE = 0.5
+"""Pixels that the centralised model covers less have no ground."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Made:
+    """What an arm made of a cell, and its work beside the device models."""
+
+    splats: Splats
+    cpu_s: float
+    training_px: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arm:
-    """One way of making a model of a cell; `settings` complete its name."""
+    """One way of making a model of a cell by a recipe."""
 
     name: str
-    make: Callable[[Cell], Made]
-    settings: AggregateConfig | None = None
-
-
-def method_arm(name: str) -> Arm:
-    """A method of `radiant bench methods`."""
-    presets = {"paper": "paper", "ours": "default", "ours edges": "default", "even": "default"}
-    return Arm(name=name, make=METHODS[name], settings=aggregate_preset(presets[name]) if name in presets else None)
-
-
-def epochs_arm(name: str, num_epochs: int) -> Arm:
-    """`ours` or `paper` with another number of epochs at both tiers; 0 is the plain cut for both."""
-    if num_epochs == 0:
-        return method_arm("crop")
-    preset = aggregate_preset({"ours": "default", "paper": "paper"}[name])
-    if num_epochs == preset.num_epochs:
-        return method_arm(name)
-    settings = replace(preset, num_epochs=num_epochs)
-    return Arm(name=f"{name} {num_epochs} epochs", make=lambda cell: join_cell(cell, settings, cell.plan, cell.devices), settings=settings)
+    make: Callable[[Cell, Recipe], Made]
+    recipe: Callable[[Cell], Recipe] = lambda cell: cell.recipe
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,38 +88,55 @@ class ArmRow:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arms:
-    """The scene at one size, the folder of the cache, and the layout whose centralised model gives the surfaces."""
+    """The folder of the cache, and the cell whose centralised model gives the surfaces."""
 
-    scene: BenchScene
     out: Path
-    num_steps: int
-    """Of a device's training."""
-    layout: Layout
+    first: Cell
 
-    def cell(self, layout: Layout, seed: int = 0, speeds: tuple[float, ...] = DEVICE_SPEEDS) -> Cell:
-        """The scene dealt to a layout."""
-        train = train_preset("draft")
-        train = replace(train, long_side_px=self.scene.long_side_px, num_steps=self.num_steps, max_num_splats=MAX_NUM_SPLATS)
-        cache = ModelCache(folder=self.out / "models")
-        return Cell(scene=self.scene, layout=layout, placement=0, seed=seed, train=train, cache=cache, speeds=speeds)
+    @property
+    def scene(self) -> BenchScene:
+        """That of all cells."""
+        return self.first.scene
 
-    def row(self, cell: Cell, arm: Arm) -> ArmRow:
-        """The arm's figures, from the cache where it has them."""
-        model, record = self._files(cell, arm)
+    @property
+    def layout(self) -> Layout:
+        """That of the first cell."""
+        return self.first.layout
+
+    @property
+    def num_steps(self) -> int:
+        """Of a device's training."""
+        return self.first.recipe.train.num_steps
+
+    def cell(self, layout: Layout, seed: int = 0, speeds: tuple[float, ...] = DEVICE_SPEEDS, placement: int = 0) -> Cell:
+        """The scene dealt to a layout, with the first cell's settings but for the seed."""
+        recipe = self.first.recipe
+        settings = DeviceSettings(train=replace(recipe.train, seed=seed), backend=recipe.backend, upload=recipe.upload)
+        return dealt_cell(self.scene, self.first.cache, settings, layout, placement, speeds)
+
+    def row(self, cell: Cell, arm: Arm, max_gaussians: int | None = None) -> ArmRow:
+        """The arm's figures, from the cache where it has them; of its model reduced to so many Gaussians, where given."""
+        model = self._model_file(cell, arm)
+        record = model.with_suffix(".json" if max_gaussians is None else f".{max_gaussians}.json")
         if model.is_file() and record.is_file():
             fields = read_json(record)
             return ArmRow(**{**fields, "psnr_db": tuple(fields["psnr_db"]), "ssim": tuple(fields["ssim"])})
-        made = arm.make(cell)
+        if max_gaussians is None:
+            made = arm.make(cell, arm.recipe(cell))
+            model.parent.mkdir(parents=True, exist_ok=True)
+            save_splats(model, made.splats)
+        else:
+            whole = self.row(cell, arm)
+            splats = select_strongest(load_splats(model), self.scene.views.cameras, max_gaussians)
+            made = Made(splats=splats, cpu_s=whole.cpu_s, training_px=whole.training_px)
         row = self._scored(cell, arm, made)
-        model.parent.mkdir(parents=True, exist_ok=True)
-        save_splats(model, made.splats)
         write_json(record, asdict(row))
         return row
 
     def views(self, cell: Cell, arm: Arm) -> list[RenderedView]:
         """The arm's model at the held-out cameras."""
         self.row(cell, arm)
-        return list(render_views(load_splats(self._files(cell, arm)[0]), self.scene.held_out_views.cameras))
+        return list(render_views(load_splats(self._model_file(cell, arm)), self.scene.held_out_views.cameras))
 
     @cached_property
     def photographs(self) -> list[FloatArray]:
@@ -136,13 +145,13 @@ class Arms:
 
     def masks(self, cell: Cell) -> SeamMasks:
         """Pixels near the borders of a cell's devices and edges, per held-out photograph."""
-        plan, edge_plans = cell.plan
-        borders = [EdgeBorders(plan=plan), DeviceBorders(plan=plan, edge_plans=edge_plans)]
+        plan = cell.recipe.cloud_plan
+        borders = [EdgeBorders(plan=plan), DeviceBorders(plan=plan, edge_plans=cell.recipe.edge_plans)]
         return seam_masks(self.scene.held_out_views.cameras, self._depths_m, borders, region_width(plan.sites))
 
     @cached_property
     def _depths_m(self) -> list[NDArray[np.floating]]:
-        views = render_views(self.cell(self.layout).centralised.splats, self.scene.held_out_views.cameras)
+        views = render_views(self.first.centralised.splats, self.scene.held_out_views.cameras)
         return [np.where(view.alpha >= OPAQUE, view.depth, 0) for view in views]
 
     def _scored(self, cell: Cell, arm: Arm, made: Made) -> ArmRow:
@@ -153,7 +162,7 @@ class Arms:
             scene=self.scene.name,
             cell=cell.name,
             arm=arm.name,
-            seed=cell.seed,
+            seed=cell.recipe.train.seed,
             psnr_db=tuple(psnr_db(image, photograph) for image, photograph in pairs),
             ssim=tuple(ssim(image, photograph) for image, photograph in pairs),
             num_gaussians=len(made.splats),
@@ -164,17 +173,20 @@ class Arms:
             num_band_images=error.num_band_images,
         )
 
-    def _files(self, cell: Cell, arm: Arm) -> tuple[Path, Path]:
-        cameras = self.scene.training.cameras
-        seen = {"names": cameras.names, "poses": cameras.cam_from_world, "held_out": self.scene.held_out.cameras.names}
-        settings: dict[str, Any] = {"cell": cell.name, "arm": arm.name, "train": asdict(cell.train)}
-        key = content_key(__version__, {**settings, "join": asdict(arm.settings) if arm.settings else None, **seen})[:16]
-        stem = f"{cell.name}-{arm.name.replace(' ', '_')}-{key}"
-        return self.out / "joined" / f"{stem}.safetensors", self.out / "joined" / f"{stem}.json"
+    def _model_file(self, cell: Cell, arm: Arm) -> Path:
+        key = content_key(__version__, arm.name, arm.recipe(cell), self.scene.training, self.scene.held_out.cameras)[:16]
+        return self.out / "joined" / f"{cell.name}-{arm.name.replace(' ', '_')}-{key}.safetensors"
 
 
-def load_arms(scene: Path, out: Path, layout: Layout, long_side_px: int, num_steps: int) -> Arms:
-    """Arms of a scene; BadInput where it has too few photographs or `out` is a file."""
+def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings) -> Arms:
+    """Arms of a scene that is dealt to a layout or, without one, of a run under its own plan and settings.
+
+    Raises:
+        BadInput: the scene has too few photographs, is not of a run, or `out` is a file.
+    """
     if out.exists() and not out.is_dir():
         raise BadInput(f"{out} is a file: name a folder for the page, its pictures and the models.")
-    return Arms(scene=load_bench_scene(scene, long_side_px), out=out, num_steps=num_steps, layout=layout)
+    cache = ModelCache(folder=out / "models")
+    if layout is None:
+        return Arms(out=out, first=run_cell(scene, cache))
+    return Arms(out=out, first=dealt_cell(load_bench_scene(scene, settings.train.long_side_px), cache, settings, layout))

@@ -1,0 +1,28 @@
+"""`Progress`: who hears a run and which clock it runs by; passed through its stages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from radiant_app.events import Event, Listener, StageSkipped
+from radiant_app.files.run_folder import Manifest
+from radiant_app.workers.reporting import read_notes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Who listens and which clock runs; passed through the stages."""
+
+    manifest: Manifest
+    listener: Listener
+    clock: Callable[[], float]
+    started_s: float
+
+    def listen(self, event: Event) -> None:
+        """Record an event and pass it on."""
+        self.manifest.note(event, self.clock() - self.started_s)
+        self.listener(event)
+        if isinstance(event, StageSkipped):
+            for noted in read_notes(self.manifest.folder / event.stage, event.stage):
+                self.listen(noted)

@@ -1,0 +1,282 @@
+"""The hierarchy in one process, under the local executor and on Ray: the same scene bit for bit, by four unlike recipes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.executors.local import LocalExecutor
+from radiant_app.executors.protocol import Executor, NodeTask
+from radiant_app.executors.ray_cluster import RayExecutor
+from radiant_app.files.system_file import even_system
+from radiant_app.run.config import RunConfig
+from radiant_app.run.dealing import Dealer
+from radiant_app.run.pooled import PooledPhotographs
+from radiant_app.workers.sources import sfm_record
+from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.aggregate.tree import Tree, tree_of_plan
+from radiant_core.frames import Frame
+from radiant_core.hierarchy.in_process import run_in_process
+from radiant_core.hierarchy.recipe import Recipe
+from radiant_core.hierarchy.reporter import Recorder
+from radiant_core.io.colmap.model import read_model
+from radiant_core.io.colmap.text import write_model
+from radiant_core.io.photos.masks import mask_name
+from radiant_core.io.ply import load_ply, save_ply
+from radiant_core.io.records import load_splats, save_cameras
+from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.view_file import save_views
+from radiant_core.plan.devices.device_split import split_edges
+from radiant_core.plan.plans import CloudPlan
+from radiant_core.plan.regions.edge_sites import place_edges
+from radiant_core.plan.regions.region_plan import plan_regions
+from radiant_core.plan.system import System
+from radiant_core.render.rendered_view import render_views
+from radiant_core.scene import SfmScene
+from radiant_core.sfm.reconstruct import scene_from_colmap
+from radiant_core.splats import Splats
+from radiant_core.train.config import TrainConfig, train_preset
+from radiant_core.train.photographs import load_training_views
+from tests.core.scenes import cameras_above, ground_splats
+
+from .forked_workers import forked_workers
+
+SIDE_PX = 80
+DRAFT = replace(train_preset("draft"), num_steps=24, long_side_px=SIDE_PX, max_num_splats=700)
+PAPER = replace(train_preset("paper"), num_steps=24, long_side_px=SIDE_PX, max_num_splats=700)
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A planned scene with its photographs, before any node has run."""
+
+    photographs: PooledPhotographs
+    recipe: Recipe
+    teachers: bool = False
+
+    @property
+    def tree(self) -> Tree:
+        return tree_of_plan(self.recipe.cloud_plan, self.recipe.edge_plans, teachers=self.teachers)
+
+    def dealer(self, run: Path) -> Dealer:
+        """Deals this world into a folder of its own."""
+        (run / "sfm").mkdir(parents=True)
+        masks = self.photographs.config.out / "sfm" / "masks"
+        write_json(run / "sfm" / "result.json", {"masks": str(masks)} if masks.is_dir() else {})
+        photographs = replace(self.photographs, config=replace(self.photographs.config, out=run))
+        return Dealer(run=run, recipe=self.recipe, photographs=photographs)
+
+
+class Oracle:
+    """A world folded in this process, and what its nodes reported."""
+
+    def __init__(self, world: World) -> None:
+        training = world.photographs.training
+        masks = world.photographs.config.out / "sfm" / "masks"
+        views = load_training_views(world.photographs.images, training.cameras.scaled(SIDE_PX), masks)
+        self.recorders: dict[str, Recorder] = {}
+        self.run = run_in_process(world.recipe, training, views, self._recorder)
+
+    def _recorder(self, stage: str) -> Recorder:
+        return self.recorders.setdefault(stage, Recorder(stage=stage))
+
+
+def planned(photographs: PooledPhotographs, system: System, train: TrainConfig, aggregate: AggregateConfig) -> Recipe:
+    """The recipe of a system whose edges are placed among the cameras, with exact uploads."""
+    positions = photographs.training.cameras.centers[:, :2]
+    system = place_edges(system, positions, None, 0)
+    cloud_plan = plan_regions(positions, system)
+    assert isinstance(cloud_plan, CloudPlan)
+    edge_plans = split_edges(positions, cloud_plan, system)
+    return Recipe(system=system, cloud_plan=cloud_plan, edge_plans=edge_plans, train=train, aggregate=aggregate, backend="native")
+
+
+def unequal(system: System) -> System:
+    """The same system where the first device of every edge holds two photographs at most."""
+    edges = [replace(edge, devices=(replace(edge.devices[0], max_cameras=2), *edge.devices[1:])) for edge in system.edges]
+    return replace(system, edges=tuple(edges))
+
+
+def hamlet_pooled(folder: Path) -> World:
+    """Two edges with two unequal devices each, pooled; the cloud retrains. Twelve photographs with known cameras, uploads in 16 bits."""
+    hamlet = sample_scenes_folder() / "hamlet"
+    result = scene_from_colmap(hamlet / "known", hamlet / "images", folder / "sfm", lambda progress: None)
+    photographs = PooledPhotographs(
+        config=RunConfig(source=hamlet / "images", out=folder), scene=result.scene, images=result.undistorted_folder
+    )
+    recipe = planned(photographs, unequal(even_system(2, 2)), DRAFT, AggregateConfig(num_epochs=1))
+    return World(photographs=photographs, recipe=replace(recipe, upload="float16"))
+
+
+def ground_of_a_lone_edge(folder: Path) -> World:
+    """One edge, which retrains its two devices' models; exact uploads."""
+    return ground(folder, unequal(even_system(1, 2)), AggregateConfig(num_epochs=1))
+
+
+def ground_crop_merged(folder: Path) -> World:
+    """Two edges of one device each, whose models the cloud crops; exact uploads."""
+    return ground(folder, even_system(2, 1), AggregateConfig(cloud="crop_merge", fill_blind_spots=True))
+
+
+def ground(folder: Path, system: System, aggregate: AggregateConfig) -> World:
+    """Nine rendered photographs of a made-up ground."""
+    truth, cameras = ground_splats(), cameras_above([(x, y) for x in (-2, 0, 2) for y in (-1, 0, 1)], size_wh=(96, 72))
+    (folder / "photos").mkdir()
+    for view in render_views(truth, cameras):
+        cv2.imwrite(str(folder / "photos" / view.name), view.image_bytes[..., ::-1])
+    scene = SfmScene(
+        cameras=cameras,
+        points=truth.means.astype(float),
+        colors=np.full((len(truth), 3), 128, np.uint8),
+        observations=np.indices((len(truth), len(cameras))).reshape(2, -1).T,
+        frame=Frame(kind="metric", origin_lat_lon_alt=np.zeros(3), residual_m=0.0),
+    )
+    photographs = PooledPhotographs(config=RunConfig(source=folder / "photos", out=folder), scene=scene, images=folder / "photos")
+    return World(photographs=photographs, recipe=planned(photographs, system, DRAFT, aggregate))
+
+
+def town_of_the_paper(folder: Path) -> World:
+    """The paper's preset: early teachers, two edges and a cloud that retrain. Eight photographs, one with a mask, uploads in 16 bits."""
+    town = sample_scenes_folder() / "town"
+    model = read_model(town / "known")
+    write_model(folder / "known", model.without([image.name for image in model.images[8:]]))
+    first = model.images[1].name
+    (folder / "masks").mkdir()
+    width, height = model.cameras[model.images[1].camera_id].size_wh
+    mask = np.full((height, width), 255, np.uint8)
+    mask[: height // 3] = 0
+    cv2.imwrite(str(folder / "masks" / mask_name(first)), mask)
+    result = scene_from_colmap(folder / "known", town / "images", folder / "sfm", lambda progress: None, folder / "masks")
+    write_json(folder / "sfm" / "result.json", sfm_record(result, folder / "sfm"))
+    photographs = PooledPhotographs(
+        config=RunConfig(source=town / "images", out=folder), scene=result.scene, images=result.undistorted_folder
+    )
+    recipe = planned(photographs, even_system(2, 2), PAPER, replace(aggregate_preset("paper"), num_epochs=2))
+    return World(photographs=photographs, recipe=replace(recipe, upload="float16"), teachers=True)
+
+
+WORLDS: dict[str, Callable[[Path], World]] = {
+    "hamlet pooled": hamlet_pooled,
+    "ground of a lone edge": ground_of_a_lone_edge,
+    "ground crop-merged": ground_crop_merged,
+    "town of the paper": town_of_the_paper,
+}
+
+
+LATE, EARLY = "devices/edge-1-2", "edges/edge-1/teachers/edge-1-1"
+"""A device of the paper's town that waits for its neighbour's teacher, so that some views are rendered early."""
+
+
+@pytest.fixture(scope="module")
+def worlds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, World]:
+    return {name: world_of(tmp_path_factory.mktemp("world")) for name, world_of in WORLDS.items()}
+
+
+@pytest.fixture(scope="module")
+def oracle(worlds: dict[str, World]) -> dict[str, Oracle]:
+    return {name: Oracle(world) for name, world in worlds.items()}
+
+
+@pytest.fixture(scope="module")
+def command(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[NodeTask], list[str]]]:
+    with forked_workers(tmp_path_factory.mktemp("server")) as start:
+
+        def patient(task: NodeTask) -> list[str]:
+            *head, script, address, kind, folder, stage, key = start(task)
+            run = task.folder.parents[1]
+            if stage == LATE and run.name == "town of the paper":
+                script = f"import os, time\nwhile not os.path.exists({str(run / EARLY / 'done.json')!r}): time.sleep(0.02)\n{script}"
+            return [*head, script, address, kind, folder, stage, key]
+
+        yield patient
+
+
+@pytest.fixture(scope="module", params=["local", "ray"])
+def runs(
+    request: pytest.FixtureRequest,
+    worlds: dict[str, World],
+    command: Callable[[NodeTask], list[str]],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> dict[str, Path]:
+    """Every world folded by an executor, all of them as one tree: the folders of the runs."""
+    folder = tmp_path_factory.mktemp(request.param)
+    dealers = {name: world.dealer(folder / name) for name, world in worlds.items()}
+    nodes = {f"{name}/{node.id}": (dealers[name], node) for name, world in worlds.items() for node in world.tree}
+
+    def prepare(node: Tree) -> NodeTask | None:
+        if node.id not in nodes:
+            return None
+        dealer, own = nodes[node.id]
+        return dealer.prepare(own)
+
+    if request.param == "local":
+        executor: Executor = LocalExecutor(num_workers=2, command=command)
+    else:
+        executor = RayExecutor(address=request.getfixturevalue("address"), log=folder / "ray.log", command=command)
+    trees = [world.tree.map_ids(f"{name}/{{}}".format) for name, world in worlds.items()]
+    executor.fold(Tree(id="all", tier="cloud", children=tuple(trees)), prepare, lambda event: None)
+    return {name: folder / name for name in worlds}
+
+
+def assert_same(ours: Splats | None, theirs: Splats) -> None:
+    assert ours is not None
+    for name, array in ours.arrays().items():
+        np.testing.assert_array_equal(array, theirs.arrays()[name], err_msg=name)
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_every_executor_makes_the_scene_of_the_fold_in_one_process(
+    name: str, runs: dict[str, Path], oracle: dict[str, Oracle], tmp_path: Path
+) -> None:
+    run, made = runs[name], oracle[name].run
+    assert_same(made.scene.splats, load_ply(run / "cloud" / "scene.ply"))
+    save_ply(tmp_path / "scene.ply", made.scene.splats)
+    assert (tmp_path / "scene.ply").read_bytes() == (run / "cloud" / "scene.ply").read_bytes()
+    assert sorted(made.edges) == sorted(path.name for path in (run / "edges").iterdir())
+    for edge, model in made.edges.items():
+        folder = run / "edges" / edge
+        assert_same(model.splats, load_splats(folder / "model.safetensors"))
+        sends_cameras = (folder / "virtual_cameras.safetensors").is_file()
+        assert sends_cameras == (len(model.cameras) > 0)
+        if sends_cameras:
+            again = tmp_path / edge
+            again.mkdir()
+            save_cameras(again / "cameras", model.cameras)
+            save_views(again / "views", model.views)
+            assert (again / "cameras").read_bytes() == (folder / "virtual_cameras.safetensors").read_bytes()
+            assert (again / "views").read_bytes() == (folder / "virtual_views.safetensors").read_bytes()
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_every_executor_decides_what_the_fold_in_one_process_decides(name: str, runs: dict[str, Path], oracle: dict[str, Oracle]) -> None:
+    for stage, recorder in oracle[name].recorders.items():
+        notes = read_json(runs[name] / stage / "notes.json")
+        assert notes["warnings"] == recorder.warnings == []
+        # How many views were early is the executor's; how much memory is free, the machine's.
+        ours, theirs = (
+            [(one["topic"], one["choice"], one["figure"]) for one in decisions if one["topic"] != "teachers"]
+            for decisions in (map(asdict, recorder.decisions), notes["decisions"])
+        )
+        assert ours == theirs, stage
+
+
+def test_the_worlds_differ_in_how_they_are_joined(oracle: dict[str, Oracle], runs: dict[str, Path]) -> None:
+    def choices(name: str, stage: str, topic: str) -> list[str]:
+        return [one.choice for one in oracle[name].recorders[stage].decisions if one.topic == topic]
+
+    assert choices("hamlet pooled", "edges/edge-1", "retraining") == ["left to the cloud, with the devices' pictures"]
+    (retrained,) = choices("ground of a lone edge", "edges/edge-1", "retraining")
+    assert "steps on" in retrained and choices("ground of a lone edge", "cloud", "retraining") == ["skipped"]
+    assert choices("ground crop-merged", "cloud", "blind spots")
+    for stage in ("edges/edge-1", "edges/edge-2", "cloud"):
+        (retrained,) = choices("town of the paper", stage, "retraining")
+        assert "steps on all Gaussians" in retrained
+    notes = read_json(runs["town of the paper"] / "edges/edge-1/notes.json")
+    (early,) = (one["figure"] for one in notes["decisions"] if one["topic"] == "teachers")
+    assert early > 0
