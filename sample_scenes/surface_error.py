@@ -30,7 +30,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.align import fit_sim3
 from radiant_core.sfm.world_frame.world import cameras_of
 from radiant_core.splats import Splats
-from radiant_viewer.runs.run_view import load_run_view, required_splats
+from radiant_viewer.runs.run_view import load_run_view, require_splats
 from scenegen.config import SceneConfig
 from scenegen.layout import Layout
 from scenegen.town import build_town
@@ -47,10 +47,10 @@ def main() -> None:
     chosen = parser.parse_args()
     run = load_run_view(chosen.run)
     if chosen.depths:
-        compare_depths(run.scene, required_splats(run))
+        compare_depths(run.scene, require_splats(run))
         return
     cameras = run.scene.cameras
-    surface = extract_surface(required_splats(run), cameras, resolution=chosen.resolution, long_side_px=chosen.long_side_px)
+    surface = extract_surface(require_splats(run), cameras, resolution=chosen.resolution, long_side_px=chosen.long_side_px)
     grid = surface_grid(surface, run.scene.frame)
     print(f"resolution {grid.cell:.3f} {run.unit}, {grid.heights.shape[1]} × {grid.heights.shape[0]} cells, {grid.known:.1%} known")
     _print("sparse points", point_errors(grid, run.scene))
