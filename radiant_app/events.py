@@ -1,4 +1,4 @@
-"""The stream of typed events that long work emits. The command line, the window and the report read the same stream.
+"""The stream of typed events that long work emits; command line, window and report read the same stream.
 
 A worker process writes one event per line of standard output as JSON; `decode` turns the line back into the event.
 """
@@ -14,7 +14,7 @@ from radiant_core.decisions import Decision
 from radiant_core.errors import StageFailed
 
 UPLINK = "/uplink"
-"""Ending of the stage in which a node's product is sent to its parent over an emulated link."""
+"""Suffix of the stage in which a node sends its model to its parent over an emulated link."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,41 +23,41 @@ class StageStarted:
 
     stage: str
     machine: str = ""
-    """Where, in a cluster."""
+    """Machine of a cluster."""
     emulated: bool = False
-    """Whether its time says how long an emulated machine or link takes, and not this one."""
+    """Whether its time is that of an emulated machine or link."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outlined:
-    """Which stages a run has, as far as is known by now; a later one replaces it."""
+    """The stages of a run as far as they are known; a later event replaces it."""
 
     stages: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageProgress:
-    """How far a stage is; `done` of `total` in any unit. Where it has several steps both are of the one that runs."""
+    """Progress of a stage: `done` of `total` in any unit, of the current step if it has several."""
 
     stage: str
     done: float
     total: float
     note: str = ""
     phase: str = ""
-    """What its step does, such as "matching"; another one begins to count anew."""
+    """What the current step does, such as "matching"; `done` restarts with a new one."""
     step: int = 0
-    """Number of the step, from 1; 0 where there are none."""
+    """Number of the step, from 1; 0 without steps."""
     num_steps: int = 0
 
     @property
     def doing(self) -> str:
-        """As "matching, step 3 of 6"; empty for a stage without steps."""
+        """Such as "matching, step 3 of 6"; empty for a stage without steps."""
         return f"{self.phase}, step {self.step} of {self.num_steps}" if self.num_steps > 1 else self.phase
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageDone:
-    """A stage finished after so many seconds of its own."""
+    """A stage finished; `seconds` is its own time."""
 
     stage: str
     seconds: float
@@ -66,7 +66,7 @@ class StageDone:
 
 @dataclass(frozen=True, kw_only=True)
 class MemoryPeaked:
-    """The most memory that the process of a stage held, its libraries included."""
+    """Peak memory of the process of a stage, its libraries included."""
 
     stage: str
     peak_bytes: int
@@ -74,7 +74,7 @@ class MemoryPeaked:
 
 @dataclass(frozen=True, kw_only=True)
 class TimeLeft:
-    """How long all devices and edges will still take, after the node `after` ended; `correction`: what remains, over what was planned."""
+    """Remaining time of all devices and edges once the node `after` ended; `correction`: this over the plan's time."""
 
     seconds: float
     correction: float
@@ -91,7 +91,7 @@ class StageSkipped:
 
 @dataclass(frozen=True, kw_only=True)
 class Warned:
-    """Something a user should know; nothing stopped."""
+    """A problem that stops nothing."""
 
     stage: str
     message: str
@@ -106,35 +106,35 @@ class Decided:
 
 @dataclass(frozen=True, kw_only=True)
 class Failed:
-    """A worker ends without its result; `exit_code` is that of its error."""
+    """A worker ends without a result; `exit_code` is that of its error."""
 
     stage: str
     message: str
     exit_code: int
     cannot_write: bool = False
-    """Whether it is a `CannotWrite`, after which nothing is tidied away."""
+    """Whether it is a `CannotWrite`, after which no file is removed."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Beat:
-    """The process of a stage is alive; for the executor alone."""
+class Heartbeat:
+    """The process of a stage is alive; only the executor receives it."""
 
     stage: str
 
 
-Event = Beat | Outlined | StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
+Event = Heartbeat | Outlined | StageStarted | StageProgress | StageDone | MemoryPeaked | TimeLeft | StageSkipped | Warned | Decided | Failed
 Listener = Callable[[Event], None]
 
 _TYPES: dict[str, Any] = {kind.__name__: kind for kind in get_args(Event)}
 
 
 def encode(event: Event) -> str:
-    """One line of JSON."""
+    """Return the event as one line of JSON."""
     return json.dumps({"event": type(event).__name__, **asdict(event)})
 
 
 def decode(line: str) -> Event:
-    """The event of a line written by `encode`; StageFailed when the line is something else."""
+    """Parse a line written by `encode`; StageFailed for any other line."""
     try:
         fields = json.loads(line)
         kind = _TYPES[fields.pop("event")]

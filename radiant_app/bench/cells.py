@@ -21,7 +21,7 @@ from shapely import MultiPoint, Point
 from radiant_app.bench.options import OF_RUN
 from radiant_app.files.system_file import load_system
 from radiant_app.run.prediction_error import SYSTEM_NAME
-from radiant_app.workers.sources import masks_of_scene, scored_scene_of
+from radiant_app.workers.sources import load_scored_scene, masks_folder_of
 from radiant_core import __version__
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.choices import PlanMethod, UploadFormat
@@ -149,7 +149,7 @@ class BenchScene:
 
 def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
     """A finished run, a folder of `radiant sfm` or a COLMAP project; BadInput where nothing can be held out."""
-    scene, _, images = scored_scene_of(source)
+    scene, _, images = load_scored_scene(source)
     held = held_out_mask(scene.cameras.names)
     if held.sum() < 2 or (~held).sum() < 8:
         raise BadInput(f"{source} has {len(scene.cameras)} placed photographs: at least 2 are held out and 8 trained on.")
@@ -159,7 +159,7 @@ def load_bench_scene(source: Path, long_side_px: int) -> BenchScene:
         training=scene.restricted_to(np.flatnonzero(~held)),
         held_out=scene.restricted_to(np.flatnonzero(held)),
         images=images,
-        masks=masks_of_scene(source),
+        masks=masks_folder_of(source),
         long_side_px=long_side_px,
     )
 
@@ -277,6 +277,9 @@ def dealt_cell(
 
 def run_cell(run: Path, cache: ModelCache) -> Cell:
     """The scene of a finished run under the run's own plan, system and settings.
+
+    Its recipe makes the run's scene bit for bit where every device delivered and none has a limit of memory: such a limit
+    counts what the device's process held besides.
 
     Raises:
         BadInput: the folder is not that of a run with pooled photographs (`--frames shared`) whose edges have joined.

@@ -29,7 +29,7 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import stage_bar
 from radiant_app.report.progress import ProgressDisplay, tracked
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.sources import masks_of_scene, reconstruct_source, scored_scene_of, sfm_task
+from radiant_app.workers.sources import load_scored_scene, masks_folder_of, reconstruct_source, sfm_task
 from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.bootstrap import paired_bootstrap
@@ -241,8 +241,8 @@ def _config(preset: str, long_side_px: int) -> TrainConfig:
 
 def _load(source: Path, work: Path) -> _Source:
     try:
-        scene, _, images = scored_scene_of(source)
-        masks = masks_of_scene(source)
+        scene, _, images = load_scored_scene(source)
+        masks = masks_folder_of(source)
     except BadInput:
         task = sfm_task(source, SfmConfig(), None, Placement())
         display = ProgressDisplay(Console(stderr=True))

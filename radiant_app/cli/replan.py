@@ -30,16 +30,16 @@ def replan_plan(
 
     from radiant_app.commands.replan import ReplanRequest, parsed_values, replan_files, replan_table
     from radiant_app.report.progress import ProgressDisplay
-    from radiant_core.plan.revision.replan import Situation
+    from radiant_core.plan.revision.replan import FleetChange
 
-    situation = Situation(
+    change = FleetChange(
         dead=frozenset(dead or ()),
         done=frozenset(done or ()),
         slow=parsed_values(slow or (), "--slow"),
         busy_s=parsed_values(busy or (), "--busy"),
     )
     request = ReplanRequest(
-        source=source, out=out, system=system, situation=situation, join=join, captured=captured, tolerance=tolerance, seed=seed
+        source=source, out=out, system=system, change=change, join=join, captured=captured, tolerance=tolerance, seed=seed
     )
     result = replan_files(request, ProgressDisplay(Console(stderr=True)))
     if as_json:

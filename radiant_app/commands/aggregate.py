@@ -9,7 +9,7 @@ from typing import Any
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
 from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.workers.inbox import received_device_models
+from radiant_app.workers.inbox import receive_device_models
 from radiant_app.workers.reporting import EventReporter
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
 from radiant_core.errors import BadInput
@@ -53,7 +53,7 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
     joined_s = 0.0
     for edge, given in tasks.items():
         task = replace(given, aggregate=config, memory_bytes=None, cloud=outlook)
-        arrived = received_device_models(run / "edges" / edge, task)
+        arrived = receive_device_models(run / "edges" / edge, task)
         stage = f"edges/{edge}"
         with stage_bar(display, stage):
             model = join_edge(task, arrived, EventReporter(stage=stage, emit=display))

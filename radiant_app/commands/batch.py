@@ -28,7 +28,7 @@ from radiant_app.files.job_file import RECORDS, Job, load_jobs
 from radiant_app.files.run_folder import new_folder, require_empty
 from radiant_app.interrupts import INTERRUPTED, interrupt_was_heard
 from radiant_app.run.config_fields import tables_of
-from radiant_app.workers.sources import all_files
+from radiant_app.workers.sources import list_files
 from radiant_app.workers.tasks import JobTask
 from radiant_core import __version__
 from radiant_core.errors import BadInput, RadiantError
@@ -122,7 +122,7 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
     save_task(record, JobTask(config=config, resume=resume))
     if not all((out / name).is_file() for name in PRODUCTS):
         (record / SEAL_NAME).unlink(missing_ok=True)
-    key = content_key(__version__, config, all_files(job.config.source, out), *job.input_files)
+    key = content_key(__version__, config, list_files(job.config.source, out), *job.input_files)
     stage = f"job {job.name}"
     skipped = False
 

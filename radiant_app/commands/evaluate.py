@@ -18,8 +18,8 @@ import numpy as np
 
 from radiant_app.commands.steps import require_file_to_be, stage_bar
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.workers.evaluation import image_row, scored_part, summary_of
-from radiant_app.workers.sources import detect_source, masks_of_scene, scored_scene_of
+from radiant_app.workers.evaluation import score_render, select_scored, summarize_scores
+from radiant_app.workers.sources import detect_source, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import MASKS
 from radiant_core.cameras import Cameras
 from radiant_core.choices import LpipsNetwork
@@ -72,7 +72,7 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
     splats = _load_model(request.model)
     held_out = _held_out_of(request)
     _require_sizes(held_out.cameras, lpips)
-    cameras, used = scored_part(held_out.cameras, held_out.masks, warn=lambda message: None)
+    cameras, used = select_scored(held_out.cameras, held_out.masks, warn=lambda message: None)
     started_s = time.monotonic()
     rows = []
     with stage_bar(display, "evaluate") as report:
@@ -80,10 +80,10 @@ def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, An
         for done, view in enumerate(render_views(splats, cameras)):
             width, height = cameras.sizes_wh[done]
             photograph = load_photograph(held_out.photographs / view.name, (int(width), int(height)))
-            rows.append(image_row(view, photograph, before=next(untrained, None), lpips=lpips, used=used[done]))
+            rows.append(score_render(view, photograph, before=next(untrained, None), lpips=lpips, used=used[done]))
             report(done + 1, len(cameras), view.name)
     result = {
-        **summary_of(rows, lpips_network=lpips.network if lpips else None),
+        **summarize_scores(rows, lpips_network=lpips.network if lpips else None),
         "num_gaussians": len(splats),
         "num_images": len(cameras),
         "long_side_px": int(cameras.sizes_wh.max()),
@@ -127,9 +127,9 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
     if kind == "colmap" and model is not None:
         everything, copies = _colmap_cameras(model, folder, images)
     else:
-        scene, copies, images = scored_scene_of(folder)
+        scene, copies, images = load_scored_scene(folder)
         everything = scene.cameras
-    masks = None if kind == "colmap" else masks_of_scene(folder)
+    masks = None if kind == "colmap" else masks_folder_of(folder)
     cameras = everything.select(held_out_mask(everything.names))
     if kind == "colmap":
         _require_shapes(cameras, everything, images)

@@ -35,9 +35,9 @@ from radiant_app.commands.steps import require_file_to_be, stage_bar, training_p
 from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.system_file import dump_system, even_system, load_system
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.cloud_planning import placed_by_raster, raster_decision
+from radiant_app.run.cloud_planning import place_edges_by_raster, raster_decision
 from radiant_app.run.predictions import depends_on_training, planned_training, prediction_warnings, training_key_of, with_camera_limits
-from radiant_app.workers.regions import planned_from_raster
+from radiant_app.workers.regions import plan_from_raster
 from radiant_app.workers.sources import load_scene_of
 from radiant_core.choices import PlanMethod
 from radiant_core.errors import BadInput
@@ -238,7 +238,7 @@ def _points_seen(scene: SfmScene) -> FloatArray | None:
 def _made_plan(cameras: _ToPlan, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     positions = cameras.positions
-    system = placed_by_raster(system, positions, cameras.origin, request.raster_cell_m, request.seed)
+    system = place_edges_by_raster(system, positions, cameras.origin, request.raster_cell_m, request.seed)
     training, warnings = None, ()
     if depends_on_training(system):
         train = planned_training(request.train_preset, request.overrides)
@@ -249,7 +249,7 @@ def _made_plan(cameras: _ToPlan, system: System, request: PlanRequest, report: R
     if request.raster_cell_m is not None:
         if request.slack is not None or constraints is not None:
             raise BadInput("--slack and --constraints need positions and --raster-cell-m plans without them: choose one.")
-        cloud = planned_from_raster(system, positions, request.raster_cell_m, request.method)
+        cloud = plan_from_raster(system, positions, request.raster_cell_m, request.method)
         warnings = (*warnings, _raster_note(request.raster_cell_m, cloud))
     else:
         cloud = plan_regions(positions, system, method=request.method, slack=request.slack, constraints=constraints, start=start)

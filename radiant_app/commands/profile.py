@@ -27,7 +27,7 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
 from radiant_app.files.run_folder import read_manifest, require_current
 from radiant_app.run.predictions import planned_training, training_key_of
-from radiant_app.workers.sources import detect_source, has_scene, images_of_scene, load_scene_of
+from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json, write_json
@@ -190,7 +190,7 @@ def _require_place(out: Path) -> None:
 def _scene(source: Path | None, work: Path, listen: Listener) -> tuple[SfmScene, Path]:
     """The scene and the folder of its photographs; structure from motion in `work` where there is none yet."""
     if source is not None and has_scene(source):
-        return load_scene_of(source), images_of_scene(source)
+        return load_scene_of(source), images_folder_of(source)
     if source is None:
         source = work / "town"
         town = sample_scenes_folder() / "town"

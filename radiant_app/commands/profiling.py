@@ -237,13 +237,13 @@ class Measuring:
 
         def tell(event: Event) -> None:
             if isinstance(event, StageProgress):
-                self._tell(max(0.0, expected_s - (self._elapsed_s - begun_s)))
+                self._report_progress(max(0.0, expected_s - (self._elapsed_s - begun_s)))
 
-        self._tell(expected_s)
+        self._report_progress(expected_s)
         seen = executor.fold(Tree(id=stage, tier="cloud"), lambda _: node, tell)[stage]
         return seen.ended_s - seen.started_s
 
-    def _tell(self, node_left_s: float) -> None:
+    def _report_progress(self, node_left_s: float) -> None:
         done = self._elapsed_s
         self.listen(StageProgress(stage=STAGE, done=done, total=done + node_left_s + sum(self.left_s), note=self.note))
 

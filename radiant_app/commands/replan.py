@@ -38,7 +38,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan, require_plan_of
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.revision.captured import nearest_planned, require_same_system
-from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, extend_system, replan
+from radiant_core.plan.revision.replan import FleetChange, Replan, ReplanInfeasible, extend_system, replan
 from radiant_core.plan.system import System
 from radiant_core.plan.timeline.prediction import correct_system, planned_stages
 from radiant_core.plan.waypoints import Waypoints
@@ -59,7 +59,7 @@ class ReplanRequest:
     """The plan file to write, .json."""
     system: Path | None = None
     """What a plan file was planned for; a run knows its own."""
-    situation: Situation = field(default_factory=Situation)
+    change: FleetChange = field(default_factory=FleetChange)
     join: Path | None = None
     """System file of edges, or of devices at edges that are there, that join."""
     captured: Path | None = None
@@ -75,7 +75,7 @@ class _Before:
     positions: FloatArray
     """(P,3) m"""
     system: System
-    situation: Situation
+    change: FleetChange
     captured: NDArray[np.bool_]
     origin: FloatArray | None
     waypoints: Waypoints | None
@@ -118,7 +118,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
             before.edges,
             positions,
             old,
-            before.situation,
+            before.change,
             captured=before.captured,
             joining=joined,
             tolerance=request.tolerance,
@@ -173,7 +173,7 @@ def _of_plan(request: ReplanRequest) -> _Before:
         edges=edges,
         positions=waypoints.positions_m,
         system=system,
-        situation=request.situation,
+        change=request.change,
         captured=captured,
         origin=waypoints.origin,
         waypoints=waypoints,
@@ -195,8 +195,8 @@ def _of_run(request: ReplanRequest) -> _Before:
     system = load_system(run / SYSTEM_NAME)
     measured = measured_seconds(run, manifest)
     system = correct_system(system, planned_stages(system, dealt), measured)
-    situation = _progress_of(run, manifest, system, edges, request.situation)
-    keeps = situation.done | situation.closed
+    change = _progress_of(run, manifest, system, edges, request.change)
+    keeps = change.done | change.closed
     captured = np.full(len(scene.cameras), in_the_field)
     for plan in edges:
         for device in plan.device_ids:
@@ -208,7 +208,7 @@ def _of_run(request: ReplanRequest) -> _Before:
         edges=edges,
         positions=scene.cameras.centers,
         system=system,
-        situation=situation,
+        change=change,
         captured=captured,
         origin=origin,
         waypoints=None,
@@ -233,7 +233,7 @@ def _undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) -> tu
     return (f"Not in this plan are the photographs that never arrived, of {', '.join(names)}: have them taken again.",) if names else ()
 
 
-def _progress_of(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: Situation) -> Situation:
+def _progress_of(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: FleetChange) -> FleetChange:
     """What is given, and what the run's folder says: sealed nodes are done, devices that have begun are at work until their time."""
     sealed = {path.parent.name for kind in ("devices", "edges") for path in run.glob(f"{kind}/*/done.json")}
     delivered = {device.id for edge in system.edges if edge.id in sealed for device in edge.devices} | sealed

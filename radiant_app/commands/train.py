@@ -25,10 +25,10 @@ from radiant_app.files.run_folder import Manifest, opened_folder
 from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
-from radiant_app.workers.evaluation import image_row, save_comparison, scored_part, summary_of
+from radiant_app.workers.evaluation import save_comparison, score_render, select_scored, summarize_scores
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
 from radiant_app.workers.reporting import EventReporter
-from radiant_app.workers.sources import detect_source, has_scene, masks_of_scene, scored_scene_of
+from radiant_app.workers.sources import detect_source, has_scene, load_scored_scene, masks_folder_of
 from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -168,7 +168,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
         sfm=SfmOptions(masks=request.masks, up=request.up, distance=request.distance, height_m=request.height_m),
     )
     scene, images = sfm_stage(config, progress, request.memory_bytes)
-    return scene, (images, masks_of_scene(request.out))
+    return scene, (images, masks_folder_of(request.out))
 
 
 def _loaded_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Photos]:
@@ -182,10 +182,10 @@ def _loaded_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _P
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
             "`radiant run` when it is made, or train from the photographs."
         )
-    scene, told, images = scored_scene_of(request.source)
+    scene, told, images = load_scored_scene(request.source)
     for message in told:
         listen(Warned(stage=STAGE, message=message))
-    return scene, (images, masks_of_scene(request.source))
+    return scene, (images, masks_folder_of(request.source))
 
 
 def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> PreparedTraining:
@@ -297,15 +297,15 @@ def _validation_figures(result: TrainResult) -> dict[str, Any]:
 def _scored(out: Path, models: tuple[Splats, Splats], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
     """Figures of the trained and the first model on the held-out photographs; writes the pictures."""
     images, masks = photos
-    cameras, used = scored_part(cameras, masks, lambda message: stage.tell(Warned(stage=stage.name, message=message)))
+    cameras, used = select_scored(cameras, masks, lambda message: stage.tell(Warned(stage=stage.name, message=message)))
     trained, first = (render_views(model, cameras) for model in models)
     rows = []
     for view, before, (width, height), pixels in zip(trained, first, cameras.sizes_wh, used, strict=True):
         photograph = load_photograph(images / view.name, (int(width), int(height)))
         save_comparison(out / "pictures", view, photograph, pixels)
-        rows.append(image_row(view, photograph, before=before, used=pixels))
+        rows.append(score_render(view, photograph, before=before, used=pixels))
         stage.tell(StageProgress(stage=stage.name, done=len(rows), total=len(cameras), note=view.name))
-    return summary_of(rows, lpips_network=None)
+    return summarize_scores(rows, lpips_network=None)
 
 
 def _totals(manifest: Manifest, num_splats: int) -> dict[str, Any]:

@@ -1,14 +1,17 @@
 """The fold of a tree, the same under every executor: which node may start, what is skipped, tried again, given up, or ends the run.
 
-A `Runner` says where and how a node's process runs. Of the nodes that can run, devices come first, since edges and the cloud wait for
-them; teachers take what is left. Runs once per run; between two messages it only waits.
+A `Runner` starts the process of a node. Of the nodes that can run, devices come first, since edges
+and the cloud wait for them; teachers take the remaining workers. Runs once per run.
 
-    crashed      the process ended without a word, or was silent for `SILENT_S`: tried again from its checkpoint, `attempts` times in all
-    late         by `Watch`, which knows the plan's times: given up where the rest can go on without it, else a warning
-    failed       said so itself: a warning where the rest can go on without it, else the end of the run
+    crashed      the process ended without reporting an error, or sent no heartbeat for `SILENT_S`:
+                 started again from its checkpoint, at most `max_attempts` times in all
+    overdue      by `Deadlines`, from the plan's times: given up if the run can do without the node,
+                 else a warning
+    failed       reported its error: a warning if the run can do without the node, else the run ends
 
-Time counts against a node only as far as the fold itself ran and could hear it: a run that is suspended for an hour (SIGSTOP, a frozen
-container) finds its nodes as it left them. What has arrived is heard before anybody is judged, and what is sealed is done.
+Time counts against a node only while the fold itself runs and can receive messages, so that a run
+that is suspended (SIGSTOP, a frozen container) loses no node. Messages that have arrived are handled
+before any deadline is checked, and a sealed node is done.
 """
 
 from __future__ import annotations
@@ -25,92 +28,93 @@ from radiant_core.errors import BadInput, StageFailed
 from radiant_core.io.run_store import disk_is_full, is_sealed
 
 URGENCY = {"device": 0, "edge": 1, "cloud": 2, "teacher": 3}
-"""Order in which nodes that can run are started: that of the longest way to the end. A teacher only shortens its edge."""
+"""Order in which nodes that can run are started: the longest path to the scene first. A teacher only shortens its edge."""
 SILENT_S = 300.0
-"""A worker beats every few seconds from a thread of its own; without a beat for so long it counts as dead and is stopped."""
-LOOK_S = 1.0
-"""Longest time between two looks at who is late or silent."""
-MOST_LOOKS = 5
-"""So many times `LOOK_S` is the most that counts against a node between two looks: where it was longer, the fold did not run."""
+"""A worker sends heartbeats from a separate thread; without one for this long it counts as dead and is stopped."""
+CHECK_INTERVAL_S = 1.0
+"""Longest time between two checks for overdue or silent nodes."""
+MAX_INTERVALS = 5
+"""At most this many intervals count against a node between two checks: if more time passed, the fold did not run."""
 PAUSE_S = 30.0
-"""A wait that took so much longer than it was asked to was a pause of the whole process. Below, a busy machine explains it."""
+"""A wait that exceeds its timeout by this much is a pause of the whole process; a busy machine explains less."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Began:
-    """A node that had to wait for a machine runs."""
+class NodeStarted:
+    """A node that waited for a machine now runs."""
 
     machine: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ended:
-    """A node's process is gone."""
+class NodeEnded:
+    """The process of a node ended."""
 
     error: BadInput | StageFailed | None = None
     """Why the node is not done; None where it is."""
     crashed: bool = False
-    """Whether it ended without saying why, so that another try may help."""
+    """Whether it ended without reporting an error, so that another attempt may succeed."""
 
 
 MayFail = Callable[[Tree, BadInput | StageFailed], bool]
-"""Whether the rest goes on without a node that failed so."""
+"""Whether the run goes on without a node that failed with this error."""
 
 
 class Runner(Protocol):
-    """Where the processes of nodes run."""
+    """Starts, observes and stops the processes of nodes."""
 
     def has_room(self) -> bool:
         """Whether another node may be started now."""
         ...
 
     def start(self, node: Tree, task: NodeTask) -> bool:
-        """Start the node's process; whether it runs now, else a `Began` will say when. The node is not running."""
+        """Start the process of a node that is not running; True if it runs now, False if a `NodeStarted` follows."""
         ...
 
-    def wait(self, timeout_s: float) -> tuple[str, Event | Began | Ended | None] | None:
-        """The next message of a running node, by node id: an event, its end, or None for a mere sign of life. None after the timeout.
+    def wait(self, timeout_s: float) -> tuple[str, Event | NodeStarted | NodeEnded | None] | None:
+        """The next message of a running node, by node id: an event, its end, or None for a heartbeat. None after the timeout.
 
-        StageFailed when the runner itself is lost.
+        Raises:
+            StageFailed: the runner itself is lost.
         """
         ...
 
     def stop(self, node_id: str) -> None:
-        """Ask a running node to end soon; its end is a message of `wait`."""
+        """Request the end of a running node; `wait` returns its end as a message."""
         ...
 
     def stop_all(self) -> None:
-        """End every running node and wait for that."""
+        """End every running node and wait until all have ended."""
         ...
 
 
-class Watch(Protocol):
-    """Who is late."""
+class Deadlines(Protocol):
+    """How long each node may take."""
 
-    def late(self, node_id: str, ran_s: float) -> str | None:
-        """Why a node that has run so long is late, and None while it is not."""
+    def overdue_reason(self, node_id: str, ran_s: float) -> str | None:
+        """Why a node that has run for `ran_s` is overdue; None while it is not."""
         ...
 
-    def too_late(self, node_id: str, ran_s: float) -> str | None:
-        """Why nobody should wait for it any longer, and None while somebody should."""
+    def timeout_reason(self, node_id: str, ran_s: float) -> str | None:
+        """Why the run should stop waiting for the node; None while it should wait."""
         ...
 
-    def paused(self, node_ids: Collection[str], seconds: float) -> None:
-        """The run stood still for so long while these nodes ran: what they will have taken says nothing of others."""
+    def exclude_pause(self, node_ids: Collection[str], seconds: float) -> None:
+        """The run was suspended for `seconds` while these nodes ran: their durations predict nothing for others."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
-class Faults:
-    """What is done about nodes that fail."""
+class RetryPolicy:
+    """Which nodes are started again, given up or required."""
 
     may_fail: MayFail = lambda node, error: False
-    attempts: int = 1
-    """How often a node is tried whose process ends without saying why."""
-    watch: Watch | None = None
-    """Who is late; None: nobody is."""
-    on_lost: Callable[[Tree, Collection[str]], None] = lambda node, begun: None
-    """Told of a node that the rest goes on without, and of the ids of all that run or are done by then."""
+    max_attempts: int = 1
+    """How often a node is started whose process ends without reporting an error."""
+    deadlines: Deadlines | None = None
+    """None: no node has a deadline."""
+    on_given_up: Callable[[Tree, Collection[str]], None] = lambda node, begun: None
+    """Called with a node that the run goes on without, and the ids of all nodes that run or are done by then."""
 
 
 @dataclass(kw_only=True)
@@ -118,17 +122,17 @@ class _Running:
     node: Tree
     task: NodeTask
     started_s: float
-    watched_s: float = 0.0
+    counted_s: float = 0.0
     """How long it has run, as far as that counts against it."""
     silent_s: float = 0.0
-    """As `watched_s`, since its last sign of life."""
-    began: bool = False
-    """Whether it runs, or waits for a machine."""
+    """As `counted_s`, since its last message."""
+    is_started: bool = False
+    """False while it waits for a machine."""
     note: str = ""
-    """Why it is tried again."""
+    """Why it was started again."""
     warned: bool = False
-    given_up: Ended | None = None
-    """Why it was told to end before it was done."""
+    given_up: NodeEnded | None = None
+    """Why it was stopped before it was done."""
 
 
 @dataclass(kw_only=True)
@@ -139,43 +143,43 @@ class Fold:
     prepare: Prepare
     listen: Listener
     clock: Callable[[], float]
-    faults: Faults
+    retry_policy: RetryPolicy
     running: dict[str, _Running] = field(default_factory=dict)
     times: dict[str, NodeTime] = field(default_factory=dict)
-    needless: set[str] = field(default_factory=set)
-    """Teachers whose edge has all its devices."""
+    unneeded: set[str] = field(default_factory=set)
+    """Teachers whose edge has received all its devices."""
     num_tries: dict[str, int] = field(default_factory=dict)
     origin_s: float = 0.0
-    looked_s: float = 0.0
-    """When it was last looked who is late, by the system's clock."""
+    checked_s: float = 0.0
+    """When deadlines were last checked, by the system's clock."""
 
     def run(self, tree: Tree) -> Mapping[str, NodeTime]:
         """Run every node; see `Executor.fold`."""
         waiting = sorted(tree, key=lambda node: URGENCY[node.tier])
         edges = [node for node in tree if node.tier == "edge"]
-        self.origin_s, self.looked_s = self.clock(), time.monotonic()
+        self.origin_s, self.checked_s = self.clock(), time.monotonic()
         try:
             while waiting or self.running:
                 while (node := self._next(waiting)) is not None:
                     waiting.remove(node)
                     self._begin(node)
-                    self._drop_needless(edges)
+                    self._stop_unneeded_teachers(edges)
                 if self.running:
-                    if self._hear():
-                        self._look_for_late()
-                    self._drop_needless(edges)
+                    if self._handle_messages():
+                        self._check_deadlines()
+                    self._stop_unneeded_teachers(edges)
         finally:
             self.runner.stop_all()
         return self.times
 
-    def _hear(self) -> bool:
-        """Handle what has arrived, for `LOOK_S` at most; whether nothing is left. Else it may be the end of the one that seems late."""
+    def _handle_messages(self) -> bool:
+        """Handle arrived messages for `CHECK_INTERVAL_S` at most; False if some are left: one may end a node that seems overdue."""
         begun_s = time.monotonic()
-        message = self.runner.wait(LOOK_S)
+        message = self.runner.wait(CHECK_INTERVAL_S)
         waited_s = time.monotonic() - begun_s
-        if waited_s > LOOK_S + PAUSE_S:
-            self._tell_pause(waited_s)
-        until_s = time.monotonic() + LOOK_S
+        if waited_s > CHECK_INTERVAL_S + PAUSE_S:
+            self._report_pause(waited_s)
+        until_s = time.monotonic() + CHECK_INTERVAL_S
         while message is not None and time.monotonic() < until_s:
             self._handle(*message)
             message = self.runner.wait(0.0) if self.running else None
@@ -183,29 +187,29 @@ class Fold:
             self._handle(*message)
         return message is None
 
-    def _tell_pause(self, seconds: float) -> None:
-        at_work = [running for running in self.running.values() if running.began]
-        for running in at_work:
+    def _report_pause(self, seconds: float) -> None:
+        started = [running for running in self.running.values() if running.is_started]
+        for running in started:
             message = f"the run stood still for {seconds:.0f} s meanwhile, as if suspended: this time does not count towards its deadline."
             self.listen(Warned(stage=running.task.stage, message=message))
-        if self.faults.watch is not None:
-            self.faults.watch.paused([running.node.id for running in at_work], seconds)
+        if self.retry_policy.deadlines is not None:
+            self.retry_policy.deadlines.exclude_pause([running.node.id for running in started], seconds)
 
-    def _drop_needless(self, edges: list[Tree]) -> None:
-        """An edge whose devices are all there takes what its teachers have rendered so far and does the rest itself."""
+    def _stop_unneeded_teachers(self, edges: list[Tree]) -> None:
+        """An edge that has received all its devices uses what its teachers have rendered and renders the rest itself."""
         for edge in edges:
             if all(device.id in self.times for teacher in edge.children for device in teacher.children):
-                self.needless.update(child.id for child in edge.children if child.tier == "teacher")
-        for node_id in self.needless & self.running.keys():
-            self._give_up(self.running[node_id], Ended())
+                self.unneeded.update(child.id for child in edge.children if child.tier == "teacher")
+        for node_id in self.unneeded & self.running.keys():
+            self._give_up(self.running[node_id], NodeEnded())
 
     def _next(self, waiting: list[Tree]) -> Tree | None:
         """The most urgent node that can start now, if there is room."""
         if not self.runner.has_room():
             return None
         ready = [node for node in waiting if all(child.id in self.times for child in node.children)]
-        # What needs no worker must not wait behind what does: an edge waits for it.
-        return next((node for node in ready if node.id in self.needless), ready[0] if ready else None)
+        # An unneeded teacher takes no worker, and its edge waits for it.
+        return next((node for node in ready if node.id in self.unneeded), ready[0] if ready else None)
 
     def _now_s(self) -> float:
         return self.clock() - self.origin_s
@@ -220,7 +224,7 @@ class Fold:
             self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
             self.listen(StageSkipped(stage=task.stage))
             return
-        if node.id in self.needless:
+        if node.id in self.unneeded:
             self.times[node.id] = NodeTime(started_s=now_s, ended_s=now_s)
             return
         self._start(node, task, now_s)
@@ -230,70 +234,70 @@ class Fold:
         running = _Running(node=node, task=task, started_s=now_s, note=note)
         self.running[node.id] = running
         if self.runner.start(node, task):
-            self._began(running)
+            self._mark_started(running)
 
-    def _began(self, running: _Running, machine: str = "") -> None:
-        running.began = True
+    def _mark_started(self, running: _Running, machine: str = "") -> None:
+        running.is_started = True
         self.listen(StageStarted(stage=running.task.stage, machine=machine))
         if running.note:
             self.listen(Warned(stage=running.task.stage, message=running.note))
 
-    def _handle(self, node_id: str, message: Event | Began | Ended | None) -> None:
+    def _handle(self, node_id: str, message: Event | NodeStarted | NodeEnded | None) -> None:
         running = self.running[node_id]
         running.silent_s = 0.0
-        if isinstance(message, Began):
-            running.started_s, running.watched_s = self._now_s(), 0.0
-            self._began(running, message.machine)
-        elif isinstance(message, Ended):
+        if isinstance(message, NodeStarted):
+            running.started_s, running.counted_s = self._now_s(), 0.0
+            self._mark_started(running, message.machine)
+        elif isinstance(message, NodeEnded):
             del self.running[node_id]
             done = message.error is None or is_sealed(running.task.folder, running.task.key)
-            self._finish(running, Ended() if done else running.given_up or message)
+            self._finish(running, NodeEnded() if done else running.given_up or message)
         elif message is not None:
             self.listen(message)
 
-    def _finish(self, running: _Running, ended: Ended) -> None:
+    def _finish(self, running: _Running, ended: NodeEnded) -> None:
         task, error = running.task, ended.error
         if error is not None:
             full = disk_is_full(task.folder)
-            if ended.crashed and not full and self.num_tries[running.node.id] < self.faults.attempts:
+            if ended.crashed and not full and self.num_tries[running.node.id] < self.retry_policy.max_attempts:
                 note = " ".join([running.note, f"{_reason(task, error)} It is tried again from its last checkpoint."]).strip()
                 self._start(running.node, task, self._now_s(), note)
                 return
-            if full or not self.faults.may_fail(running.node, error):
+            if full or not self.retry_policy.may_fail(running.node, error):
                 raise error
             self.listen(Warned(stage=task.stage, message=_reason(task, error)))
-            self.faults.on_lost(running.node, {*self.times, *self.running})
+            self.retry_policy.on_given_up(running.node, {*self.times, *self.running})
         now_s = self._now_s()
         self.times[running.node.id] = NodeTime(started_s=running.started_s, ended_s=now_s)
-        if error is None and running.began:
+        if error is None and running.is_started:
             self.listen(StageDone(stage=task.stage, seconds=now_s - running.started_s))
 
-    def _look_for_late(self) -> None:
+    def _check_deadlines(self) -> None:
         now_s = time.monotonic()
-        passed_s, self.looked_s = min(now_s - self.looked_s, MOST_LOOKS * LOOK_S), now_s
+        passed_s, self.checked_s = min(now_s - self.checked_s, MAX_INTERVALS * CHECK_INTERVAL_S), now_s
         for node_id, running in self.running.items():
-            running.watched_s += passed_s
+            running.counted_s += passed_s
             running.silent_s += passed_s
-            if running.given_up is not None or not running.began:
+            if running.given_up is not None or not running.is_started:
                 continue
             stage, silent_s = running.task.stage, running.silent_s
             if silent_s > SILENT_S:
                 message = f"{stage}: its process gave no sign of life for {silent_s:.0f} s and was stopped; run again with --resume."
-                self._give_up(running, Ended(error=StageFailed(message), crashed=True))
-            elif self.faults.watch is not None:
-                self._look_at(node_id, running, running.watched_s, self.faults.watch)
+                self._give_up(running, NodeEnded(error=StageFailed(message), crashed=True))
+            elif self.retry_policy.deadlines is not None:
+                self._check_deadline(node_id, running, self.retry_policy.deadlines)
 
-    def _look_at(self, node_id: str, running: _Running, ran_s: float, watch: Watch) -> None:
-        if (reason := watch.too_late(node_id, ran_s)) is not None:
+    def _check_deadline(self, node_id: str, running: _Running, deadlines: Deadlines) -> None:
+        if (reason := deadlines.timeout_reason(node_id, running.counted_s)) is not None:
             error = StageFailed(f"{running.task.stage}: {reason}, and was given up.")
-            if self.faults.may_fail(running.node, error):
-                self._give_up(running, Ended(error=error))
+            if self.retry_policy.may_fail(running.node, error):
+                self._give_up(running, NodeEnded(error=error))
                 return
-        if not running.warned and (reason := watch.late(node_id, ran_s)) is not None:
+        if not running.warned and (reason := deadlines.overdue_reason(node_id, running.counted_s)) is not None:
             running.warned = True
             self.listen(Warned(stage=running.task.stage, message=f"{reason}; it goes on."))
 
-    def _give_up(self, running: _Running, ended: Ended) -> None:
+    def _give_up(self, running: _Running, ended: NodeEnded) -> None:
         if running.given_up is None:
             running.given_up = ended
             self.runner.stop(running.node.id)

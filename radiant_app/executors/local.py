@@ -17,8 +17,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from radiant_app.events import Beat, Event, Failed, Listener, decode
-from radiant_app.executors.fold import Ended, Faults, Fold
+from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
+from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, CannotWrite, StageFailed
@@ -39,13 +39,13 @@ class LocalExecutor:
     num_workers: int
     clock: Callable[[], float] = time.monotonic
     command: Callable[[NodeTask], list[str]] = worker_command
-    faults: Faults = field(default_factory=Faults)
+    retry_policy: RetryPolicy = field(default_factory=RetryPolicy)
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`."""
         threads = max(1, (os.cpu_count() or 1) // max(1, min(self.num_workers, _width(tree))))
         runner = _Processes(num_workers=self.num_workers, command=self.command, num_threads=threads)
-        fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, faults=self.faults)
+        fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
         return fold.run(tree)
 
 
@@ -77,14 +77,14 @@ class _Processes:
         return len(self.running) < self.num_workers
 
     def start(self, node: Tree, task: NodeTask) -> bool:
-        with interrupts_later():
+        with defer_interrupts():
             process = _spawn(self.command(task), task.folder, self.num_threads)
             reader = threading.Thread(target=self._read, args=(node.id, process), daemon=True)
             self.running[node.id] = _Running(task=task, process=process, reader=reader)
             reader.start()
         return True
 
-    def wait(self, timeout_s: float) -> tuple[str, Event | Ended | None] | None:
+    def wait(self, timeout_s: float) -> tuple[str, Event | NodeEnded | None] | None:
         try:
             node_id, line = self.lines.get(timeout=timeout_s)
         except queue.Empty:
@@ -93,10 +93,10 @@ class _Processes:
             event = decode(line)
             if isinstance(event, Failed):
                 self.running[node_id].failure = event
-            return node_id, None if isinstance(event, Failed | Beat) else event
+            return node_id, None if isinstance(event, Failed | Heartbeat) else event
         running = self.running.pop(node_id)
         running.reader.join()
-        return node_id, end_of(running.task, running.failure, running.process.returncode)
+        return node_id, outcome_of(running.task, running.failure, running.process.returncode)
 
     def stop(self, node_id: str) -> None:
         _signal_group(self.running[node_id].process, signal.SIGTERM)
@@ -105,7 +105,7 @@ class _Processes:
         killer.start()
 
     def stop_all(self) -> None:
-        with interrupts_later():
+        with defer_interrupts():
             for running in self.running.values():
                 _signal_group(running.process, signal.SIGTERM)
             for running in self.running.values():
@@ -125,20 +125,22 @@ class _Processes:
         self.lines.put((node_id, None))
 
 
-def end_of(task: NodeTask, failure: Failed | None, code: int) -> Ended:
+def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
     """How a node ended whose process said `failure` and exited with `code` (negative: killed by that signal)."""
     if failure is not None and failure.cannot_write:
-        return Ended(error=CannotWrite(f"{task.stage}: {failure.message}"))
+        return NodeEnded(error=CannotWrite(f"{task.stage}: {failure.message}"))
     if failure is not None:
         error = BadInput if failure.exit_code == BadInput.exit_code else StageFailed
-        return Ended(error=error(f"{task.stage}: {failure.message}"))
+        return NodeEnded(error=error(f"{task.stage}: {failure.message}"))
     if code == 0 and is_sealed(task.folder, task.key):
-        return Ended()
+        return NodeEnded()
     if disk_is_full(task.folder):
-        return Ended(error=CannotWrite(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out."))
+        return NodeEnded(
+            error=CannotWrite(f"{task.stage}: the disk of {task.folder} is full: free space or choose another folder with --out.")
+        )
     reason = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
     message = f"{task.stage}: its process {reason} before it was done; see {log_path(task.folder)}, then run again with --resume."
-    return Ended(error=StageFailed(message), crashed=True)
+    return NodeEnded(error=StageFailed(message), crashed=True)
 
 
 def _width(tree: Tree) -> int:
@@ -157,7 +159,7 @@ def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Pop
 
 
 @contextmanager
-def interrupts_later() -> Iterator[None]:
+def defer_interrupts() -> Iterator[None]:
     """Hold Ctrl-C and termination back while a worker is started or stopped: it would outlive the run."""
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -29,9 +29,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from radiant_app.events import Beat, Event, Failed, Listener, decode
-from radiant_app.executors.fold import Began, Ended, Faults, Fold
-from radiant_app.executors.local import end_of, interrupts_later, worker_command
+from radiant_app.events import Event, Failed, Heartbeat, Listener, decode
+from radiant_app.executors.fold import Fold, NodeEnded, NodeStarted, RetryPolicy
+from radiant_app.executors.local import defer_interrupts, outcome_of, worker_command
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
@@ -56,13 +56,13 @@ class RayExecutor:
     """File for what Ray itself has to say."""
     clock: Callable[[], float] = time.monotonic
     command: Callable[[NodeTask], list[str]] = worker_command
-    faults: Faults = field(default_factory=Faults)
+    retry_policy: RetryPolicy = field(default_factory=RetryPolicy)
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """See `Executor.fold`. BadInput where Ray is not installed or no cluster answers at the address."""
         require_cluster(self.address)
         runner = _Cluster(address=self.address, log=self.log, command=self.command, tree=tree)
-        fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, faults=self.faults)
+        fold = Fold(runner=runner, prepare=prepare, listen=listen, clock=self.clock, retry_policy=self.retry_policy)
         with runner:
             return fold.run(tree)
 
@@ -82,7 +82,7 @@ def require_cluster(address: str) -> None:
         raise BadInput(f"no Ray cluster answers at {address} ({error}): start it by `ray start --head`, or correct --address.") from error
 
 
-def place_of(node: Tree) -> str:
+def resource_of(node: Tree) -> str:
     """The custom resource that the machine of a node offers, where one does: an edge renders its teachers, a device scores too."""
     parts = node.id.split("/")
     if len(parts) < 2:
@@ -105,7 +105,7 @@ class _Cluster:
 
     def __enter__(self) -> None:
         self.log.parent.mkdir(parents=True, exist_ok=True)
-        with interrupts_later(), self.log.open("a") as log:
+        with defer_interrupts(), self.log.open("a") as log:
             self.process = subprocess.Popen(
                 [sys.executable, "-c", DRIVER, self.address],
                 stdin=subprocess.PIPE,
@@ -123,11 +123,11 @@ class _Cluster:
         except BaseException:
             self.__exit__()
             raise
-        self._send(leaves=[place_of(node) for node in self.tree if not node.children])
+        self._send(leaves=[resource_of(node) for node in self.tree if not node.children])
 
     def __exit__(self, *exc_info: object) -> None:
         assert self.process is not None and self.process.stdin is not None and self.process.stdout is not None
-        with interrupts_later():
+        with defer_interrupts():
             with suppress(BrokenPipeError):
                 self.process.stdin.close()
             try:
@@ -150,12 +150,12 @@ class _Cluster:
             command=self.command(task),
             folder=str(task.folder.resolve()),
             task_sha256=file_sha256(record) if record.is_file() else None,
-            place=place_of(node),
+            place=resource_of(node),
             gpu=record.is_file() and read_json(record).get("backend") == "gsplat",
         )
         return False
 
-    def wait(self, timeout_s: float) -> tuple[str, Event | Began | Ended | None] | None:
+    def wait(self, timeout_s: float) -> tuple[str, Event | NodeStarted | NodeEnded | None] | None:
         try:
             message = self.messages.get(timeout=timeout_s)
         except queue.Empty:
@@ -169,17 +169,17 @@ class _Cluster:
         if node_id not in self.running:
             return self.wait(timeout_s)
         if "began" in message:
-            return node_id, Began(machine=message["began"])
+            return node_id, NodeStarted(machine=message["began"])
         if "line" in message:
             event = decode(message["line"])
             if isinstance(event, Failed):
                 self.failures[node_id] = event
-            return node_id, None if isinstance(event, Failed | Beat) else event
+            return node_id, None if isinstance(event, Failed | Heartbeat) else event
         task = self.running.pop(node_id)
         if "lost" in message:
-            return node_id, Ended(error=StageFailed(f"{task.stage}: {message['lost']} Run again with --resume."), crashed=True)
+            return node_id, NodeEnded(error=StageFailed(f"{task.stage}: {message['lost']} Run again with --resume."), crashed=True)
         _wait_for_seal(task.folder, message["seal_sha256"])
-        return node_id, end_of(task, self.failures.get(node_id), message["code"])
+        return node_id, outcome_of(task, self.failures.get(node_id), message["code"])
 
     def stop(self, node_id: str) -> None:
         self._send(stop=node_id)
@@ -188,7 +188,7 @@ class _Cluster:
         for node_id in self.running:
             self._send(stop=node_id)
         deadline_s = time.monotonic() + STOP_S
-        with interrupts_later():
+        with defer_interrupts():
             while self.running and time.monotonic() < deadline_s:
                 try:
                     message = self.messages.get(timeout=0.5)

@@ -14,7 +14,7 @@ import platform
 import shutil
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -51,7 +51,7 @@ FORMER_PATHS = {
     "aggregate_preset": "aggregate.preset",
 }
 """Field of a configuration before it had sections → its path."""
-RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings", "ledger")
+RECORDED = ("config", "status", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")
 
 
 @dataclass
@@ -71,7 +71,7 @@ class Manifest:
     """Stage → the most memory its process held, with its libraries."""
     decisions: list[dict[str, Any]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    ledger: list[dict[str, Any]] = field(default_factory=list)
+    access_log: list[dict[str, Any]] = field(default_factory=list)
 
     def note(self, event: Event, now_s: float) -> None:
         """Take from the stream what the record keeps."""
@@ -120,6 +120,7 @@ class Manifest:
     def save(self) -> None:
         """Write manifest.json."""
         record = {"version": MANIFEST_VERSION, "software": software_versions(), **{key: getattr(self, key) for key in RECORDED}}
+        record["ledger"] = self.access_log
         write_json(self.folder / "manifest.json", {**record, "sha256": _digest(record)})
 
 
@@ -265,8 +266,8 @@ def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> st
 def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     for name in {*asked, *before} if prefix else asked:
         value, other, path = asked.get(name), before.get(name), f"{prefix}{name}"
-        if value != other and isinstance(value, dict) and isinstance(other, dict) and path not in OPTIONS:
-            yield from _differing_options(value, other, f"{path}.")
+        if value != other and isinstance(value, dict | None) and isinstance(other, dict | None) and path not in OPTIONS:
+            yield from _differing_options(value or {}, other or {}, f"{path}.")
         elif value != other:
             yield _option_name(path, name)
 
@@ -310,9 +311,7 @@ def read_manifest(run: Path) -> Manifest:
     path = run / "manifest.json"
     if not path.is_file():
         raise BadInput(f"{run} holds no manifest.json: give the folder of a run.")
-    record = _record(path)
-    kept = {name: getattr(record, name) for name in ("config", "stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")}
-    return Manifest(folder=run, **kept)
+    return Manifest(folder=run, **_record(path).model_dump(exclude={"version"}))
 
 
 def require_current(run: Path) -> None:
@@ -328,7 +327,7 @@ def _digest(record: dict[str, Any]) -> str:
 
 def _require_unchanged(record: Any) -> None:
     """Raise BadInput where a manifest is not what was written; older ones say no hash and are taken as they are."""
-    known = {"version", "software", "sha256", *RECORDED}
+    known = {"version", "software", "sha256", "ledger", *RECORDED}
     if not isinstance(record, dict) or not record.keys() <= known:
         raise BadInput("it has keys that no manifest has")
     if "sha256" in record and record.pop("sha256") != _digest(record):
@@ -349,13 +348,11 @@ def _record(path: Path) -> _Record:
 
 
 def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
-    path = out / "manifest.json"
-    if not path.is_file():
+    if not (out / "manifest.json").is_file():
         raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
-    record = _record(path)
     require_current(out)
-    differing = differing_options(settings, record.config)
+    manifest = read_manifest(out)
+    differing = differing_options(settings, manifest.config)
     if differing:
         raise BadInput(f"{out} was begun with another {differing}: repeat those settings to resume, remove it, or choose another folder.")
-    kept = {name: getattr(record, name) for name in ("stages", "emulated", "machines", "peak_bytes", "decisions", "warnings")}
-    return Manifest(folder=out, config=settings, **kept)
+    return replace(manifest, config=settings)

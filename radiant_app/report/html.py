@@ -63,7 +63,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         frame=_frame_facts(run),
         pooled=metrics.get("pooled", True),
         planned_by_raster=(run / STAGE / "task.json").is_file(),
-        ledger_tiers=ledger_by_tier(manifest.ledger, shared="leakage" not in metrics),
+        access_tiers=access_by_tier(manifest.access_log, shared="leakage" not in metrics),
         pictures={name: _embedded(path) for name, path in pictures.items()},
         comparisons=[_comparison(run, row) for row in shown_images(metrics["images"]) if _has_pictures(run, row)],
         nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
@@ -74,11 +74,11 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
     return run / "report.html"
 
 
-def ledger_by_tier(ledger: Sequence[Mapping[str, Any]], *, shared: bool) -> list[dict[str, Any]]:
+def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> list[dict[str, Any]]:
     """One row per tier in the order devices, edges, cloud, owner: what its nodes received together, in bytes and in words."""
     rows = []
     for tier in TIERS:
-        own = [row for row in ledger if row["tier"] == tier]
+        own = [row for row in access_log if row["tier"] == tier]
         if own:
             sums = {key: sum(row[key] for row in own) for key in ("num_photographs", "photograph_bytes", "other_bytes")}
             rows.append(

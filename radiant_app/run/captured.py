@@ -48,7 +48,7 @@ class Captured:
     """(P,3) metres about `origin`, or in the unit of the poses; NaN where nothing says where."""
     origin: FloatArray | None
     """(3,) latitude, longitude, altitude; None for given poses."""
-    counted: dict[str, FloatArray] | None = None
+    cell_middles: dict[str, FloatArray] | None = None
     """Where devices send a raster alone: by device the middles (K,2) m of the cells of its training photographs; no position is known."""
 
     @property
@@ -94,16 +94,16 @@ def device_folders(source: Path, system: System) -> dict[str, Path] | None:
     return named
 
 
-def captured_photographs(config: RunConfig, poses: GivenPoses | None, folders: dict[str, Path] | None, progress: Progress) -> Captured:
-    """What is known of the photographs before they are planned; BadInput where positions or poses are missing."""
+def locate_photographs(config: RunConfig, poses: GivenPoses | None, folders: dict[str, Path] | None, progress: Progress) -> Captured:
+    """Locate the photographs before planning; BadInput if positions or poses are missing."""
     if poses is None and folders is not None and config.cell_m is not None:
-        return _counted_by_devices(config.cell_m, folders, progress)
-    captured = _by_poses(poses, folders, config.source, progress) if poses is not None else _by_gps(config, folders, progress)
+        return _count_by_devices(config.cell_m, folders, progress)
+    captured = _locate_by_poses(poses, folders, config.source, progress) if poses is not None else _locate_by_gps(config, folders, progress)
     _warn_of_unplaced(captured, progress)
     return captured
 
 
-def _counted_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
+def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
     """Every device counts its own training photographs in a raster; neither a name nor a position of one leaves it."""
     owned = [
         (device, path.name)
@@ -138,7 +138,7 @@ def _counted_by_devices(cell_m: float, folders: dict[str, Path], progress: Progr
         owners=tuple(device for device, _ in owned),
         positions=np.full((len(owned), 3), np.nan),
         origin=origin,
-        counted=by_device,
+        cell_middles=by_device,
     )
 
 
@@ -153,7 +153,7 @@ def _origin_of(known: FloatArray) -> FloatArray:
     return np.array([*np.round(middle[:2], 4), np.round(middle[2], -1)])
 
 
-def _by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progress) -> Captured:
+def _locate_by_gps(config: RunConfig, folders: dict[str, Path] | None, progress: Progress) -> Captured:
     """Positions from EXIF: one process per device folder reads the heads of its photographs, or one for the folder of all."""
     places = {None: photo_folder(config.source)} if folders is None else dict(folders)
     names: list[str] = []
@@ -218,11 +218,11 @@ def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress
 
 
 def photo_folder(source: Path) -> Path:
-    """The folder of photographs in a source: images/ where there is one."""
+    """Return the folder of photographs in a source: images/ if there is one."""
     return source / "images" if (source / "images").is_dir() else source
 
 
-def _by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path, progress: Progress) -> Captured:
+def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source: Path, progress: Progress) -> Captured:
     """Positions from the given poses; with device folders each pose belongs to the device that has a file of its name."""
     names = poses.cameras.names
     if folders is None:

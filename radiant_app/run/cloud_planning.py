@@ -1,4 +1,4 @@
-"""How a run plans at its cloud, from a count raster and one curve per edge (`workers/regions.py`). Once per run."""
+"""Planning at the cloud from a count raster and one curve per edge (`workers/regions.py`). Once per run."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from radiant_core.plan.system import System
 STAGE = "planning"
 
 
-def placed_by_raster(system: System, positions: FloatArray, origin: FloatArray | None, cell_m: float | None, seed: int) -> System:
-    """`place_edges` among the cameras (C,2) m, of which only the raster is looked at where there is one."""
+def place_edges_by_raster(system: System, positions: FloatArray, origin: FloatArray | None, cell_m: float | None, seed: int) -> System:
+    """Place edges among the cameras (C,2) m, or among the cells of their raster if `cell_m` is given."""
     places = positions if cell_m is None else count_raster(positions, cell_m).places
     return place_edges(system, places, origin, seed)
 
 
 def plan_at_cloud(config: RunConfig, cell_m: float, system: System, positions: FloatArray, progress: Progress) -> CloudPlan:
-    """The plan of a run whose cloud gets the raster alone, in planning/."""
+    """Plan at the cloud, which receives only the raster, in planning/."""
     folder = config.out / STAGE
     folder.mkdir(exist_ok=True)
     task = regions_task(count_raster(positions, cell_m), system, config.plan.method)
@@ -43,7 +43,7 @@ def plan_at_cloud(config: RunConfig, cell_m: float, system: System, positions: F
 
 
 def raster_decision(cell_m: float, plan: CloudPlan) -> Decision:
-    """What the cloud planned from, and how far from the shortest makespan that ended."""
+    """The decision to plan from a raster, with how far the makespan is above the shortest."""
     ratio = plan.makespan_s / plan.lower_bound_s if plan.lower_bound_s > 0 else 1.0
     return Decision(
         stage=STAGE,
@@ -51,5 +51,5 @@ def raster_decision(cell_m: float, plan: CloudPlan) -> Decision:
         choice=f"a count raster of {cell_m:g} m and one curve per edge",
         figure=100 * (ratio - 1),
         unit="% above the shortest makespan",
-        reason="the cloud learns no position, device or number of devices; with positions it would plan exactly",
+        reason="the cloud receives no position, device or number of devices; with positions the plan would be exact",
     )

@@ -1,6 +1,6 @@
-"""Lays into each node's folder what it may read, and nothing else: photographs to devices, models to edges and to the cloud.
+"""Copies into each node's folder exactly what it may read: photographs to devices, models to edges and to the cloud.
 
-Called by the executor when a node's children are done. The ledger counts what each tier received.
+Called by the executor when a node's children are done. The access log counts what each tier received.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import Any
 
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.run.photographs import Photographs
-from radiant_app.workers.delivering import DELIVERIES, give_task, introduce, introduce_teacher
+from radiant_app.workers.delivering import DELIVERIES, exchange_keys, identify_teacher, sign_task
 from radiant_app.workers.inbox import REFUSED_NAME, load_corrections
-from radiant_app.workers.nodes import forget_cut
-from radiant_app.workers.sources import masks_of_scene
+from radiant_app.workers.nodes import unseal_cut_scene
+from radiant_app.workers.sources import masks_folder_of
 from radiant_app.workers.tasks import SIGNED, TeacherTask
 from radiant_app.workers.training import MASKS
 from radiant_core import __version__
@@ -39,20 +39,20 @@ class Dealer:
     run: Path
     recipe: Recipe
     photographs: Photographs
-    ledger: list[dict[str, Any]] = field(default_factory=list)
+    access_log: list[dict[str, Any]] = field(default_factory=list)
     keys: dict[str, str] = field(default_factory=dict)
-    """Node id → the key it is sealed with when it is done, so that only what this run finished is used."""
+    """Node id → the key of its seal, so that only nodes that this run finished are used."""
 
     def __post_init__(self) -> None:
-        self.photographs.follow(self.recipe)
+        self.photographs.use_recipe(self.recipe)
 
-    def take_plan(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
-        """Go on by another plan, in which devices that have begun keep what they have."""
+    def replace_plan(self, cloud: CloudPlan, edges: tuple[EdgePlan, ...]) -> None:
+        """Continue with another plan, in which devices that have started keep their photographs."""
         self.recipe = self.recipe.with_plan(cloud, edges)
-        self.photographs.follow(self.recipe)
+        self.photographs.use_recipe(self.recipe)
 
     def prepare(self, node: Tree) -> NodeTask | None:
-        """Fill the node's folder and say what to run there; None where nothing arrived that could be joined."""
+        """Fill the node's folder and return its task; None if no model arrived that could be joined."""
         folder = self.run / node.id
         folder.mkdir(parents=True, exist_ok=True)
         fills = {"device": self._fill_device, "teacher": self._fill_teacher, "edge": self._fill_edge, "cloud": self._fill_cloud}
@@ -60,56 +60,56 @@ class Dealer:
         if filled is None:
             return None
         task, beside = filled
-        self._introduce(node)
+        self._exchange_keys(node)
         names = save_task(folder, task)
         inputs = [*(folder / name for name in names if name != TASK_NAME), *beside]
         key = content_key(__version__, task_key(task), *inputs)
-        # A teacher is a part of its edge: what it receives counts once, when the edge takes it.
+        # A teacher is a part of its edge: what it receives is logged once, for the edge.
         if node.tier == "teacher":
             _drop_other_views(folder, key)
         else:
-            self._enter(node, [*inputs, folder / DELIVERIES])
+            self._log_access(node, [*inputs, folder / DELIVERIES])
         kind = self.photographs.kind if node.tier == "device" else node.tier
         if kind in SIGNED:
-            # What lies in an inbox was signed by those who sent it.
+            # Files in an inbox were signed by their senders.
             signed = [path.relative_to(folder).as_posix() for path in inputs if path.name != "inbox"]
-            give_task(self.run, self._above(node), node.id, SIGNED[kind], folder, [TASK_NAME, *signed])
+            sign_task(self.run, self._parent_of(node), node.id, SIGNED[kind], folder, [TASK_NAME, *signed])
         self.keys[node.id] = key
         return NodeTask(kind=kind, stage=node.id, folder=folder, key=key)
 
-    def _enter(self, node: Tree, inputs: Sequence[Path]) -> None:
-        """Count in the ledger what a node receives or fetches."""
-        entry: dict[str, Any] = {"node": node.id, "tier": node.tier, **received(inputs)}
-        if node.tier == "device" and (fetched := self.photographs.fetched(node.name)):
-            entry |= {name: received(fetched)[name] for name in ("num_photographs", "photograph_bytes")}
-        self.ledger.append(entry)
+    def _log_access(self, node: Tree, inputs: Sequence[Path]) -> None:
+        """Add what a node receives or fetches to the access log."""
+        entry: dict[str, Any] = {"node": node.id, "tier": node.tier, **count_received(inputs)}
+        if node.tier == "device" and (fetched := self.photographs.fetched_files(node.name)):
+            entry |= {name: count_received(fetched)[name] for name in ("num_photographs", "photograph_bytes")}
+        self.access_log.append(entry)
 
-    def _introduce(self, node: Tree) -> None:
-        """Make a node's key and exchange it with the one above."""
+    def _exchange_keys(self, node: Tree) -> None:
+        """Create a node's key and exchange keys with its parent."""
         if node.tier == "teacher":
             (device,) = node.children
-            introduce_teacher(self.run, node.id, self._above(device), device.name)
+            identify_teacher(self.run, node.id, self._parent_of(device), device.name)
             return
-        introduce(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.recipe.edge_plans])
+        exchange_keys(self.run, "cloud", None, [f"edges/{plan.edge_id}" for plan in self.recipe.edge_plans])
         if node.tier == "cloud":
             return
-        edge = node.id if node.tier == "edge" else self._above(node)
+        edge = node.id if node.tier == "edge" else self._parent_of(node)
         devices = next(plan.device_ids for plan in self.recipe.edge_plans if f"edges/{plan.edge_id}" == edge)
-        introduce(self.run, edge, "cloud", [f"devices/{device}" for device in devices])
+        exchange_keys(self.run, edge, "cloud", [f"devices/{device}" for device in devices])
         if node.tier == "device":
-            introduce(self.run, node.id, edge)
+            exchange_keys(self.run, node.id, edge)
 
-    def _above(self, node: Tree) -> str:
-        """Whom the tasks of a device or edge come from."""
+    def _parent_of(self, node: Tree) -> str:
+        """The node that signs the tasks of a device or edge."""
         return "cloud" if node.tier == "edge" else f"edges/{self.recipe.plan_of(node.name).edge_id}"
 
     def _fill_device(self, node: Tree, folder: Path) -> tuple[Any, list[Path]]:
         return self.photographs.fill(node.name, folder, self.recipe)
 
     def _fill_teacher(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
-        """What the teacher's device uploaded."""
+        """Copy the upload of the teacher's device."""
         (device,) = node.children
-        if not self.delivered(device):
+        if not self.has_delivered(device):
             return None
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         self._deliver(device.id, folder, folder / "inbox")
@@ -123,8 +123,8 @@ class Dealer:
         return task, [folder / "inbox"]
 
     def _fill_edge(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
-        """What its devices uploaded."""
-        num_dealt = {device: self.photographs.num_dealt(device) for device in self._delivered_of(node)}
+        """Copy the uploads of its devices."""
+        num_dealt = {device: self.photographs.num_dealt(device) for device in self._delivered_devices(node)}
         self._empty_inbox(folder)
         if not num_dealt:
             return None
@@ -134,13 +134,13 @@ class Dealer:
         return self.recipe.edge_task(node.name, num_dealt, teachers), [folder / "inbox"]
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
-        """What the edges uploaded."""
-        edges = [edge for edge in node.children if self.delivered(edge)]
+        """Copy the uploads of the edges."""
+        edges = [edge for edge in node.children if self.has_delivered(edge)]
         self._empty_inbox(folder)
         if not edges:
             return None
-        forget_cut(folder)
-        num_dealt = {edge.name: sum(map(self.photographs.num_dealt, self._delivered_of(edge))) for edge in edges}
+        unseal_cut_scene(folder)
+        num_dealt = {edge.name: sum(map(self.photographs.num_dealt, self._delivered_devices(edge))) for edge in edges}
         for edge in edges:
             self._deliver(edge.id, folder, folder / "inbox" / edge.name)
         joined = {edge.name: read_json(self.run / edge.id / SUMMARY_NAME, ("train_s", "num_steps")) for edge in edges}
@@ -151,23 +151,23 @@ class Dealer:
             shutil.rmtree(folder / place, ignore_errors=True)
 
     def _deliver(self, sender: str, receiver: Path, place: Path) -> None:
-        """Copy what a device or edge sends into `place`, and its signed record into the receiver's folder."""
+        """Copy the upload of a device or edge to `place`, and its signed record into the receiver's folder."""
         place.mkdir(parents=True, exist_ok=True)
         for name, path in sent_files(self.run / sender).items():
             shutil.copyfile(path, place / name)
         deal_files(self.run / sender, [RECORD_NAME, SIGNATURE_NAME], receiver / DELIVERIES / Path(sender).name)
 
-    def _delivered_of(self, edge: Tree) -> list[str]:
-        """The devices below an edge that are done and have a model."""
+    def _delivered_devices(self, edge: Tree) -> list[str]:
+        """The devices of an edge that are done and have a model."""
         leaves = [next(iter(child)) for child in edge.children]
-        return [device.name for device in leaves if self.delivered(device)]
+        return [device.name for device in leaves if self.has_delivered(device)]
 
-    def delivered(self, node: Tree) -> bool:
-        """Whether a node is done in this run and has a model: one may have none where all that arrived was refused."""
+    def has_delivered(self, node: Tree) -> bool:
+        """Whether a node is done in this run and has a model; it has none if it refused all it received."""
         return self.has_model(node.id)
 
     def has_model(self, node_id: str) -> bool:
-        """As `delivered`, by the node's id."""
+        """As `has_delivered`, by the node's id."""
         frame = self.run / node_id / FRAME_NAME
         return self.is_done(node_id) and (not frame.is_file() or read_json(frame, ("status",))["status"] == "placed")
 
@@ -175,8 +175,8 @@ class Dealer:
         """Whether the node with this id is done in this run."""
         return node_id in self.keys and is_sealed(self.run / node_id, self.keys[node_id])
 
-    def moves(self) -> dict[str, list[Sim3]]:
-        """Devices whose model is in the scene → the similarities from their own frame to the scene's, first to last."""
+    def load_moves(self) -> dict[str, list[Sim3]]:
+        """Device whose model is in the scene → the similarities from its frame to the scene's, in order."""
         found = {}
         for edge, to_cloud in load_corrections(self.run / "cloud").items():
             if to_cloud is not None:
@@ -184,12 +184,12 @@ class Dealer:
                 found |= {device: [move, to_cloud] for device, move in moved.items() if move is not None}
         return found
 
-    def missing(self) -> dict[str, str]:
-        """Devices with photographs whose model is not in the scene, and why."""
-        present = set(self.moves()) if self.has_model("cloud") else set()
-        return {device: self._reason(device) for device in self.photographs.devices() if device not in present}
+    def missing_devices(self) -> dict[str, str]:
+        """Device with photographs whose model is not in the scene → the reason."""
+        present = set(self.load_moves()) if self.has_model("cloud") else set()
+        return {device: self._missing_reason(device) for device in self.photographs.devices() if device not in present}
 
-    def _reason(self, device: str) -> str:
+    def _missing_reason(self, device: str) -> str:
         node = f"devices/{device}"
         if node not in self.keys:
             return "it has no photograph to train on whose place is known."
@@ -210,13 +210,13 @@ class Dealer:
 
 
 def _drop_other_views(teacher: Path, key: str) -> None:
-    """Remove what a teacher left of another model, or half-written: its edge takes whatever view lies there."""
+    """Remove a teacher's views of another model: its edge uses every view it finds."""
     if not is_sealed(teacher, key):
         shutil.rmtree(teacher / "views", ignore_errors=True)
 
 
 def deal_files(source: Path, names: Sequence[str], target: Path) -> None:
-    """Copy the named files to `target`, which afterwards holds them with the same bytes; other files in a photos folder go away."""
+    """Copy the named files to `target`; other files in a photos folder are removed."""
     if target.name == "photos" and target.exists():
         shutil.rmtree(target)
     for name in names:
@@ -225,8 +225,8 @@ def deal_files(source: Path, names: Sequence[str], target: Path) -> None:
 
 
 def deal_masks(run: Path, names: Sequence[str], folder: Path) -> list[Path]:
-    """Copy the masks of the named photographs from the run's scene to masks/ in `folder`; that place where there are any."""
-    masks, place = masks_of_scene(run), folder / MASKS
+    """Copy the masks of the named photographs from the run's scene to masks/ in `folder`; [that folder], or [] without masks."""
+    masks, place = masks_folder_of(run), folder / MASKS
     shutil.rmtree(place, ignore_errors=True)
     masked = [] if masks is None else [mask_name(name) for name in names if (masks / mask_name(name)).is_file()]
     if masks is None or not masked:
@@ -235,8 +235,8 @@ def deal_masks(run: Path, names: Sequence[str], folder: Path) -> list[Path]:
     return [place]
 
 
-def received(inputs: Sequence[Path]) -> dict[str, int]:
-    """How many photographs, bytes of photographs and other bytes lie at these paths."""
+def count_received(inputs: Sequence[Path]) -> dict[str, int]:
+    """Count the photographs, their bytes and all other bytes at these paths."""
     masks = [path for path in inputs if path.name == MASKS]
     files = [file for path in inputs for file in (path.rglob("*") if path.is_dir() else [path]) if file.is_file()]
     photographs = [

@@ -1,7 +1,8 @@
 """`DevicePhotographs`: photographs stay with the device that took them (`--frames gps` or `known`). Once per run.
 
-The plan is made from positions alone, or from counts in a raster. Each device reconstructs, fixes its frame and trains in its
-own folder, and scores the scene on what it held out. A device that cannot deliver is reported missing, the rest goes on.
+The plan is made from positions alone, or from counts in a raster. Each device reconstructs, fixes its
+frame and trains in its own folder, and scores the scene on the photographs it held out. A device that
+cannot deliver is reported missing, and the run goes on.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from scipy.spatial import KDTree
 
 from radiant_app.events import Warned
 from radiant_app.executors.protocol import Executor
-from radiant_app.run.captured import Captured, captured_photographs, device_folders, photo_folder
+from radiant_app.run.captured import Captured, device_folders, locate_photographs, photo_folder
 from radiant_app.run.cloud_planning import STAGE
 from radiant_app.run.config import RunConfig
-from radiant_app.run.dealing import Dealer, received
+from radiant_app.run.dealing import Dealer, count_received
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.progress import Progress
 from radiant_app.run.scoring import score_on_devices
 from radiant_app.run.source import Plan
-from radiant_app.run.stages import load_plan_before_capture, plan_around, plan_stage, warn_of_predictions
+from radiant_app.run.stages import load_plan_before_capture, load_plan_in_frame, plan_stage, warn_about_predictions
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_app.workers.tasks import FieldTask, PlacingTask, SfmSettings
 from radiant_core.aggregate.tree import Tree
@@ -50,7 +51,7 @@ class DeviceShare:
     names: tuple[str, ...]
     held_out: tuple[str, ...]
     copy: bool
-    """Whether the device fetches them into its folder; False where they lie in a folder of its own."""
+    """Whether the device copies them into its folder; False where they already lie in a folder of its own."""
 
 
 @dataclass(kw_only=True)
@@ -66,38 +67,38 @@ class DevicePhotographs:
     kind: str = "field"
 
     @classmethod
-    def found(cls, config: RunConfig, system: System, progress: Progress) -> DevicePhotographs:
-        """Positions from EXIF, given poses, or counts that devices send."""
-        # The plan is made anew by a resumed run, from what lies there by then.
+    def locate(cls, config: RunConfig, system: System, progress: Progress) -> DevicePhotographs:
+        """Locate the photographs by EXIF, given poses, or counts that devices send."""
+        # A resumed run plans again, from the photographs it finds.
         progress.manifest.forget("plan")
         folders = device_folders(config.source, system)
         poses = read_given_poses(config.source, config.sfm.poses) if config.frames == "known" else None
-        return cls(config=config, captured=captured_photographs(config, poses, folders, progress), folders=folders, poses=poses)
+        return cls(config=config, captured=locate_photographs(config, poses, folders, progress), folders=folders, poses=poses)
 
     @property
     def positions(self) -> FloatArray | None:
-        """None where photographs lie in devices' own folders: they are gone with their device."""
+        """None where photographs lie in devices' own folders: they are lost with their device."""
         return self.captured.positions[self.captured.planned, :2] if self.folders is None else None
 
     def check(self, train: TrainConfig) -> None:
-        """Nothing is known of the photographs' sizes before devices read them."""
+        """Accept: sizes of photographs are unknown before devices read them."""
 
-    def planned(self, system: System, progress: Progress) -> Plan:
+    def make_plan(self, system: System, progress: Progress) -> Plan:
         """The plan of the training photographs with a position."""
         config, captured = self.config, self.captured
         positions, owners = captured.positions[captured.planned, :2], [captured.owners[index] or "" for index in captured.planned]
-        if captured.counted is not None:
-            positions = np.concatenate([*captured.counted.values(), np.zeros((0, 2))])
-            owners = [device for device, middles in captured.counted.items() for _ in middles]
+        if captured.cell_middles is not None:
+            positions = np.concatenate([*captured.cell_middles.values(), np.zeros((0, 2))])
+            owners = [device for device, middles in captured.cell_middles.items() for _ in middles]
         if len(positions) < 2:
             raise BadInput(f"{len(positions)} training photographs have a position, expected at least 2: give more photographs with GPS.")
         if self.folders is None:
             system, cloud, edges = plan_stage(config, system, positions, captured.origin, progress)
             return Plan(system=system, cloud=cloud, edges=edges)
-        if captured.counted is None and config.cell_m is not None:
+        if captured.cell_middles is None and config.cell_m is not None:
             positions = middles_of_cells(positions, config.cell_m)
         cloud, edges = self._plan_of_owners(system, positions, owners, progress)
-        save_plan(config.out / "plan.json", cloud, edges, warnings=warn_of_predictions(config, system, edges, progress))
+        save_plan(config.out / "plan.json", cloud, edges, warnings=warn_about_predictions(config, system, edges, progress))
         save_system(config.out, system)
         self._warn_of_idle(system, set(owners), progress)
         return Plan(system=system, cloud=cloud, edges=edges)
@@ -105,10 +106,10 @@ class DevicePhotographs:
     def _plan_of_owners(
         self, system: System, positions: FloatArray, owners: Sequence[str], progress: Progress
     ) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
-        """The plan in which every device keeps what it took."""
+        """The plan in which every device keeps the photographs it took."""
         if self.config.plan.file is None:
             return assigned_plan(positions, owners, system)
-        regions, strips, planned = plan_around(self.config.plan.file, self.captured.origin)
+        regions, strips, planned = load_plan_in_frame(self.config.plan.file, self.captured.origin)
         devices = device_indices(owners, system)
         plan = plan_of_owners(regions, strips, devices, positions, system=system)
         strange = np.array(captured_for_other_edges(strips, planned, devices, positions), bool)
@@ -125,19 +126,19 @@ class DevicePhotographs:
         for device in (device.id for device in system.devices if device.id not in (self.folders or ())):
             progress.listen(Warned(stage="plan", message=f"device {device} has no folder of photographs, it takes no part."))
 
-    def follow(self, recipe: Recipe) -> None:
+    def use_recipe(self, recipe: Recipe) -> None:
         """Deal by the plan of this recipe from now on."""
         self.shares = self._own_shares() if self.folders is not None else self._dealt_shares(recipe.edge_plans)
 
     def num_dealt(self, device: str) -> int:
-        """Its photographs without those that it holds out."""
+        """The number of its photographs that it does not hold out."""
         return len(self.shares[device].names) if device in self.shares else 0
 
     def devices(self) -> Sequence[str]:
-        """Those with photographs."""
+        """The devices with photographs."""
         return sorted(self.shares)
 
-    def fetched(self, device: str) -> list[Path]:
+    def fetched_files(self, device: str) -> list[Path]:
         """The photographs of a device that copies them into its folder."""
         return self._paths(device) if self.shares[device].copy else []
 
@@ -146,7 +147,7 @@ class DevicePhotographs:
         return [share.source / name for name in (*share.names, *share.held_out)]
 
     def fill(self, device: str, folder: Path, recipe: Recipe) -> tuple[FieldTask, list[Path]]:
-        """The names of its photographs; the given poses where there are some."""
+        """Write the given poses, if any; the task names the device's photographs."""
         share, settings = self.shares[device], recipe.device_settings(device)
         files = [path.stat() for path in self._paths(device)]
         names = [*share.names, *share.held_out]
@@ -202,25 +203,25 @@ class DevicePhotographs:
         return shares
 
     def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
-        """Let every device whose model is in the scene score it on what it held out; evaluation/result.json has the figures."""
+        """Score the scene on every device whose model is in it, on its held-out photographs, into evaluation/result.json."""
         num_held_out = sum(len(share.held_out) for share in self.shares.values())
-        ledger = score_on_devices(self.config, dealer, executor, progress, self.captured.origin, num_held_out)
-        progress.manifest.ledger = [*self._planning_ledger(), *dealer.ledger, *ledger]
+        access_log = score_on_devices(self.config, dealer, executor, progress, self.captured.origin, num_held_out)
+        progress.manifest.access_log = [*self._planning_access_log(), *dealer.access_log, *access_log]
 
-    def _planning_ledger(self) -> list[dict[str, Any]]:
-        """What the owner's planning and the cloud's received."""
+    def _planning_access_log(self) -> list[dict[str, Any]]:
+        """The access log of planning, by the owner and at the cloud."""
         run = self.config.out
         heads = sorted(path for path in (run / "positions").rglob("*.json") if path.name in ("positions.json", "raster.json"))
-        owner = [{"node": "plan", "tier": "owner", **received(heads)}] if self.config.frames == "gps" else []
+        owner = [{"node": "plan", "tier": "owner", **count_received(heads)}] if self.config.frames == "gps" else []
         task = run / STAGE / "task.json"
-        return [*owner, *([{"node": STAGE, "tier": "cloud", **received([task])}] if task.is_file() else [])]
+        return [*owner, *([{"node": STAGE, "tier": "cloud", **count_received([task])}] if task.is_file() else [])]
 
     def stages(self, tree: Tree) -> tuple[Sequence[str], Sequence[str]]:
-        """The reading of positions and the planning at the cloud, which have ended; the scoring of each device."""
+        """Before: reading positions and planning at the cloud; after: scoring on each device."""
         positions = ["positions", *(f"positions/{device}" for device in self.folders or ())]
         planning = [STAGE] if (self.config.out / STAGE).is_dir() else []
         return [*positions, *planning], [f"{node.id}/score" for node in tree if node.tier == "device"]
 
     def may_fail(self, node: Tree, error: BadInput | StageFailed) -> bool:
-        """The rest goes on without whoever cannot deliver."""
+        """Every device and edge may; the run goes on without them."""
         return node.tier != "cloud"

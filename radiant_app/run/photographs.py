@@ -1,7 +1,7 @@
-"""`Photographs`: where a run's photographs are. It is all that `--frames` decides; plan, tree, dealing and joining are the same.
+"""`Photographs`: where a run's photographs are, which is all that `--frames` decides.
 
-pooled.py      one owner has all of them, places them at once and deals each device its own
-on_devices.py  each device places and keeps its own; positions alone are planned with
+pooled.py      one owner reconstructs all of them and deals each device its share
+on_devices.py  each device keeps and reconstructs its own; the plan uses positions alone
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ class Photographs(Protocol):
 
     @property
     def positions(self) -> FloatArray | None:
-        """(C,2) m of the planned photographs where another device can take them over; None where they are lost with theirs."""
+        """(C,2) m of the planned photographs; None where no other device can take them over."""
         ...
 
-    def follow(self, recipe: Recipe) -> None:
+    def use_recipe(self, recipe: Recipe) -> None:
         """Deal by the plan of this recipe from now on."""
         ...
 
     def num_dealt(self, device: str) -> int:
-        """How many photographs a device trains on: it sends no more cameras."""
+        """The number of photographs a device trains on, the most cameras it may send."""
         ...
 
     def devices(self) -> Sequence[str]:
@@ -38,9 +38,9 @@ class Photographs(Protocol):
         ...
 
     def fill(self, device: str, folder: Path, recipe: Recipe) -> tuple[Any, list[Path]]:
-        """The task of a device, and the files laid into its folder that the device may read besides."""
+        """Fill a device's folder; returns its task and the files beside it that it may read."""
         ...
 
-    def fetched(self, device: str) -> list[Path]:
-        """Photographs outside of its folder that a device copies into it by itself."""
+    def fetched_files(self, device: str) -> list[Path]:
+        """Photographs outside its folder that the device itself copies into it."""
         ...

@@ -15,7 +15,7 @@ from typing import Any
 
 from radiant_app.events import Listener, Outlined, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
-from radiant_app.executors.fold import Faults
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
 from radiant_app.files.run_folder import Manifest, opened_run
@@ -27,16 +27,16 @@ from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.prediction_error import prediction_of
 from radiant_app.run.progress import Progress
 from radiant_app.run.promises import promises_of
-from radiant_app.run.rescue import Rescue, plan_key, replanned
+from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
 from radiant_app.run.source import Plan, Source
 from radiant_app.run.stages import (
-    counted,
-    counting_down,
-    executor_of,
-    nodes_of,
+    list_nodes,
+    list_stages,
+    make_executor,
+    make_time_left_listener,
     require_plan,
-    training_settings,
-    with_uploads,
+    resolve_training,
+    scale_for_uploads,
 )
 from radiant_app.workers.evaluation import LPIPS_NAME
 from radiant_app.workers.memory import peak_bytes
@@ -98,11 +98,11 @@ def run(
         if not keeps_modes(config.out):
             progress.listen(Warned(stage="run", message=NO_MODES.format(out=config.out)))
         photographs = _photographs(config, system, progress)
-        plan = photographs.planned(with_uploads(system, config.upload, progress), progress)
+        plan = photographs.make_plan(scale_for_uploads(system, config.upload, progress), progress)
         dealer, tree = _joined(config, photographs, plan, progress)
         deal_files(config.out / "cloud", ["scene.ply"], config.out)
         emulation = emulated_figures(tree, manifest.emulated) if config.emulated else {}
-        more = {"executor": config.execution.executor, "missing": dealer.missing(), **emulation}
+        more = {"executor": config.execution.executor, "missing": dealer.missing_devices(), **emulation}
         metrics = _write_metrics(config, manifest, dealer.recipe.cloud_plan, more)
         manifest.status = "done"
         write_report(config.out, manifest, metrics)
@@ -126,9 +126,9 @@ def _checked_system(config: RunConfig) -> System:
 def _photographs(config: RunConfig, system: System, progress: Progress) -> Source:
     """Where the photographs are, and what is known of their places."""
     if config.frames != "shared":
-        return DevicePhotographs.found(config, system, progress)
-    progress.listen(Outlined(stages=("sfm", *nodes_of(system), "evaluation")))
-    return PooledPhotographs.placed(config, progress)
+        return DevicePhotographs.locate(config, system, progress)
+    progress.listen(Outlined(stages=("sfm", *list_nodes(system), "evaluation")))
+    return PooledPhotographs.reconstruct(config, progress)
 
 
 def _joined(config: RunConfig, photographs: Source, plan: Plan, progress: Progress) -> tuple[Dealer, Tree]:
@@ -139,8 +139,8 @@ def _joined(config: RunConfig, photographs: Source, plan: Plan, progress: Progre
     """
     first_key = plan_key(plan.cloud, plan.edges)
     if photographs.positions is not None:
-        plan = replanned(config.out, plan)
-    train, aggregate, backend = training_settings(config, progress)
+        plan = load_replan(config.out, plan)
+    train, aggregate, backend = resolve_training(config, progress)
     photographs.check(train)
     recipe = Recipe(
         system=plan.system,
@@ -156,16 +156,16 @@ def _joined(config: RunConfig, photographs: Source, plan: Plan, progress: Progre
     tree = tree_of_plan(plan.cloud, plan.edges, teachers=config.early_teachers)
     before, after = photographs.stages(tree)
     progress.manifest.keep_stages({*before, *after, *(node.id for node in tree)})
-    progress.listen(Outlined(stages=(*(stage for stage in before if stage in progress.manifest.stages), *counted(tree), *after)))
-    listen = counting_down(config, plan.system, plan.edges, progress)
-    faults = Faults(may_fail=photographs.may_fail, watch=listen)
+    progress.listen(Outlined(stages=(*(stage for stage in before if stage in progress.manifest.stages), *list_stages(tree), *after)))
+    listen = make_time_left_listener(config, plan.system, plan.edges, progress)
+    retry_policy = RetryPolicy(may_fail=photographs.may_fail, deadlines=listen)
     if photographs.positions is not None:
-        rescue = Rescue(dealer=dealer, positions=photographs.positions, tree=tree, first_plan_key=first_key, listen=listen)
-        faults = replace(faults, on_lost=rescue)
-    executor = executor_of(config, plan.system, progress, faults)
+        reassignment = Reassignment(dealer=dealer, positions=photographs.positions, tree=tree, first_plan_key=first_key, listen=listen)
+        retry_policy = replace(retry_policy, on_given_up=reassignment)
+    executor = make_executor(config, plan.system, progress, retry_policy)
     executor.fold(tree, dealer.prepare, listen)
     if not dealer.has_model("cloud"):
-        reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing().items())
+        reasons = " ".join(f"{device}: {reason}" for device, reason in dealer.missing_devices().items())
         raise StageFailed(f"no device delivered a model that could be used. {reasons}")
     photographs.score(dealer, executor, progress)
     return dealer, tree

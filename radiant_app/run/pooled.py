@@ -1,6 +1,6 @@
-"""`PooledPhotographs`: one owner has all photographs, places them once and deals each device its own (`--frames shared`).
+"""`PooledPhotographs`: one owner reconstructs all photographs and deals each device its share (`--frames shared`).
 
-From then on a device reads its own folder alone; the ledger says that photographs were pooled. Once per run.
+Afterwards a device reads only its own folder; the access log records that photographs were pooled. Once per run.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from radiant_app.events import Warned
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.config import RunConfig
-from radiant_app.run.dealing import Dealer, deal_files, deal_masks, received
+from radiant_app.run.dealing import Dealer, count_received, deal_files, deal_masks
 from radiant_app.run.progress import Progress
 from radiant_app.run.source import Plan
 from radiant_app.run.source_key import source_key
@@ -58,7 +58,7 @@ class PooledPhotographs:
     kind: str = "device"
 
     @classmethod
-    def placed(cls, config: RunConfig, progress: Progress) -> PooledPhotographs:
+    def reconstruct(cls, config: RunConfig, progress: Progress) -> PooledPhotographs:
         """Structure from motion of the whole source."""
         scene, images = sfm_stage(config, progress)
         return cls(config=config, scene=scene, images=images)
@@ -70,10 +70,10 @@ class PooledPhotographs:
 
     @property
     def positions(self) -> FloatArray | None:
-        """Of all: another device can take any photograph over."""
+        """Of all: any device can take over any photograph."""
         return self.training.cameras.centers[:, :2]
 
-    def planned(self, system: System, progress: Progress) -> Plan:
+    def make_plan(self, system: System, progress: Progress) -> Plan:
         """The plan of the training photographs."""
         training = self.training
         origin = training.frame.origin_lat_lon_alt if training.frame.kind == "metric" else None
@@ -84,39 +84,39 @@ class PooledPhotographs:
         """Raise BadInput where photographs cannot be scored at the size of the training."""
         require_size(self.scene, train.long_side_px, _lpips_network(self.config))
 
-    def follow(self, recipe: Recipe) -> None:
+    def use_recipe(self, recipe: Recipe) -> None:
         """Deal by the plan of this recipe from now on."""
         self.recipe = recipe
 
     def num_dealt(self, device: str) -> int:
-        """By the plan."""
+        """The number of cameras in the plan."""
         return len(self.recipe.cameras_of(device))
 
     def devices(self) -> Sequence[str]:
-        """Those that the plan gives photographs to."""
+        """The devices that have photographs in the plan."""
         return [device for plan in self.recipe.edge_plans for device in plan.device_ids if len(plan.cameras_of(device))]
 
     def fill(self, device: str, folder: Path, recipe: Recipe) -> tuple[DeviceTask, list[Path]]:
-        """The device's photographs, their masks and its part of the scene."""
+        """Copy the device's photographs and masks; its task holds its part of the scene."""
         own = self.training.restricted_to(recipe.cameras_of(device))
         deal_files(self.images, own.cameras.names, folder / "photos")
         masks = deal_masks(self.config.out, own.cameras.names, folder)
         return device_task(recipe.device_settings(device), own), [folder / "photos", *masks]
 
-    def fetched(self, device: str) -> list[Path]:
-        """None: they are dealt."""
+    def fetched_files(self, device: str) -> list[Path]:
+        """None: photographs are dealt."""
         return []
 
-    def pooled_ledger(self) -> list[dict[str, Any]]:
-        """What the owner's structure from motion received."""
-        return [{"node": "sfm", "tier": "owner", **received([self.images / name for name in self.scene.cameras.names])}]
+    def pooled_access_log(self) -> list[dict[str, Any]]:
+        """The access log of the owner's structure from motion."""
+        return [{"node": "sfm", "tier": "owner", **count_received([self.images / name for name in self.scene.cameras.names])}]
 
     def stages(self, tree: Tree) -> tuple[Sequence[str], Sequence[str]]:
         """Structure from motion; the evaluation."""
         return ["sfm"], ["evaluation"]
 
     def may_fail(self, node: Tree, error: BadInput | StageFailed) -> bool:
-        """One owner can mend what is unusable input; a machine that is gone he may not get back."""
+        """A lost machine may; unusable input may not, since its owner can correct it."""
         return node.tier != "cloud" and isinstance(error, StageFailed)
 
     def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
@@ -142,7 +142,7 @@ class PooledPhotographs:
         run_task(NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=key), progress.listen, progress.clock)
         for kind in PICTURE_KINDS:
             shutil.copytree(folder / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
-        progress.manifest.ledger = [*dealer.ledger, *self.pooled_ledger()]
+        progress.manifest.access_log = [*dealer.access_log, *self.pooled_access_log()]
 
 
 def _lpips_network(config: RunConfig) -> LpipsNetwork | None:
@@ -150,7 +150,7 @@ def _lpips_network(config: RunConfig) -> LpipsNetwork | None:
 
 
 def sfm_stage(config: RunConfig, progress: Progress, memory_bytes: float | None = None) -> tuple[SfmScene, Path]:
-    """Structure from motion of the source in sfm/, within a limit of memory: the scene and the folder of its undistorted photographs."""
+    """Run structure from motion in sfm/ within `memory_bytes`; returns the scene and the folder of its undistorted photographs."""
     folder = config.out / "sfm"
     folder.mkdir(exist_ok=True)
     sfm = SfmConfig(matching=config.sfm.matching, seed=config.seed, memory_bytes=memory_bytes)

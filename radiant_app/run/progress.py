@@ -1,4 +1,4 @@
-"""`Progress`: who hears a run and which clock it runs by; passed through its stages."""
+"""`Progress`: the manifest, listener and clock of a run, passed through its stages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from radiant_app.workers.reporting import read_notes
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Who listens and which clock runs; passed through the stages."""
+    """The manifest, listener and clock of a run."""
 
     manifest: Manifest
     listener: Listener
@@ -20,7 +20,7 @@ class Progress:
     started_s: float
 
     def listen(self, event: Event) -> None:
-        """Record an event and pass it on."""
+        """Record an event and forward it; of a skipped stage also its notes."""
         self.manifest.note(event, self.clock() - self.started_s)
         self.listener(event)
         if isinstance(event, StageSkipped):

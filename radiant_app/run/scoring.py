@@ -1,6 +1,6 @@
-"""Scores a scene where photographs lie with their devices: each on what it held out; only numbers go up. Once per run.
+"""Scores a scene on devices: each on the photographs it held out; only numbers go up. Once per run.
 
-What the run shows of itself is in delivered/: the poses that edges hold, under numbers, and the plan of what was delivered.
+delivered/ holds what the run may show: the poses that edges received, under numbers, and their plan.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.run.config import RunConfig
-from radiant_app.run.dealing import Dealer, deal_files, received
+from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.run.progress import Progress
-from radiant_app.workers.delivering import give_task, introduce_scoring
-from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, region_width, summary_of
+from radiant_app.workers.delivering import identify_scoring, sign_task
+from radiant_app.workers.evaluation import LPIPS_NAME, PICTURE_KINDS, region_width, summarize_scores
 from radiant_app.workers.tasks import Move, ScoreTask
 from radiant_core import __version__
 from radiant_core.aggregate.tree import Tree
@@ -42,7 +42,7 @@ MAX_SHOWN_POINTS = 20_000
 def score_on_devices(
     config: RunConfig, dealer: Dealer, executor: Executor, progress: Progress, origin: FloatArray | None, num_held_out: int
 ) -> list[dict[str, Any]]:
-    """Let every device whose model is in the scene score it; writes evaluation/result.json and returns what the devices received.
+    """Score the scene on every device whose model is in it; writes evaluation/result.json and returns the access log of the devices.
 
     Raises:
         StageFailed: no device holds a photograph out that it could place.
@@ -62,7 +62,7 @@ def score_on_devices(
             made = config.out / "devices" / device / "score" / kind
             if made.is_dir():
                 shutil.copytree(made, config.out / "pictures" / kind, dirs_exist_ok=True)
-    return scorer.ledger
+    return scorer.access_log
 
 
 @dataclass(kw_only=True)
@@ -71,15 +71,15 @@ class _Scorer:
 
     dealer: Dealer
     lpips_network: LpipsNetwork | None
-    """With it, evaluation/ holds the weights."""
+    """If set, evaluation/ holds the weights."""
     moves: dict[str, list[Sim3]] = field(init=False)
-    ledger: list[dict[str, Any]] = field(default_factory=list)
+    access_log: list[dict[str, Any]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.moves = self.dealer.moves()
+        self.moves = self.dealer.load_moves()
 
     def prepare(self, node: Tree) -> NodeTask | None:
-        """Give the device the scene, the plan's borders and where its frame went."""
+        """Copy the scene and the borders to the device; its task holds the moves of its frame."""
         if not node.id.startswith("devices/"):
             return None
         run, folder = self.dealer.run, self.dealer.run / node.id
@@ -97,22 +97,26 @@ class _Scorer:
         )
         save_task(folder, task)
         edge = f"edges/{recipe.plan_of(device).edge_id}"
-        introduce_scoring(run, node.id, f"devices/{device}", edge)
+        identify_scoring(run, node.id, f"devices/{device}", edge)
         given = [f"inbox/{path.name}" for path in sorted((folder / "inbox").iterdir())]
-        give_task(run, edge, f"devices/{device}", "score_task", folder, [TASK_NAME, *given])
+        sign_task(run, edge, f"devices/{device}", "score_task", folder, [TASK_NAME, *given])
         inputs = [folder / "inbox", *(folder.parent / name for name in ("held_out.safetensors", "model.safetensors"))]
-        self.ledger.append({"node": node.id, "tier": "device", **received([folder / "inbox"])})
+        self.access_log.append({"node": node.id, "tier": "device", **count_received([folder / "inbox"])})
         return NodeTask(kind="score", stage=node.id, folder=folder, key=content_key(__version__, task_key(task), *inputs))
 
     def _deal_borders(self, path: Path) -> None:
-        """The regions alone: cameras, strips and devices are no other device's business."""
+        """Write the regions alone: a device receives no cameras, strips or devices of others."""
         cloud, _ = load_plan(self.dealer.run / "plan.json")
         save_plan(path, replace(cloud, edge_of_camera=np.zeros(0, np.int64)), ())
 
 
 def _collected(run: Path, devices: Sequence[str], lpips_network: LpipsNetwork | None, num_held_out: int) -> dict[str, Any]:
-    """The figures of all devices as one record, and how many of the `num_held_out` photographs are in none of them, since their device is
-    missing or could not place them; StageFailed when no device has a held-out photograph."""
+    """Merge the figures of all devices; `num_unscored` of the `num_held_out` photographs have none, since their device is missing or
+    could not place them.
+
+    Raises:
+        StageFailed: no device has a held-out photograph.
+    """
     results = {
         device: read_json(run / "devices" / device / "score" / "result.json", ("images", "leakage", "seam_sums"))
         for device in devices
@@ -124,7 +128,7 @@ def _collected(run: Path, devices: Sequence[str], lpips_network: LpipsNetwork | 
     seams = pooled_seam_error([np.array(result["seam_sums"]) for result in results.values()])
     plan, _ = load_plan(run / "plan.json")
     return {
-        **summary_of(images, lpips_network=lpips_network),
+        **summarize_scores(images, lpips_network=lpips_network),
         "num_unscored": num_held_out - len(images),
         "num_gaussians": len(load_ply(run / "cloud" / "scene.ply")),
         "seam_psnr_db": seams.seam_psnr_db,
@@ -136,8 +140,8 @@ def _collected(run: Path, devices: Sequence[str], lpips_network: LpipsNetwork | 
 
 
 def _save_delivered(run: Path, dealer: Dealer, origin: FloatArray | None) -> None:
-    """delivered/scene.safetensors and plan.json: the poses that edges hold, in the scene's frame, and who took them."""
-    moves = dealer.moves()
+    """Write delivered/scene.safetensors and plan.json: the poses that edges received, in the scene's frame, and their devices."""
+    moves = dealer.load_moves()
     parts, owners = [], []
     for device, path in _device_cameras(dealer).items():
         cameras = numbered(load_cameras(path), device)
@@ -161,7 +165,7 @@ def _save_delivered(run: Path, dealer: Dealer, origin: FloatArray | None) -> Non
 
 
 def _plan_of(owners: Sequence[str], dealer: Dealer) -> Any:
-    """The plan's regions, strips and times with the cameras that were delivered."""
+    """The plan's regions, strips and times with the delivered cameras."""
     edges = []
     edge_of_camera = np.zeros(len(owners), np.int64)
     for plan in dealer.recipe.edge_plans:
@@ -173,6 +177,6 @@ def _plan_of(owners: Sequence[str], dealer: Dealer) -> Any:
 
 
 def _device_cameras(dealer: Dealer) -> dict[str, Path]:
-    """For devices whose model is in the scene: the poses they sent to their edge."""
-    recipe, edges = dealer.recipe, dealer.run / "edges"
-    return {device: edges / recipe.plan_of(device).edge_id / "inbox" / device / "cameras.safetensors" for device in sorted(dealer.moves())}
+    """Device → the poses it sent to its edge, for devices whose model is in the scene."""
+    edge_of = {device: dealer.recipe.plan_of(device).edge_id for device in sorted(dealer.load_moves())}
+    return {device: dealer.run / "edges" / edge / "inbox" / device / "cameras.safetensors" for device, edge in edge_of.items()}

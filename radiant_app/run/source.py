@@ -1,4 +1,4 @@
-"""`Source`: what a run asks its photographs for, wherever they are. Once per run."""
+"""`Source`: what a run needs of its photographs, pooled or on devices. Once per run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from radiant_core.train.config import TrainConfig
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """What a run planned: the system as it was planned, and both levels of the plan."""
+    """The plan of a run, of both levels, and the system it was made for."""
 
     system: System
     cloud: CloudPlan
@@ -27,14 +27,14 @@ class Plan:
 
 
 class Source(Photographs, Protocol):
-    """The photographs of a run: planned, dealt (`Photographs`) and, held out, scored with."""
+    """The photographs of a run: planned, dealt (`Photographs`) and scored with."""
 
-    def planned(self, system: System, progress: Progress) -> Plan:
-        """The plan of the training photographs, also in plan.json; BadInput where they cannot be planned."""
+    def make_plan(self, system: System, progress: Progress) -> Plan:
+        """Plan the training photographs and write plan.json; BadInput where no plan fits."""
         ...
 
     def check(self, train: TrainConfig) -> None:
-        """Raise BadInput where photographs cannot be scored at the size of the training."""
+        """Raise BadInput if photographs are too small to be scored at the size of the training."""
         ...
 
     def stages(self, tree: Tree) -> tuple[Sequence[str], Sequence[str]]:
@@ -42,9 +42,9 @@ class Source(Photographs, Protocol):
         ...
 
     def may_fail(self, node: Tree, error: BadInput | StageFailed) -> bool:
-        """Whether the rest goes on without a node that failed so."""
+        """Whether the run goes on without a node that failed with this error."""
         ...
 
     def score(self, dealer: Dealer, executor: Executor, progress: Progress) -> None:
-        """Score the finished scene on what was held out, in evaluation/, and complete the ledger."""
+        """Score the finished scene on the held-out photographs, in evaluation/, and complete the access log."""
         ...

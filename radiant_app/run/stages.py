@@ -1,4 +1,4 @@
-"""What every way of running shares: who listens, the plan, the settings of training."""
+"""What all sources of photographs share: progress, the plan, the settings of training, the executor."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 
 from radiant_app.events import Decided, Warned
 from radiant_app.executors.emulated import EmulatedExecutor
-from radiant_app.executors.fold import Faults
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
-from radiant_app.run.cloud_planning import placed_by_raster, plan_at_cloud
+from radiant_app.run.cloud_planning import place_edges_by_raster, plan_at_cloud
 from radiant_app.run.config import RunConfig
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
@@ -38,44 +38,44 @@ from radiant_core.train.config import TrainConfig, train_preset
 from radiant_core.train.needs import fit_to_backend
 
 ATTEMPTS = 3
-"""How often a node is tried whose process was killed or whose machine is gone: more often it is not chance."""
+"""Starts of a node whose process was killed or whose machine was lost; more failures are no chance."""
 REFERENCE_RETRAIN_STEPS = 100
 """Limit of an edge's retraining on the plain PyTorch backend."""
 
 
-def nodes_of(system: System) -> tuple[str, ...]:
-    """Ids of the nodes that a run on the system has before anybody knows who gets nothing to do."""
+def list_nodes(system: System) -> tuple[str, ...]:
+    """Ids of the nodes of a run before the plan: all devices and edges of the system, and the cloud."""
     return (*(f"devices/{device.id}" for device in system.devices), *(f"edges/{edge.id}" for edge in system.edges), "cloud")
 
 
-def counted(tree: Tree) -> tuple[str, ...]:
-    """Ids of the nodes that count as stages of a run: a teacher is a part of its edge."""
+def list_stages(tree: Tree) -> tuple[str, ...]:
+    """Ids of the nodes that are stages of the run: all but teachers, which are parts of their edges."""
     return tuple(node.id for node in tree if node.tier != "teacher")
 
 
 def plan_stage(
     config: RunConfig, system: System, positions: FloatArray, origin: FloatArray | None, progress: Progress
 ) -> tuple[System, CloudPlan, tuple[EdgePlan, ...]]:
-    """Plan positions (C,2) m about `origin` (3,) lat lon alt, if they are on the globe; writes plan.json. BadInput when nothing fits."""
-    system = placed_by_raster(system, positions, origin, config.cell_m, config.seed)
+    """Plan positions (C,2) m about `origin` (3,) lat lon alt (None: no GPS); writes plan.json. BadInput when no plan fits."""
+    system = place_edges_by_raster(system, positions, origin, config.cell_m, config.seed)
     if config.plan.file is not None:
-        # What is captured stays where it is, however little memory there is.
-        cloud_plan, edge_plans = plan_captured(*plan_around(config.plan.file, origin), positions, system=system)
+        # Captured photographs stay on their devices, whatever memory those have.
+        cloud_plan, edge_plans = plan_captured(*load_plan_in_frame(config.plan.file, origin), positions, system=system)
         warnings = ()
     else:
         train = planned_training(config.train.preset, config.train.overrides)
         system, decision, warnings = with_camera_limits(system, train, len(positions), BYTES_FACTORS[config.upload])
         if decision is not None:
             progress.listen(Decided(decision=decision))
-        cloud_plan, edge_plans = _planned(config, system, positions, progress)
+        cloud_plan, edge_plans = _make_plan(config, system, positions, progress)
     save_plan(
-        config.out / "plan.json", cloud_plan, edge_plans, warnings=warn_of_predictions(config, system, edge_plans, progress, warnings)
+        config.out / "plan.json", cloud_plan, edge_plans, warnings=warn_about_predictions(config, system, edge_plans, progress, warnings)
     )
     save_system(config.out, system)
     return system, cloud_plan, edge_plans
 
 
-def _planned(config: RunConfig, system: System, positions: FloatArray, progress: Progress) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
+def _make_plan(config: RunConfig, system: System, positions: FloatArray, progress: Progress) -> tuple[CloudPlan, tuple[EdgePlan, ...]]:
     if config.cell_m is not None:
         regions = plan_at_cloud(config, config.cell_m, system, positions, progress)
         return regions, split_edges(positions, regions, system)
@@ -85,10 +85,10 @@ def _planned(config: RunConfig, system: System, positions: FloatArray, progress:
     return cloud_plan, split_edges(positions, cloud_plan, system)
 
 
-def warn_of_predictions(
+def warn_about_predictions(
     config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress, more: tuple[str, ...] = ()
 ) -> tuple[str, ...]:
-    """What the times of a plan are to be taken with, and `more`, told and returned."""
+    """Emit and return the warnings about the plan's predicted times, after those in `more`."""
     train = planned_training(config.train.preset, config.train.overrides)
     training = training_key_of(train, config.train.preset, config.aggregate.preset)
     warnings = (*more, *prediction_warnings(system, edge_plans, training))
@@ -97,8 +97,8 @@ def warn_of_predictions(
     return warnings
 
 
-def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple[EdgePlan, ...], FloatArray]:
-    """A plan made before capture and its waypoints (P,2), in metres about `origin` (3,) lat lon alt.
+def load_plan_in_frame(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple[EdgePlan, ...], FloatArray]:
+    """Load a plan made before capture and its waypoints (P,2), in metres about `origin` (3,) lat lon alt.
 
     Raises BadInput for a plan without waypoints, and where the photographs are not placed on the globe.
     """
@@ -113,13 +113,13 @@ def plan_around(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple
 
 
 def require_plan(path: Path, system: System) -> None:
-    """Raise BadInput for a plan without waypoints or for another system; asked before anything runs, since all else waits for the plan."""
+    """Raise BadInput for a plan without waypoints or for another system; called before any stage runs."""
     _, edge_plans, _ = load_plan_before_capture(path)
     require_same_system(edge_plans, system)
 
 
 def load_plan_before_capture(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints]:
-    """A plan that was made before capture, with its waypoints; BadInput for one without."""
+    """Load a plan made before capture, with its waypoints; BadInput if it has none."""
     cloud_plan, edge_plans = load_plan(path)
     waypoints = load_plan_waypoints(path)
     if waypoints is None:
@@ -127,8 +127,8 @@ def load_plan_before_capture(path: Path) -> tuple[CloudPlan, tuple[EdgePlan, ...
     return cloud_plan, edge_plans, waypoints
 
 
-def executor_of(config: RunConfig, system: System, progress: Progress, faults: Faults) -> Executor:
-    """Who runs the nodes: this machine as it is, or as slow as the system says."""
+def make_executor(config: RunConfig, system: System, progress: Progress, retry_policy: RetryPolicy) -> Executor:
+    """Return the executor of a run: local, emulated or a Ray cluster."""
     if config.emulated and config.execution.teachers == "early":
         decision = Decision(
             stage="plan",
@@ -139,17 +139,17 @@ def executor_of(config: RunConfig, system: System, progress: Progress, faults: F
             reason="an emulated edge renders them itself, at its own speed",
         )
         progress.listen(Decided(decision=decision))
-    faults = replace(faults, attempts=ATTEMPTS)
+    retry_policy = replace(retry_policy, max_attempts=ATTEMPTS)
     if config.execution.address is not None:
         from radiant_app.executors.ray_cluster import LOG_NAME, RayExecutor
 
-        return RayExecutor(address=config.execution.address, log=config.out / LOG_NAME, clock=progress.clock, faults=faults)
-    local = LocalExecutor(num_workers=config.execution.num_workers, clock=progress.clock, faults=faults)
+        return RayExecutor(address=config.execution.address, log=config.out / LOG_NAME, clock=progress.clock, retry_policy=retry_policy)
+    local = LocalExecutor(num_workers=config.execution.num_workers, clock=progress.clock, retry_policy=retry_policy)
     return EmulatedExecutor(system=system, local=local) if config.emulated else local
 
 
-def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> TimeLeftListener:
-    """`progress.listen` that also says after each device and edge how long the others will take."""
+def make_time_left_listener(config: RunConfig, system: System, edge_plans: Sequence[EdgePlan], progress: Progress) -> TimeLeftListener:
+    """Return a listener that forwards to `progress` and emits the remaining time after each device and edge."""
     return TimeLeftListener(
         listen=progress.listen,
         system=system,
@@ -161,8 +161,8 @@ def counting_down(config: RunConfig, system: System, edge_plans: Sequence[EdgePl
     )
 
 
-def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> System:
-    """The system as the plan has to see it: a model's bytes are those of its upload."""
+def scale_for_uploads(system: System, upload: UploadFormat, progress: Progress) -> System:
+    """Return the system with the model bytes of the upload format."""
     factor = BYTES_FACTORS[upload]
     if factor == 1:
         return system
@@ -178,8 +178,8 @@ def with_uploads(system: System, upload: UploadFormat, progress: Progress) -> Sy
     return system.with_uploads_of(factor)
 
 
-def training_settings(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, Renderer]:
-    """How devices train, how edges join, and the backend of this machine."""
+def resolve_training(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, Renderer]:
+    """Return how devices train, how edges join, and the backend of this machine; emits the decisions."""
     backend = resolve_backend("auto")
     preset = replace(train_preset(config.train.preset), seed=config.seed)
     train, decisions = fit_to_backend(preset, backend, config.train.overrides)

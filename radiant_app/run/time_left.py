@@ -1,4 +1,4 @@
-"""How long devices and edges will still take, from the plan's curves as corrected by those that have finished. Once per finished node."""
+"""Remaining time of devices and edges, from the plan's curves corrected by the finished nodes. Runs once per finished node."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from radiant_core.plan.plans import EdgePlan
 from radiant_core.plan.system import System
 from radiant_core.plan.timeline.prediction import PlannedStage, correct_system, planned_stages, time_left_s
 
-LATE_FACTOR = 4.0
-"""A node that takes so many times its time is late: times of equal photographs differ by less than 2 (docs/experiments/emulation.md)."""
+OVERDUE_FACTOR = 4.0
+"""A node is overdue after this many times its predicted time: equal photographs differ by less than 2 (docs/experiments/emulation.md)."""
 LEAST_S = 60.0
-"""Nobody is late before: what starts and loads is not planned for small scenes."""
+"""No node is overdue before: plans of small scenes leave out starting and loading."""
 
 
 @dataclass(kw_only=True)
@@ -29,13 +29,13 @@ class TimeLeftListener:
     """Whether nodes send over emulated links before they end; all of them then run at once."""
     clock: Callable[[], float] = time.monotonic
     deadline_factor: float = 0.0
-    """A node that takes so many times its time is too late; 0: none ever is."""
+    """A node is given up after this many times its predicted time; 0: never."""
     _expected_s: dict[str, float] = field(default_factory=dict[str, float])
     _started_s: dict[str, float] = field(default_factory=dict[str, float])
     _measured: dict[tuple[str, str], float] = field(default_factory=dict[tuple[str, str], float])
     _done: set[str] = field(default_factory=set[str])
     _paused: set[str] = field(default_factory=set[str])
-    """Whose time says nothing, since the run stood still meanwhile."""
+    """Nodes whose duration counts for nothing, since the run was suspended meanwhile."""
 
     def __post_init__(self) -> None:
         self._planned = planned_stages(self.system, self.edge_plans)
@@ -63,23 +63,23 @@ class TimeLeftListener:
         elif isinstance(event, StageSkipped):
             self._end(node)
 
-    def late(self, node_id: str, ran_s: float) -> str | None:
-        """See `Watch`."""
-        return self._over(node_id, ran_s, LATE_FACTOR)
+    def overdue_reason(self, node_id: str, ran_s: float) -> str | None:
+        """See `Deadlines`."""
+        return self._reason_over(node_id, ran_s, OVERDUE_FACTOR)
 
-    def too_late(self, node_id: str, ran_s: float) -> str | None:
-        """See `Watch`."""
-        return self._over(node_id, ran_s, self.deadline_factor) if self.deadline_factor else None
+    def timeout_reason(self, node_id: str, ran_s: float) -> str | None:
+        """See `Deadlines`."""
+        return self._reason_over(node_id, ran_s, self.deadline_factor) if self.deadline_factor else None
 
-    def paused(self, node_ids: Collection[str], seconds: float) -> None:
-        """See `Watch`."""
+    def exclude_pause(self, node_ids: Collection[str], seconds: float) -> None:
+        """See `Deadlines`."""
         for node in self._started_s.keys() & set(node_ids):
             self._paused.add(node)
             self._started_s[node] += seconds
 
-    def _over(self, node_id: str, ran_s: float, factor: float) -> str | None:
+    def _reason_over(self, node_id: str, ran_s: float, factor: float) -> str | None:
         expected_s = self._expected_s.get(node_id)
-        # A system file may be wrong by any factor: without a measured node of this tier nobody knows who is late.
+        # A system file may be wrong by any factor: without a measured node of this tier none is overdue.
         known = any(node.split("/")[0] == node_id.split("/", maxsplit=1)[0] for node, _ in self._measured)
         if expected_s is None or not known or ran_s < max(LEAST_S, factor * expected_s):
             return None
@@ -87,8 +87,8 @@ class TimeLeftListener:
 
     def _end(self, node: str) -> None:
         self._done.add(node)
-        mended = planned_stages(correct_system(self.system, self._planned, self._measured), self.edge_plans)
-        self._expected_s = expected_s = _node_seconds(mended, with_sending=self.emulated)
+        corrected = planned_stages(correct_system(self.system, self._planned, self._measured), self.edge_plans)
+        self._expected_s = expected_s = _node_seconds(corrected, with_sending=self.emulated)
         now_s = self.clock()
         running_s = {name: now_s - started_s for name, started_s in self._started_s.items() if name not in self._done}
         rest = [name for name in expected_s if name not in self._done]

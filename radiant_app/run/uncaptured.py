@@ -1,7 +1,7 @@
-"""What of a plan nobody captured because its device never delivered a photograph: dealt to the other devices, to be flown again.
+"""Deals planned positions that were not captured, since their device has no photograph, to the other devices.
 
-Only where devices keep their own photographs and the plan was made before capture: a run cannot take photographs, so that it goes on
-without these positions, says which are missing and leaves the new plan beside the old one. Once per run.
+Only where devices keep their own photographs and the plan was made before capture. The run goes on without
+these positions, warns of them and writes a new plan for another flight. Once per run.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from radiant_core.io.export.plan import save_device_waypoints
 from radiant_core.io.records import save_plan
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.revision.captured import device_of_planned, require_same_system
-from radiant_core.plan.revision.replan import ReplanInfeasible, Situation, replan
+from radiant_core.plan.revision.replan import FleetChange, ReplanInfeasible, replan
 from radiant_core.plan.system import System
 from radiant_core.plan.waypoints import Waypoints
 
 UNCAPTURED = "uncaptured"
-"""Folder of the run: plan.json, and one list per device of what it is to take in place of others."""
+"""Folder of the run: plan.json, and one list per device of what it captures in place of others."""
 
 
 def deal_uncaptured(
     run: Path, plan: tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints], system: System, delivered: Collection[str]
 ) -> str | None:
-    """Say what is missing of a plan whose devices `delivered` have photographs, and deal it to them in the run's uncaptured/.
+    """Deal the positions of devices that are not in `delivered` to those that are, in uncaptured/; returns a warning about them.
 
-    None where every device with waypoints has some. BadInput where the system is not the plan's.
+    None if every device with waypoints has photographs. BadInput if the system is not the plan's.
     """
     cloud, edges, waypoints = plan
     require_same_system(edges, system)
@@ -41,15 +41,15 @@ def deal_uncaptured(
     if not dead:
         return None
     missing = np.isin(owner, [ids.index(name) for name in dead])
-    # Edges stand where the plan has them.
+    # Edges are where the plan has them.
     placed = [replace(edge, position=(x, y), lat_lon_deg=None) for edge, (x, y) in zip(system.edges, cloud.sites.tolist(), strict=True)]
-    situation = Situation(dead=frozenset(dead))
-    new = replan(cloud, edges, waypoints.positions_m[:, :2], replace(system, edges=tuple(placed)), situation, captured=~missing)
-    told = f"{missing.sum()} planned positions of {', '.join(dead)} were not captured and are missing from the scene"
+    change = FleetChange(dead=frozenset(dead))
+    new = replan(cloud, edges, waypoints.positions_m[:, :2], replace(system, edges=tuple(placed)), change, captured=~missing)
+    missed = f"{missing.sum()} planned positions of {', '.join(dead)} were not captured and are missing from the scene"
     if isinstance(new, ReplanInfeasible):
-        return f"{told}; the other devices cannot take them: {new.reason}"
+        return f"{missed}; the other devices cannot take them: {new.reason}"
     (run / UNCAPTURED).mkdir()
     save_plan(run / UNCAPTURED / "plan.json", new.cloud, new.edges, waypoints)
     save_device_waypoints(run / UNCAPTURED, new.cloud, new.edges, waypoints, only=missing)
     takers = sorted({ids[index] for index in new.device_after[missing].tolist()})
-    return f"{told}; {UNCAPTURED}/ has lists that deal them to {', '.join(takers)}"
+    return f"{missed}; {UNCAPTURED}/ has lists that deal them to {', '.join(takers)}"

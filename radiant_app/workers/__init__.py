@@ -1,1 +1,1 @@
-"""What the process of a node computes in its folder, and what it tells."""
+"""What the process of a node reads, computes and writes in its folder."""

@@ -1,17 +1,17 @@
-"""Who a node is, whom it sends to and whose word it takes; what it sends is signed, what it takes is verified in its own process.
+"""Identities and keys of nodes: what a node sends is signed, what it receives is verified in its own process.
 
-    <run>/run.json                    the run's number, drawn once: a delivery is worth nothing in another run
-    <node>/identity/                  post.json: run, node, receiver (who is above it); the node's own key pair
-        above.pub                     public key of the one above it, whose tasks it takes
-        taken.json                    the newest task it took, so that no older one comes back
-        given/<node>/<kind>.json      number and hash of the newest task it gave to a node below
-    <node>/senders/<sender>.pub       public keys of those whose uploads it takes, registered before they begin
+    <run>/run.json                    the run's number, drawn once: a delivery is valid in this run only
+    <node>/identity/                  post.json: run, node, receiver (its parent); the node's own key pair
+        above.pub                     public key of its parent, whose tasks it accepts
+        taken.json                    the newest task it accepted, so that no older one is accepted again
+        given/<node>/<kind>.json      number and hash of the newest task it signed for a child
+    <node>/senders/<sender>.pub       public keys of its children, registered before they start
     <node>/deliveries/<sender>/       record and signature of what lies in inbox/<sender>/
     <node>/given/                     record and signature of its own task and what belongs to it
 
-Models go up (`deliver`, `refusals`), tasks come down (`give_task`, `take_task`). The executors' dealer makes and exchanges keys by itself
-(`introduce`) and signs tasks by the key in their sender's folder; by hand: copy signing_key.pub to senders/ above and above.pub below.
-Once per node.
+Models go up (`deliver`, `find_refusals`), tasks come down (`sign_task`, `accept_task`). The dealer of a run creates and
+exchanges keys (`exchange_keys`) and signs tasks with the key in their sender's folder; by hand: copy signing_key.pub
+to the parent's senders/ and to the children's above.pub. Once per node.
 """
 
 from __future__ import annotations
@@ -47,46 +47,46 @@ _KINDS: dict[str, Kind] = {"devices": "device_model", "edges": "edge_model"}
 
 
 def run_number(run: Path) -> str:
-    """The run's number, 32 hexadecimal digits; drawn by the first call."""
+    """Return the run's number, 32 hexadecimal digits; the first call draws it."""
     path = run / "run.json"
     if not path.is_file():
         write_json(path, {"run": secrets.token_hex(16)})
     return str(read_json(path, ("run",), MAX_RECORD_BYTES)["run"])
 
 
-def introduce(run: Path, node: str, above: str | None, below: Iterable[str] = ()) -> None:
-    """Tell a node of a run who it is and who is above it, to whom it sends and from whom its tasks come; make its key and exchange keys
-    with that one, who was introduced before. `below`: the nodes that are to register the key where it is a new one.
+def exchange_keys(run: Path, node: str, above: str | None, below: Iterable[str] = ()) -> None:
+    """Write a node's identity, create its key and exchange keys with its parent `above`, which has one already; a new key is registered
+    again by the nodes `below`.
 
-    A key that was registered stays: a node whose key was changed by somebody is refused.
+    A registered key stays, so that a node whose key was replaced is refused.
     """
-    identity = _post(run, node, node, above)
+    identity = _write_identity(run, node, node, above)
     if make_signing_key(identity):
-        # What an older key signed is worth nothing now: the seal no longer holds, and the node runs again.
+        # Signatures of the older key are invalid now: the seal no longer holds, and the node runs again.
         (run / node / SIGNATURE_NAME).unlink(missing_ok=True)
         registrations = [run / child / IDENTITY / ABOVE_NAME for child in below]
         for stale in [*registrations, *([] if above is None else [_sender_key(run, node, above)])]:
             stale.unlink(missing_ok=True)
     if above is not None:
-        _register(identity / PUBLIC_NAME, _sender_key(run, node, above))
-        _register(run / above / IDENTITY / PUBLIC_NAME, identity / ABOVE_NAME)
+        _register_key(identity / PUBLIC_NAME, _sender_key(run, node, above))
+        _register_key(run / above / IDENTITY / PUBLIC_NAME, identity / ABOVE_NAME)
 
 
-def introduce_teacher(run: Path, teacher: str, edge: str, device: str) -> None:
-    """A teacher is a part of its edge: it takes what is addressed to the edge, of its one device."""
-    _post(run, teacher, edge, None)
+def identify_teacher(run: Path, teacher: str, edge: str, device: str) -> None:
+    """Let a teacher, a part of its edge, accept what its device addressed to the edge."""
+    _write_identity(run, teacher, edge, None)
     (run / teacher / SENDERS).mkdir(exist_ok=True)
     shutil.copyfile(run / edge / SENDERS / f"{device}.pub", run / teacher / SENDERS / f"{device}.pub")
 
 
-def introduce_scoring(run: Path, scoring: str, device: str, edge: str) -> None:
-    """The scoring is a part of its device: it takes tasks that are addressed to that."""
-    identity = _post(run, scoring, device, edge)
+def identify_scoring(run: Path, scoring: str, device: str, edge: str) -> None:
+    """Let the scoring, a part of its device, accept tasks addressed to the device."""
+    identity = _write_identity(run, scoring, device, edge)
     shutil.copyfile(run / device / IDENTITY / ABOVE_NAME, identity / ABOVE_NAME)
 
 
-def _post(run: Path, place: str, node: str, above: str | None) -> Path:
-    """Say in the folder `place` of a run as which node it sends and takes; that folder's identity/."""
+def _write_identity(run: Path, place: str, node: str, above: str | None) -> Path:
+    """Write as which node the folder `place` sends and receives; returns its identity/."""
     identity = run / place / IDENTITY
     identity.mkdir(mode=0o700, parents=True, exist_ok=True)
     write_json(identity / POST_NAME, {"run": run_number(run), "node": node, "receiver": above})
@@ -97,16 +97,16 @@ def _sender_key(run: Path, sender: str, receiver: str) -> Path:
     return run / receiver / SENDERS / f"{Path(sender).name}.pub"
 
 
-def _register(key: Path, place: Path) -> None:
+def _register_key(key: Path, place: Path) -> None:
     if not place.is_file():
         place.parent.mkdir(parents=True, exist_ok=True)
-        # Half a key would stay registered for ever.
+        # A half-written key would stay registered.
         write_atomic(place, key.read_bytes())
 
 
-def give_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, names: Iterable[str]) -> None:
-    """Sign, by the key of the node `sender`, the files `names` in the folder `place` as a task for `receiver`; other files than before
-    make a new attempt. Record and signature are laid beside them, in given/."""
+def sign_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, names: Iterable[str]) -> None:
+    """Sign the files `names` in the folder `place` as a task of the node `sender` for `receiver`; changed files make a new attempt.
+    Record and signature are written to given/ beside them."""
     files = describe_files({name: place / name for name in names})
     delivery = Delivery(run=run_number(run), sender=sender, receiver=receiver, kind=kind, attempt=1, files=files)
     counted = run / sender / IDENTITY / GIVEN / receiver / f"{kind}.json"
@@ -114,14 +114,14 @@ def give_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, na
         last = read_json(counted, ("attempt", "digest"), MAX_RECORD_BYTES)
         delivery = replace(delivery, attempt=last["attempt"] + (last["digest"] != delivery.digest))
     counted.parent.mkdir(parents=True, exist_ok=True)
-    # Counted first: no number is ever signed for two contents, whenever this process ends.
+    # Counted first: no number is signed for two contents, whenever this process ends.
     write_json(counted, {"attempt": delivery.attempt, "digest": delivery.digest})
     (place / GIVEN).mkdir(exist_ok=True)
     save_delivery(place / GIVEN, delivery, run / sender / IDENTITY)
 
 
-def take_task(folder: Path, kind: Kind) -> None:
-    """Raise BadInput unless what lies in `folder` is the newest task that the one above signed for this node in this run; remember it."""
+def accept_task(folder: Path, kind: Kind) -> None:
+    """Raise BadInput unless `folder` holds the newest task that the parent signed for this node in this run; record it."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
     delivery = load_delivery(folder / GIVEN, load_public_key(folder / IDENTITY / ABOVE_NAME))
     if delivery.kind != kind:
@@ -135,7 +135,7 @@ def take_task(folder: Path, kind: Kind) -> None:
 
 
 def _last_task(folder: Path, post: dict[str, Any]) -> LastTask:
-    """The newest task taken; none where the one above has another key by now, which counts from 1 again."""
+    """The newest accepted task; none if the parent has a new key, which counts from 1 again."""
     last = LastTask(run=post["run"], receiver=post["node"], sender=post["receiver"])
     path = folder / IDENTITY / TAKEN_NAME
     if not path.is_file():
@@ -149,7 +149,7 @@ def _key_of_above(folder: Path) -> str:
 
 
 def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
-    """Sign what the node in `folder` sends, name in its receiver's inbox → file here; returns the names of record and signature."""
+    """Sign the files that a node sends, `paths`: name in the receiver's inbox → file; returns the names of record and signature."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node", "receiver"), MAX_RECORD_BYTES)
     delivery = Delivery(
         run=post["run"],
@@ -162,19 +162,19 @@ def deliver(folder: Path, paths: Mapping[str, Path]) -> list[str]:
     return save_delivery(folder, delivery, folder / IDENTITY)
 
 
-def is_of_a_run(folder: Path) -> bool:
-    """Whether a folder is that of a run's node, which takes and sends nothing unsigned."""
+def belongs_to_run(folder: Path) -> bool:
+    """Whether a folder is that of a node of a run, which accepts and sends nothing unsigned."""
     return (folder / IDENTITY / POST_NAME).is_file()
 
 
-def signed_upload(folder: Path) -> list[str]:
-    """Sign the model that a node of a run sends; the names written. Nothing in a folder that was made by hand."""
-    return deliver(folder, model_files(folder)) if is_of_a_run(folder) else []
+def sign_upload(folder: Path) -> list[str]:
+    """Sign the model that a node of a run sends; returns the names written, none in a folder made by hand."""
+    return deliver(folder, model_files(folder)) if belongs_to_run(folder) else []
 
 
-def refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:
-    """Senders whose upload the node in `folder` does not take, and why: not signed by the key registered for them, other bytes than
-    they signed, of another run, addressed to another node, or a second one. `places`: sender → folder with its files."""
+def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:
+    """Sender → why the node in `folder` refuses its upload: not signed by its registered key, other bytes than signed, of another run,
+    addressed to another node, or a second one. `places`: sender → folder with its files."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node"), MAX_RECORD_BYTES)
     tier = "edges" if post["node"] == "cloud" else "devices"
     expected = {sender: f"{tier}/{sender}" for sender in senders}
@@ -207,7 +207,7 @@ def _offer(region: str, delivery: Delivery) -> Offer:
 
 
 def _last_attempt(folder: Path) -> int:
-    """The attempt that the node's last record names, 0 where it left none that can be read."""
+    """The attempt in the node's last record, 0 without a readable one."""
     try:
         attempt = read_json(folder / RECORD_NAME, ("attempt",), MAX_RECORD_BYTES)["attempt"]
     except BadInput:

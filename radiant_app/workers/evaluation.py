@@ -1,4 +1,4 @@
-"""Scores a finished scene on held-out photographs, where they lie. Once per run: a render, its figures and pictures per photograph.
+"""Scores a finished scene on held-out photographs. Once per run: a render, its figures and pictures per photograph.
 
 Two baselines stand beside every figure: the Gaussians before any training, and the photograph's own mean colour.
 Seam masks come from the scene's own depth here; a comparison of methods has to fix them by one depth for all.
@@ -41,7 +41,7 @@ from radiant_core.io.run_store import write_atomic, write_json
 from radiant_core.render.rendered_view import RenderedView, render_views
 
 LPIPS_NAME = "lpips.safetensors"
-"""Weights for LPIPS, laid where a scene is scored."""
+"""Weights of LPIPS in the folder where a scene is scored."""
 PICTURE_KINDS = ("photographs", "renders", "differences")
 """Folders with one PNG per held-out photograph."""
 
@@ -50,30 +50,30 @@ def run_evaluate(folder: Path, task: EvaluateTask, reporter: EventReporter) -> S
     """Score scene.ply in `folder` on the photographs there; writes result.json and three pictures per photograph."""
     cameras = load_cameras(folder / "cameras.safetensors")
     scene, initial = load_ply(folder / "scene.ply"), load_splats(folder / "initial.safetensors")
-    lpips = given_lpips(folder, task.lpips)
-    cameras, used = scored_part(cameras, folder / MASKS, reporter.warn)
+    lpips = load_dealt_lpips(folder, task.lpips)
+    cameras, used = select_scored(cameras, folder / MASKS, reporter.warn)
     photographs = [load_photograph(folder / "photos" / name, size) for name, size in _names_and_sizes(cameras)]
-    report = _counting(3 * len(cameras), reporter)
+    report = _report_views(3 * len(cameras), reporter)
     rendered = [report(view) for view in render_views(scene, cameras, task.backend)]
     untrained = [report(view) for view in render_views(initial, cameras, task.backend)]
     rows, pictures = [], []
     for view, before, photo, pixels in zip(rendered, untrained, photographs, used, strict=True):
-        rows.append(image_row(view, photo, before=before, lpips=lpips, used=pixels))
+        rows.append(score_render(view, photo, before=before, lpips=lpips, used=pixels))
         pictures += save_comparison(folder, view, photo, pixels)
         report(view)
-    result = {**summary_of(rows, lpips_network=lpips.network if lpips else None), "num_gaussians": len(scene)}
+    result = {**summarize_scores(rows, lpips_network=lpips.network if lpips else None), "num_gaussians": len(scene)}
     if task.seams:
         result |= _seam_figures(folder / "plan.json", cameras, rendered, photographs, used)
     write_json(folder / "result.json", result)
     return ["result.json", *pictures]
 
 
-def given_lpips(folder: Path, network: LpipsNetwork | None) -> Lpips | None:
-    """The network that a task names, its weights dealt into `folder`; None where none is named."""
+def load_dealt_lpips(folder: Path, network: LpipsNetwork | None) -> Lpips | None:
+    """Load the LPIPS network that a task names from `folder`; None if it names none."""
     return load_lpips(folder / LPIPS_NAME, network) if network else None
 
 
-def image_row(
+def score_render(
     view: RenderedView,
     photograph: NDArray[np.float32],
     *,
@@ -81,8 +81,8 @@ def image_row(
     lpips: Lpips | None = None,
     used: Used = None,
 ) -> dict[str, Any]:
-    """All figures of one render against its photograph (H,W,3) in 0..1, with the PSNR of both baselines: the photograph's own mean colour
-    and, where it is given, the render `before` training. With a mask it is scored where `used` (H,W), which is the share `used_share`."""
+    """Score one render against its photograph (H,W,3) in 0..1, with the PSNR of both baselines: the photograph's mean colour and, if
+    given, the render `before` training. With a mask only pixels in `used` (H,W) are scored, the share `used_share`."""
     errors = image_errors(view.name, view.image, photograph, lpips, used)
     untrained = {} if before is None else {"initial_psnr_db": psnr_db(before.image, photograph, used)}
     mean_color = np.broadcast_to(photograph.mean(axis=(0, 1), where=True if used is None else used[..., None]), photograph.shape)
@@ -90,10 +90,11 @@ def image_row(
     return {"name": view.name, **errors.figures(), **untrained, "mean_color_psnr_db": psnr_db(mean_color, photograph, used), **share}
 
 
-def scored_part(cameras: Cameras, masks: Path | None, warn: Callable[[str], None]) -> tuple[Cameras, list[Used]]:
-    """The cameras whose photographs can be scored, and which pixels (H,W) of each: all (None), or what masks leave.
+def select_scored(cameras: Cameras, masks: Path | None, warn: Callable[[str], None]) -> tuple[Cameras, list[Used]]:
+    """Select the cameras whose photographs can be scored, with the used pixels (H,W) of each; None: all.
 
-    Raises BadInput where masks leave nothing of any of them.
+    Raises:
+        BadInput: the masks leave no pixel of any photograph.
     """
     weights = pixel_weights(masks, cameras)
     if weights is None:
@@ -107,8 +108,8 @@ def scored_part(cameras: Cameras, masks: Path | None, warn: Callable[[str], None
     return cameras.select(np.flatnonzero(left)), [each for each, scored in zip(used, left, strict=True) if scored]
 
 
-def summary_of(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:
-    """What metrics.json says of the rows of `image_row`: means of all figures, their medians, reasons where one is null, the rows."""
+def summarize_scores(rows: Sequence[Mapping[str, Any]], *, lpips_network: str | None) -> dict[str, Any]:
+    """Summarize rows of `score_render` for metrics.json: means, medians, the reason for a missing figure, the rows."""
     errors = [ImageErrors(name=row["name"], **{figure: row[figure] for figure in FIGURES}) for row in rows]
     mean, median = mean_errors(errors), median_errors(errors)
     return {
@@ -143,7 +144,7 @@ def png_bytes(image: NDArray[np.uint8]) -> bytes:
 
 
 def region_width(plan_sites: NDArray[np.float64]) -> float:
-    """Half the width of the band beside a border: a twentieth of the smallest distance between two edges."""
+    """Half the width of the band beside a border: 1/20 of the smallest distance between two edges."""
     gaps = np.linalg.norm(plan_sites[:, None] - plan_sites, axis=2)
     return float(gaps[gaps > 0].min()) / 20 if (gaps > 0).any() else 1.0
 
@@ -171,8 +172,8 @@ def _names_and_sizes(cameras: Cameras) -> list[tuple[str, tuple[int, int]]]:
     return [(name, (int(w), int(h))) for name, (w, h) in zip(cameras.names, cameras.sizes_wh, strict=True)]
 
 
-def _counting(total: int, reporter: EventReporter) -> Callable[[RenderedView], RenderedView]:
-    """What passes views on and reports how many of `total` it has seen."""
+def _report_views(total: int, reporter: EventReporter) -> Callable[[RenderedView], RenderedView]:
+    """Return a function that reports progress for each view and returns it."""
     seen = count(1)
 
     def report(view: RenderedView) -> RenderedView:

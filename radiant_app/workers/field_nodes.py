@@ -1,4 +1,4 @@
-"""What a device computes when photographs stay where they were taken (`--frames gps` or `known`).
+"""Workers of devices that keep their own photographs (`--frames gps` or `known`).
 
 | kind | reads | writes |
 |---|---|---|
@@ -6,8 +6,8 @@
 | field | task.json, its own photographs, poses where given | {model,cameras,scene,initial,held_out}.safetensors, frame.json |
 | score | task.json, inbox/{scene.ply,plan.json}, its own photographs | result.json: numbers; pictures that stay |
 
-A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) says so in frame.json and is done: the rest goes on.
-Of photographs that it skips it tells the number; their names stay in its own_notes.txt (`own_names.py`).
+A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) gives the reason in frame.json and is
+done; the run goes on. It reports the number of photographs that it skips; their names stay in own_notes.txt (`redaction.py`).
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from radiant_app.workers.delivering import signed_upload
-from radiant_app.workers.own_names import OwnNames, own_names
+from radiant_app.workers.delivering import sign_upload
+from radiant_app.workers.redaction import Redactor, make_redactor
 from radiant_app.workers.reporting import EventReporter, read_notes
-from radiant_app.workers.sources import place_of
+from radiant_app.workers.sources import portable_path
 from radiant_app.workers.tasks import FieldTask, PlacingTask, PositionsTask, ScoreTask
-from radiant_app.workers.training import remove_checkpoints, trained_device
+from radiant_app.workers.training import remove_checkpoints, train_from_folder
 from radiant_core import __version__
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
@@ -48,14 +48,14 @@ MADE_FROM = "made_from.json"
 def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) -> Sequence[str]:
     """GPS positions of the photographs in the folder that task.json names, copies left out; no pixel is decoded.
 
-    Of a device's own folder only counts come out: how many training photographs lie in each cell of a raster, and how high about.
+    Of a device's own folder only counts are written: training photographs in each cell of a raster, and an approximate altitude.
     """
     photographs = Path(task.source)
     found = photograph_positions(photographs)
     copies = file_copies({name: photographs / name for name in found})
     if not task.owned:
-        # Of its own a device reports when it has decoded them: of broken files none is a copy.
-        _warn_of_copies(len(copies), len(found), reporter)
+        # A device reports its own copies after decoding: a broken file is no copy.
+        _warn_about_copies(len(copies), len(found), reporter)
     low = [name for name, place in found.items() if place is not None and np.isnan(place[2])]
     if low:
         counted = f"{len(low)} of {len(found)} photographs have GPS without altitude, and a device's frame needs one"
@@ -73,15 +73,15 @@ def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) ->
 
 
 def raster_record(lat_lon_alt: FloatArray, cell_m: float) -> dict[str, Any]:
-    """What a device sends of positions (P,3) deg, deg, m: `cells` as [lat, lon] of their middles and a count, one `altitude_m` for all.
+    """Count positions (P,3) deg, deg, m: `cells` as [lat, lon] of their centres and a count, one `altitude_m` for all.
 
-    Cells lie on the parallels and meridians, so that they say nothing of where the device began.
+    Cells are aligned with parallels and meridians, so that they do not reveal where the device started.
     """
     if not len(lat_lon_alt):
         return {"cells": [], "altitude_m": None}
     lat_step = np.degrees(cell_m / WGS84_SEMI_MAJOR_M)
     rows = (np.floor(lat_lon_alt[:, 0] / lat_step) + 0.5) * lat_step
-    # As wide as high at the whole degree of latitude: a finer one would tell where the device is.
+    # Square at a whole degree of latitude: a finer one would reveal where the device is.
     lon_step = lat_step / max(1e-2, float(np.cos(np.radians(np.round(np.median(lat_lon_alt[:, 0]))))))
     columns = (np.floor(lat_lon_alt[:, 1] / lon_step) + 0.5) * lon_step
     cells, numbers = np.unique(np.stack([rows, columns], axis=1), axis=0, return_counts=True)
@@ -96,15 +96,15 @@ def run_field(folder: Path, task: FieldTask, reporter: EventReporter) -> Sequenc
     photographs = _photographs_key(task.placing)
     key = content_key(__version__, task_key(replace(task, changed=())), photographs, *_poses_in(folder))
     made_from = {"key": key, "photographs": photographs}
-    kept = _kept(folder, made_from, reporter)
-    made = kept if kept is not None else _made(folder, task, photographs, reporter)
+    kept = _reuse_model(folder, made_from, reporter)
+    made = kept if kept is not None else _make_model(folder, task, photographs, reporter)
     write_json(folder / MADE_FROM, made_from)
-    uploaded = signed_upload(folder) if read_json(folder / "frame.json", ("status",))["status"] == "placed" else []
+    uploaded = sign_upload(folder) if read_json(folder / "frame.json", ("status",))["status"] == "placed" else []
     return [*made, MADE_FROM, *uploaded]
 
 
-def _kept(folder: Path, made_from: dict[str, str], reporter: EventReporter) -> Sequence[str] | None:
-    """The files of a device that is done with just these photographs, whenever they were touched since; None where it is to begin."""
+def _reuse_model(folder: Path, made_from: dict[str, str], reporter: EventReporter) -> Sequence[str] | None:
+    """Return the files of a device that is done with exactly these photographs, by content; None if it must train."""
     if not (folder / MADE_FROM).is_file() or not (folder / SEAL_NAME).is_file():
         return None
     before, sealed = read_json(folder / MADE_FROM, ("key", "photographs")), read_json(folder / SEAL_NAME, ("key", "files"))
@@ -117,10 +117,10 @@ def _kept(folder: Path, made_from: dict[str, str], reporter: EventReporter) -> S
     return [name for name in sealed["files"] if name not in ("notes.json", MADE_FROM, RECORD_NAME, SIGNATURE_NAME)]
 
 
-def _made(folder: Path, task: FieldTask, photographs: str, reporter: EventReporter) -> Sequence[str]:
-    """The files of a device that begins."""
+def _make_model(folder: Path, task: FieldTask, photographs: str, reporter: EventReporter) -> Sequence[str]:
+    """Place and train a device; returns its files."""
     try:
-        placed = _placed_once(folder, task.placing, photographs, reporter)
+        placed = _place_once(folder, task.placing, photographs, reporter)
         held = np.isin(placed.scene.cameras.names, task.placing.held_out)
         training = placed.scene.restricted_to(np.flatnonzero(~held))
         if len(training.cameras) < 2:
@@ -128,10 +128,10 @@ def _made(folder: Path, task: FieldTask, photographs: str, reporter: EventReport
         from radiant_core.hierarchy.messages import device_task
 
         device = device_task(task, training)
-        model = trained_device(folder, device, placed.images, reporter)
+        model = train_from_folder(folder, device, placed.images, reporter)
     except (BadInput, StageFailed) as error:
-        # The reason stands in frame.json, which others read.
-        return _missing(folder, own_names("field", folder).without(str(error)), reporter)
+        # frame.json with the reason leaves the device.
+        return _report_missing(folder, make_redactor("field", folder).redact(str(error)), reporter)
     from radiant_core.hierarchy.joining import numbered
 
     assert model.initial is not None
@@ -147,7 +147,7 @@ def _made(folder: Path, task: FieldTask, photographs: str, reporter: EventReport
 
 
 def _photographs_key(task: PlacingTask) -> str:
-    """Hash of the photographs that a device's task names; one that cannot be read counts as such."""
+    """Hash of the photographs that a device's task names; an unreadable one counts as None."""
     paths = [Path(task.source) / name for name in (*task.names, *task.held_out)]
     return content_key([path if path.is_file() and os.access(path, os.R_OK) else None for path in paths])
 
@@ -156,14 +156,14 @@ def _poses_in(folder: Path) -> list[Path]:
     return [path for path in (folder / "poses", folder / "poses.safetensors") if path.exists()]
 
 
-def _missing(folder: Path, reason: str, reporter: EventReporter) -> Sequence[str]:
+def _report_missing(folder: Path, reason: str, reporter: EventReporter) -> Sequence[str]:
     reporter.warn(f"no model of this device: {reason}")
     write_json(folder / "summary.json", {**NOTHING, "num_photographs": 0, "num_points": 0})
     return [save_frame(folder, None, reason), "summary.json"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Placed:
+class _PlacedScene:
     """A device's scene in the frame that all share, its undistorted photographs, and how uncertain the frame is (None: exact)."""
 
     scene: SfmScene
@@ -171,23 +171,23 @@ class _Placed:
     uncertainty: FrameUncertainty | None
 
 
-def _placed_once(folder: Path, task: PlacingTask, photographs: str, reporter: EventReporter) -> _Placed:
-    """As `_placed`, or what an earlier process of this task placed, from placed/: the points come out in another order every
-    time, and a training goes on from its checkpoints only with the same scene."""
+def _place_once(folder: Path, task: PlacingTask, photographs: str, reporter: EventReporter) -> _PlacedScene:
+    """As `_place`, or the scene that an earlier process of this task placed, from placed/: the order of points varies, and a
+    training resumes from its checkpoints only with the same scene."""
     place = folder / "placed"
     key = content_key(__version__, task_key(task), photographs, *_poses_in(folder))
     if not is_sealed(place, key) or not (folder / read_json(place / "record.json", ("images",))["images"]).is_dir():
-        placed = _placed(folder, task, reporter)
+        placed = _place(folder, task, reporter)
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
         save_scene(place / "scene.safetensors", placed.scene)
-        write_json(place / "record.json", {"images": place_of(placed.images, folder)})
+        write_json(place / "record.json", {"images": portable_path(placed.images, folder)})
         seal(place, key, ["scene.safetensors", "record.json", save_frame(place, placed.uncertainty)])
     images = folder / read_json(place / "record.json", ("images",))["images"]
-    return _Placed(scene=load_scene(place / "scene.safetensors"), images=images, uncertainty=load_uncertainty(place))
+    return _PlacedScene(scene=load_scene(place / "scene.safetensors"), images=images, uncertainty=load_uncertainty(place))
 
 
-def _placed(folder: Path, task: PlacingTask, reporter: EventReporter) -> _Placed:
+def _place(folder: Path, task: PlacingTask, reporter: EventReporter) -> _PlacedScene:
     photos = Path(task.source)
     if task.fetch:
         photos = folder / "photos"
@@ -195,15 +195,15 @@ def _placed(folder: Path, task: PlacingTask, reporter: EventReporter) -> _Placed
         for name in [*task.names, *task.held_out]:
             (photos / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(Path(task.source) / name, photos / name)
-    return (_placed_by_gps if task.frames == "gps" else _placed_by_poses)(folder, photos, task, reporter)
+    return (_place_by_gps if task.frames == "gps" else _place_by_poses)(folder, photos, task, reporter)
 
 
-def _placed_by_gps(folder: Path, photos: Path, task: PlacingTask, reporter: EventReporter) -> _Placed:
+def _place_by_gps(folder: Path, photos: Path, task: PlacingTask, reporter: EventReporter) -> _PlacedScene:
     from radiant_core.sfm.reconstruct import reconstruct
     from radiant_core.sfm.world_frame.device_frame import RefusedFrame, device_frame
 
     result = reconstruct(photos, folder / "sfm", SfmConfig(**asdict(task.sfm)), reporter.sfm_progress)
-    for message in _without_names(result, own_names("field", folder)):
+    for message in _redact_warnings(result, make_redactor("field", folder)):
         reporter.warn(message)
     for decision in (decision for decision in result.decisions if decision.topic == "memory"):
         reporter.decide(decision)
@@ -213,11 +213,11 @@ def _placed_by_gps(folder: Path, photos: Path, task: PlacingTask, reporter: Even
         raise BadInput(f"its frame is refused: {frame.reason}")
     reporter.decide(_frame_decision(reporter.stage, frame.uncertainty, frame.num_inliers))
     _draw_frame(folder, frame.scene.cameras, positions, task.origin, frame.sigma_m)
-    return _Placed(scene=frame.scene, images=result.undistorted_folder, uncertainty=frame.uncertainty)
+    return _PlacedScene(scene=frame.scene, images=result.undistorted_folder, uncertainty=frame.uncertainty)
 
 
-def _without_names(result: SfmResult, names: OwnNames) -> Sequence[str]:
-    """The warnings of structure from motion, of a device's own folder with numbers in place of names."""
+def _redact_warnings(result: SfmResult, names: Redactor) -> Sequence[str]:
+    """Return the warnings of structure from motion; of a device's own folder with numbers in place of names."""
     if names.source is None:
         return result.warnings
     names.keep(message for message in result.warnings if message not in result.unnamed_warnings)
@@ -226,7 +226,7 @@ def _without_names(result: SfmResult, names: OwnNames) -> Sequence[str]:
 
 
 def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[float, float, float]], origin: Any, sigma_m: float) -> None:
-    """frame.png: GPS against the cameras. It tells where photographs were taken, so it stays in the device's folder."""
+    """Draw GPS against the cameras in frame.png, which shows where photographs were taken and stays in the device's folder."""
     from radiant_core.frames import enu_from_geodetic
     from radiant_viewer.charts.frame_chart import frame_picture
     from radiant_viewer.pictures.images import save_png
@@ -237,7 +237,7 @@ def _draw_frame(folder: Path, cameras: Cameras, lat_lon_alt: dict[str, tuple[flo
     save_png(folder / "frame.png", frame_picture(gps_m, cameras.named(names).centers, f"Frame of {folder.name} by GPS", detail))
 
 
-def _placed_by_poses(folder: Path, photos: Path, task: PlacingTask, reporter: EventReporter) -> _Placed:
+def _place_by_poses(folder: Path, photos: Path, task: PlacingTask, reporter: EventReporter) -> _PlacedScene:
     from radiant_core.sfm.copies import without_repeats
     from radiant_core.sfm.known_poses import pinhole_photographs, scene_from_poses, without_copies
     from radiant_core.sfm.memory import limit_to_memory
@@ -253,12 +253,12 @@ def _placed_by_poses(folder: Path, photos: Path, task: PlacingTask, reporter: Ev
     for decision in decisions:
         reporter.decide(decision)
     scene, _ = without_repeats(scene_from_poses(cameras, photos, folder / "sfm", config, reporter.sfm_progress), photos)
-    _warn_of_copies(given - len(scene.cameras), given, reporter)
-    return _Placed(scene=scene, images=photos, uncertainty=None)
+    _warn_about_copies(given - len(scene.cameras), given, reporter)
+    return _PlacedScene(scene=scene, images=photos, uncertainty=None)
 
 
-def _warn_of_copies(num_copies: int, num_photographs: int, reporter: EventReporter) -> None:
-    """How many photographs are left out as copies of others; their names stay on the device."""
+def _warn_about_copies(num_copies: int, num_photographs: int, reporter: EventReporter) -> None:
+    """Warn about the number of photographs left out as copies; their names stay on the device."""
     for message in copies_count(num_copies, num_photographs):
         reporter.warn(message)
 
@@ -276,8 +276,8 @@ def _frame_decision(stage: str, uncertainty: FrameUncertainty, num_positions: in
 
 
 def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequence[str]:
-    """Score the downloaded scene on the photographs that this device held out, and say how much its own synthetic views give away."""
-    from radiant_app.workers.evaluation import given_lpips, image_row, region_width, save_comparison
+    """Score the downloaded scene on the photographs that this device held out, and measure the leakage of its synthetic views."""
+    from radiant_app.workers.evaluation import load_dealt_lpips, region_width, save_comparison, score_render
     from radiant_core.evaluate.seam_error import seam_masks, seam_sums
     from radiant_core.hierarchy.joining import moved_cameras
     from radiant_core.io.ply import load_ply
@@ -298,22 +298,21 @@ def run_score(folder: Path, task: ScoreTask, reporter: EventReporter) -> Sequenc
         cameras = replace(cameras, names=tuple(names))
         rendered = list(render_views(load_ply(folder / "inbox" / "scene.ply"), cameras, task.backend))
         untrained = list(render_views(load_splats(own / "initial.safetensors"), held_out, task.backend))
-        lpips = given_lpips(folder / "inbox", task.lpips)
-        result["images"] = [
-            image_row(view, photo, before=before, lpips=lpips) for view, before, photo in zip(rendered, untrained, photographs, strict=True)
-        ]
+        lpips = load_dealt_lpips(folder / "inbox", task.lpips)
+        rows = zip(rendered, untrained, photographs, strict=True)
+        result["images"] = [score_render(view, photo, before=before, lpips=lpips) for view, before, photo in rows]
         plan, _ = load_plan(folder / "inbox" / "plan.json")
         masks = seam_masks(cameras, [view.depth for view in rendered], plan, region_width(plan.sites))
         result["seam_sums"] = seam_sums([view.image for view in rendered], photographs, masks).tolist()
         for view, photo in zip(rendered, photographs, strict=True):
             save_comparison(folder, view, photo)
     write_json(folder / "result.json", result)
-    # The pictures are not sealed: whoever checks a seal reads what it holds.
+    # The pictures are not sealed: checking a seal reads every file it lists.
     return ["result.json"]
 
 
 def _leakage(own: Path, images: Path, task: ScoreTask, reporter: EventReporter) -> dict[str, float]:
-    """PSNR and SSIM of what the edge can render of this device's model at its training poses, against the photographs it never sees."""
+    """PSNR and SSIM of this device's model at its training poses, which the edge can render, against its photographs."""
     from radiant_core.evaluate.image_error import psnr_db, ssim
     from radiant_core.render.rendered_view import render_views
     from radiant_core.train.photographs import load_images

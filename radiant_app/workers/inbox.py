@@ -1,7 +1,7 @@
-"""What arrived at an edge or the cloud: models as messages, checked for who sent them. Once per join.
+"""Reads the models that arrived at an edge or the cloud. Once per join.
 
-Signatures, lengths and hashes are checked here, before a model is read; what a model has to be is
-`radiant_core.hierarchy.joining`'s to say.
+Signatures, lengths and hashes are checked here, before a model is read; its content is checked by
+`radiant_core.hierarchy.joining`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from radiant_app.workers.delivering import is_of_a_run, refusals
+from radiant_app.workers.delivering import belongs_to_run, find_refusals
 from radiant_core.aggregate.synthetic_views import Rendered
 from radiant_core.cameras import Cameras
 from radiant_core.frames import FrameUncertainty, Sim3
@@ -20,13 +20,13 @@ from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.view_file import load_view
 
 REFUSED_NAME, CORRECTIONS_NAME = "refused.json", "corrections.json"
-"""Senders that a node refused → why, and how each sender's model was moved. Both stay there."""
+"""Files of a node: refused sender → reason, and sender → how its model was moved. Neither is sent."""
 
 
-def received_device_models(folder: Path, task: EdgeTask) -> dict[str, DeviceModel | str]:
-    """By device what arrived at an edge, with the views that teacher processes rendered; a reason for what is not taken."""
+def receive_device_models(folder: Path, task: EdgeTask) -> dict[str, DeviceModel | str]:
+    """Device → its model, with the views that teachers rendered, or the reason why the edge refuses it."""
     found: dict[str, DeviceModel | str] = {}
-    rejected = _unsigned(folder, task.devices)
+    rejected = _find_unsigned(folder, task.devices)
     for name in task.devices:
         model = rejected.get(name) or load_device_model(folder / "inbox" / name)
         if isinstance(model, DeviceModel) and name in task.teachers:
@@ -36,14 +36,14 @@ def received_device_models(folder: Path, task: EdgeTask) -> dict[str, DeviceMode
     return found
 
 
-def received_edge_models(folder: Path, edges: Sequence[str], long_side_px: int) -> dict[str, EdgeModel | str]:
-    """By edge what arrived at the cloud; a reason for what is not taken."""
-    rejected = _unsigned(folder, edges)
+def receive_edge_models(folder: Path, edges: Sequence[str], long_side_px: int) -> dict[str, EdgeModel | str]:
+    """Edge → its model, or the reason why the cloud refuses it."""
+    rejected = _find_unsigned(folder, edges)
     return {name: rejected.get(name) or load_edge_model(folder / "inbox" / name, long_side_px) for name in edges}
 
 
-def _unsigned(folder: Path, senders: Sequence[str]) -> dict[str, str]:
-    return refusals(folder, senders, {name: folder / "inbox" / name for name in senders}) if is_of_a_run(folder) else {}
+def _find_unsigned(folder: Path, senders: Sequence[str]) -> dict[str, str]:
+    return find_refusals(folder, senders, {name: folder / "inbox" / name for name in senders}) if belongs_to_run(folder) else {}
 
 
 def teacher_view_name(index: int) -> str:
@@ -58,12 +58,12 @@ def load_teacher_views(teacher: Path, cameras: Cameras) -> Rendered:
     return {index: load_view(teacher / teacher_view_name(index), *size) for index, size in written.items()}
 
 
-def save_arrivals(
+def save_joining(
     folder: Path, corrections: Mapping[str, Sim3 | None], refused: Mapping[str, str], frame: FrameUncertainty | None
 ) -> list[str]:
-    """Write how each sender was moved, who is refused and why, and how sure the joined frame is; the names of the files.
+    """Write the move of each sender, the refused ones and the uncertainty of the joined frame; returns the names of the files.
 
-    The last goes up to the next tier, which is to learn nothing of the senders: it names none of them.
+    Only the last is sent to the next tier: it names no sender.
     """
     write_json(folder / CORRECTIONS_NAME, {name: None if move is None else sim3_record(move) for name, move in corrections.items()})
     write_json(folder / REFUSED_NAME, dict(refused))
@@ -72,5 +72,5 @@ def save_arrivals(
 
 
 def load_corrections(folder: Path) -> dict[str, Sim3 | None]:
-    """How a node moved each sender's model; None for one that it refused."""
+    """Sender → how its model was moved; None if it was refused."""
     return {name: None if move is None else sim3_of(move) for name, move in read_json(folder / CORRECTIONS_NAME).items()}

@@ -1,4 +1,4 @@
-"""How much memory this process holds and has held at most, and how much there is to take."""
+"""Resident, peak and available memory of this process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OUT_OF_MEMORY = "not enough memory: lower --max-splats or --long-side-px, free s
 
 
 def reset_peak_bytes() -> int:
-    """Resident bytes now; the peak is counted from here on, since imports alone may have peaked higher (Linux)."""
+    """Reset the peak, since imports alone may have peaked higher (Linux); returns the resident bytes."""
     Path("/proc/self/clear_refs").write_text("5")
     return _status_bytes("VmRSS")
 
@@ -26,10 +26,10 @@ def resident_bytes() -> int:
 
 
 def base_bytes_in(folder: Path, now_bytes: int) -> int:
-    """What the process that first trained in `folder` held before: `now_bytes` at the first call, from memory.json after that.
+    """Bytes that the first process to train in `folder` held before: `now_bytes` at the first call, then from memory.json.
 
-    A limit of memory leaves room for so many Gaussians beside it, and that number is in the key of the checkpoints: a process that goes on
-    after a kill never holds just as much, and would begin anew.
+    They limit the number of Gaussians, which is part of the checkpoints' key: a process that resumes after a kill holds
+    other bytes and would otherwise start again.
     """
     path = folder / BASE_NAME
     try:
@@ -53,7 +53,7 @@ def peak_bytes() -> int:
 
 
 def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error says that there is no memory: torch says so by a RuntimeError, numpy and Python by a MemoryError."""
+    """Whether an error reports exhausted memory: torch raises a RuntimeError, numpy and Python a MemoryError."""
     return isinstance(error, MemoryError) or "can't allocate memory" in str(error)
 
 
@@ -63,7 +63,7 @@ def _status_bytes(name: str) -> int:
 
 
 def available_bytes(proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup")) -> int:
-    """What this process can still take: what the machine has free, page cache included, or less where its container has a limit."""
+    """Bytes that this process can still allocate: those the machine has free, page cache included, or fewer within a container's limit."""
     return max(0, min([_machine_bytes(proc), *_container_bytes(proc, groups)]))
 
 
@@ -77,7 +77,7 @@ def _machine_bytes(proc: Path) -> int:
 
 
 def _container_bytes(proc: Path, groups: Path) -> Iterator[int]:
-    """What the control groups around this process, of version 2 and 1, leave of their limits; cached files count as free."""
+    """Bytes that the control groups (v2, v1) of this process leave of their limits; cached files count as free."""
     try:
         lines = [line.split(":", 2) for line in (proc / "self" / "cgroup").read_text().splitlines()]
     except OSError:

@@ -1,7 +1,6 @@
-"""Planning at the cloud from what it may know: a count raster and edges by their curves, in a process of its own.
+"""Planning at the cloud from a count raster and one curve per edge, in a process of its own.
 
-planning/task.json holds all that the cloud is given, planning/regions.json its answer. The edges follow with positions and
-curves.
+planning/task.json holds all that the cloud receives, planning/regions.json its plan.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from radiant_core.plan.system import Edge, System
 
 
 def regions_task(raster: CountRaster, system: System, method: PlanMethod) -> RegionsTask:
-    """All that the cloud is given: the raster, and of each edge place, curve and how many cameras it holds."""
+    """Return all that the cloud receives: the raster and the position, curve and capacity of each edge."""
     known = system_without_devices(system, int(raster.counts.sum()))
     edges = [
         PlannedEdge(
@@ -41,8 +40,8 @@ def regions_task(raster: CountRaster, system: System, method: PlanMethod) -> Reg
     return RegionsTask(cell_m=raster.cell_m, cells=cells, counts=counts, edges=tuple(edges), method=method)
 
 
-def planned_at_cloud(task: RegionsTask) -> CloudPlan:
-    """The cloud's answer to such a task; BadInput where the edges cannot hold all cameras."""
+def plan_regions_of_task(task: RegionsTask) -> CloudPlan:
+    """Plan the regions at the cloud; BadInput if the edges cannot hold all cameras."""
     raster = CountRaster(cell_m=task.cell_m, cells=np.array(task.cells), counts=np.array(task.counts))
     plan = regions_of_raster(raster, System(edges=tuple(map(_edge_of, task.edges))), task.method)
     if isinstance(plan, PlanInfeasible):
@@ -50,15 +49,15 @@ def planned_at_cloud(task: RegionsTask) -> CloudPlan:
     return plan
 
 
-def planned_from_raster(system: System, positions: FloatArray, cell_m: float, method: PlanMethod) -> CloudPlan:
-    """Both sides of it in this process, for placed edges and cameras (C,2) m; raises as `planned_at_cloud`."""
-    regions = planned_at_cloud(regions_task(count_raster(positions, cell_m), system, method))
+def plan_from_raster(system: System, positions: FloatArray, cell_m: float, method: PlanMethod) -> CloudPlan:
+    """Plan from the raster of cameras (C,2) m in this process, for placed edges; raises as `plan_regions_of_task`."""
+    regions = plan_regions_of_task(regions_task(count_raster(positions, cell_m), system, method))
     return assign_to_regions(regions, positions, system)
 
 
 def run_regions(folder: Path, task: RegionsTask, reporter: EventReporter) -> Sequence[str]:
-    """The cloud's part: regions from the raster and the curves of its task."""
-    save_plan(folder / "regions.json", planned_at_cloud(task), ())
+    """Plan the regions of the task and write regions.json."""
+    save_plan(folder / "regions.json", plan_regions_of_task(task), ())
     return ["regions.json"]
 
 

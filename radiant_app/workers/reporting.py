@@ -1,4 +1,4 @@
-"""`EventReporter`: what a node reports becomes events of the run's one stream; the notes that a finished node keeps of them."""
+"""`EventReporter` turns reports of a node into events of the run; the notes of a finished node keep them."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ class EventReporter:
         self.emit(Warned(stage=self.stage, message=message))
 
     def progress(self, done: float, total: float, note: str = "") -> None:
-        """Emit how far the node is."""
+        """Emit the progress of the node."""
         self.emit(StageProgress(stage=self.stage, done=done, total=total, note=note))
 
     def sfm_progress(self, progress: SfmProgress) -> None:
-        """Emit how far structure from motion is."""
+        """Emit the progress of structure from motion."""
         self.emit(sfm_progress(self.stage, progress))
 
 
 def sfm_progress(stage: str, progress: SfmProgress) -> StageProgress:
-    """An event of how far structure from motion is."""
+    """Return the progress of structure from motion as an event."""
     return StageProgress(
         stage=stage, done=progress.done, total=progress.total, phase=progress.phase, step=progress.step, num_steps=progress.num_steps
     )
 
 
 def read_notes(folder: Path, stage: str) -> list[Event]:
-    """The decisions and warnings that a finished node left behind."""
+    """Read the decisions and warnings of a finished node."""
     notes = read_json(folder / "notes.json", ("decisions", "warnings"))
     decided = [Decided(decision=Decision(**fields)) for fields in notes["decisions"]]
     return [*decided, *(Warned(stage=stage, message=message) for message in notes["warnings"])]

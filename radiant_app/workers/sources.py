@@ -1,4 +1,4 @@
-"""What a run can start from: a folder of photographs, a COLMAP project, or a Mill 19 folder. Decided once, by what lies there."""
+"""Sources of a run: a folder of photographs, a COLMAP project, or a Mill 19 folder."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
     return "photographs", source, None
 
 
-def all_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
-    """Name, size and time of change of every file of the source, used or not, without the run `own` where that lies inside."""
+def list_files(source: Path, own: Path) -> list[tuple[str, int, int]]:
+    """Name, size and modification time of every file of the source, without the run `own` inside it."""
     own = own.resolve()
     files = [path for path in source.rglob("*") if path.is_file() and not path.resolve().is_relative_to(own)]
     return sorted((str(path.relative_to(source)), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
@@ -48,7 +48,7 @@ def sfm_task(source: Path, sfm: SfmConfig, masks: Path | None, placement: Placem
 
 
 def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgress], None]) -> SfmResult:
-    """Structure from motion of the source that a task names, made in `folder`."""
+    """Run structure from motion in `folder` on the source that the task names."""
     from radiant_core.sfm.known_poses import scene_from_mill19
     from radiant_core.sfm.reconstruct import reconstruct, scene_from_colmap
 
@@ -65,23 +65,23 @@ def reconstruct_source(task: SfmTask, folder: Path, report: Callable[[SfmProgres
 
 
 def sfm_record(result: SfmResult, folder: Path) -> dict[str, Any]:
-    """What result.json in `folder` says: where photographs and masks are, and which photographs have no pose."""
-    masks = {} if result.masks_folder is None else {"masks": place_of(result.masks_folder, folder)}
-    return {"images": place_of(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks}
+    """Return the content of result.json: where photographs and masks are, and which photographs have no pose."""
+    masks = {} if result.masks_folder is None else {"masks": portable_path(result.masks_folder, folder)}
+    return {"images": portable_path(result.undistorted_folder, folder), "unregistered": list(result.unregistered), **masks}
 
 
-def place_of(images: Path, folder: Path) -> str:
-    """The images' folder relative to `folder` where it lies inside, so that a run can be moved; absolute otherwise."""
+def portable_path(images: Path, folder: Path) -> str:
+    """The path of `images`, relative if it lies in `folder`, so that a run can be moved; absolute otherwise."""
     images, folder = images.resolve(), folder.resolve()
     return str(images.relative_to(folder) if images.is_relative_to(folder) else images)
 
 
 DELIVERED = "delivered"
-"""Folder of a run in the field: the cameras and the plan of what its devices delivered, in the frame of its scene."""
+"""Folder of a run on devices: the delivered cameras and their plan, in the frame of its scene."""
 
 
 def has_scene(folder: Path) -> bool:
-    """Whether a folder is that of a run or of `radiant sfm`, with a scene in it."""
+    """Whether the folder of a run or of `radiant sfm` holds a scene."""
     return any((folder / name).is_file() for name in ("sfm/scene.safetensors", "scene.safetensors"))
 
 
@@ -94,19 +94,19 @@ def load_scene_of(folder: Path) -> SfmScene:
     return load_scene(path)
 
 
-def scored_scene_of(folder: Path) -> tuple[SfmScene, tuple[str, ...], Path]:
-    """As `load_scene_of`, without photographs that repeat others; what is told of those left out, and where its photographs are.
+def load_scored_scene(folder: Path) -> tuple[SfmScene, tuple[str, ...], Path]:
+    """Load a scene without photographs that repeat others; returns also warnings about those, and the folder of photographs.
 
-    Structure from motion leaves copies out; scenes of an earlier version, or made elsewhere, may hold some, and what is held out for
-    scoring must not be trained on under another name.
+    Scenes made elsewhere or by an earlier version may hold copies, and a held-out photograph must not be trained on
+    under another name.
     """
     from radiant_core.sfm.copies import without_repeats
 
-    scene, images = load_scene_of(folder), images_of_scene(folder)
+    scene, images = load_scene_of(folder), images_folder_of(folder)
     return *without_repeats(scene, images), images
 
 
-def images_of_scene(folder: Path) -> Path:
+def images_folder_of(folder: Path) -> Path:
     """The folder of a scene's undistorted photographs; raises as `load_scene_of`."""
     owner = _owner_of_scene(folder)
     if not (owner / "result.json").is_file():
@@ -114,8 +114,8 @@ def images_of_scene(folder: Path) -> Path:
     return owner / read_json(owner / "result.json", ("images",))["images"]
 
 
-def masks_of_scene(folder: Path) -> Path | None:
-    """The folder of a scene's masks, as large as the photographs of `images_of_scene`; None where it has none."""
+def masks_folder_of(folder: Path) -> Path | None:
+    """The folder of a scene's masks, as large as the photographs of `images_folder_of`; None where it has none."""
     owner = _owner_of_scene(folder)
     masks = read_json(owner / "result.json").get("masks") if (owner / "result.json").is_file() else None
     return None if masks is None else owner / masks

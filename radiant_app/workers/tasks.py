@@ -1,7 +1,7 @@
 """The tasks of a run's workers, beside those of the tiers (`radiant_core.hierarchy.messages`). Once per node.
 
-A node of a run takes its task only when the one above it signed it (`delivering.take_task`) and when it is exactly of its
-kind's class here: no unknown key, no number as text, nothing infinite, no path that leaves a folder. Folders without an
+A node of a run accepts its task only if its parent signed it (`delivering.accept_task`) and if it parses strictly
+as the class of its kind: no unknown key, no number as text, nothing infinite, no path that leaves a folder. Folders without an
 identity, made by hand, hold unsigned tasks.
 
 | worker         | task           | from       | signed                                              |
@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field
 
-from radiant_app.workers.delivering import is_of_a_run, take_task
+from radiant_app.workers.delivering import accept_task, belongs_to_run
 from radiant_core.choices import LpipsNetwork, Matching, PlanMethod
 from radiant_core.frames import Sim3
 from radiant_core.hierarchy.messages import (
@@ -81,7 +81,7 @@ class PositionsTask:
 
 @dataclass(frozen=True, kw_only=True)
 class SfmSettings:
-    """What a device's own structure from motion is given."""
+    """Settings of a device's own structure from motion."""
 
     matching: Matching
     seed: Count
@@ -102,7 +102,7 @@ class PlacingTask:
     origin: Triple | None
     sfm: SfmSettings
     poses: Literal["poses", "poses.safetensors"] | None
-    """Where in the device's folder given poses lie: a COLMAP model, or cameras."""
+    """Place of given poses in the device's folder: a COLMAP model, or cameras."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,12 +111,12 @@ class FieldTask(DeviceSettings):
 
     placing: PlacingTask
     changed: tuple[tuple[int, int], ...]
-    """Sizes and times of change of the photographs, which stand for their content."""
+    """Sizes and modification times of the photographs, which stand for their content."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TeacherTask:
-    """Render what a device's model shows at its cameras."""
+    """Render a device's model at its cameras."""
 
     long_side_px: PixelCount
     backend: Renderer
@@ -151,7 +151,7 @@ class Move:
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreTask:
-    """Score the finished scene in inbox/, to which `corrections` lead, on photographs that were held out."""
+    """Score the finished scene in inbox/ on held-out photographs, moved into its frame by `corrections`."""
 
     corrections: tuple[Move, ...]
     long_side_px: PixelCount
@@ -170,7 +170,7 @@ class EvaluateTask:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedEdge:
-    """What the cloud knows of an edge when it plans."""
+    """What the cloud receives of an edge to plan."""
 
     id: str
     position: Pair
@@ -213,15 +213,15 @@ TASKS: dict[str, type[Any]] = {
     "run": JobTask,
 }
 SIGNED: dict[str, Kind] = {"device": "device_task", "field": "field_task", "edge": "edge_task", "score": "score_task"}
-"""Kinds of workers whose task comes from another node, and as what it is delivered."""
+"""Kind of worker whose task is signed by another node → kind of delivery."""
 
 
-def received_task(kind: str, folder: Path) -> Any:
-    """The task in the folder of a node, parsed.
+def receive_task(kind: str, folder: Path) -> Any:
+    """Verify and parse the task in the folder of a node.
 
     Raises:
-        BadInput: it is of another kind or, in a run's folder, not the newest one that the node above signed.
+        BadInput: it is of another kind or, in a run's folder, not the newest one that the parent signed.
     """
-    if kind in SIGNED and is_of_a_run(folder):
-        take_task(folder, SIGNED[kind])
+    if kind in SIGNED and belongs_to_run(folder):
+        accept_task(folder, SIGNED[kind])
     return load_task(TASKS[kind], folder, f"{kind} task")

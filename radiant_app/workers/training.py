@@ -1,4 +1,4 @@
-"""What nodes that train or join share: photographs, checkpoints and memory of this machine. Once per node."""
+"""Training, checkpoints and memory limits of nodes that train or join. Once per node."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from radiant_app.workers.delivering import signed_upload
+from radiant_app.workers.delivering import sign_upload
 from radiant_app.workers.memory import available_bytes, base_bytes_in, resident_bytes
 from radiant_app.workers.reporting import EventReporter
 
@@ -15,38 +15,38 @@ if TYPE_CHECKING:
     from radiant_core.hierarchy.reporter import Machine
 
 CHECKPOINTS = "checkpoints"
-"""Folder of a training's checkpoints inside its node's; gone when the node is done."""
+"""Folder of checkpoints in a node's folder; removed when the node is done."""
 MASKS = "masks"
-"""Folder of masks beside a node's photographs, where there are any."""
+"""Folder of masks beside a node's photographs, if any."""
 
 
-def trained_device(folder: Path, task: DeviceTask, images: Path, reporter: EventReporter) -> DeviceModel:
-    """The model of a device whose photographs lie in `images` and whose state is saved in `folder`."""
+def train_from_folder(folder: Path, task: DeviceTask, images: Path, reporter: EventReporter) -> DeviceModel:
+    """Train a device from its photographs in `images`; its checkpoints lie in `folder`."""
     from radiant_core.hierarchy.device import train_device
     from radiant_core.train.photographs import load_training_views
 
-    machine = machine_in(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
+    machine = make_machine(folder, task.checkpoint_every_s, reporter, limited=task.memory_bytes is not None)
     views = load_training_views(images, task.scene.cameras.scaled(task.train.long_side_px), folder / MASKS)
     return train_device(task, views, reporter, machine)
 
 
-def finished_device(folder: Path, task: DeviceTask, model: DeviceModel, reporter: EventReporter) -> list[str]:
-    """Write and sign a device's model; the names of the files."""
+def save_signed_model(folder: Path, task: DeviceTask, model: DeviceModel, reporter: EventReporter) -> list[str]:
+    """Write and sign a device's model; returns the names of the files."""
     from radiant_core.io.messages import save_device_model
 
     names = save_device_model(folder, model, task.upload, reporter.warn)
     remove_checkpoints(folder)
-    return [*names, *signed_upload(folder)]
+    return [*names, *sign_upload(folder)]
 
 
-def machine_in(folder: Path, checkpoint_every_s: float, reporter: EventReporter, *, limited: bool = False) -> Machine:
-    """What a node may use of this machine; `limited`: whether its memory is, so that what the process holds already counts."""
+def make_machine(folder: Path, checkpoint_every_s: float, reporter: EventReporter, *, limited: bool = False) -> Machine:
+    """Return the resources of this machine for a node; with `limited` memory the bytes that the process already holds count."""
     from radiant_core.hierarchy.reporter import Machine
     from radiant_core.train.checkpoint import CheckpointFolder
 
     def checkpoints(key: Callable[[], str]) -> CheckpointFolder:
         kept = CheckpointFolder(folder / CHECKPOINTS, key(), every_s=checkpoint_every_s, warn=reporter.warn)
-        # Those that an older plan or other settings left there.
+        # Checkpoints of an older plan or other settings.
         kept.remove_foreign()
         return kept
 

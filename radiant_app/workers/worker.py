@@ -16,26 +16,26 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from radiant_app.events import Beat, Event, Failed, MemoryPeaked, encode
+from radiant_app.events import Event, Failed, Heartbeat, MemoryPeaked, encode
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory, peak_bytes
-from radiant_app.workers.own_names import own_names
+from radiant_app.workers.redaction import make_redactor
 from radiant_core.errors import BadInput, CannotWrite, RadiantError, StageFailed
 from radiant_core.io.run_store import seal
 
 if TYPE_CHECKING:
     from radiant_app.workers.nodes import Work
 
-BEAT_S = 5.0
-"""How often a worker says that it is alive."""
+HEARTBEAT_S = 5.0
+"""Interval of the heartbeats of a worker."""
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
-"""What the system says where a disk is full or broken."""
+"""Error numbers of a full or broken disk."""
 
 
 def main(arguments: list[str], work: Work | None = None) -> int:
     """Run one node and seal its folder; the exit code says whether it is done. `work` as in `nodes.run_node`."""
     kind, folder, stage, key = arguments
     if stat.S_ISFIFO(os.fstat(0).st_mode):
-        threading.Thread(target=_end_with_the_executor, daemon=True).start()
+        threading.Thread(target=_exit_with_executor, daemon=True).start()
     # Libraries print to file descriptor 1 too (C++ logs): events keep the real one, everybody else gets the log.
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
@@ -48,10 +48,10 @@ def main(arguments: list[str], work: Work | None = None) -> int:
 
     def fail(exit_code: int, message: str, *, cannot_write: bool = False) -> int:
         failed = Failed(stage=stage, message=message, exit_code=exit_code, cannot_write=cannot_write)
-        emit(own_names(kind, Path(folder)).without_in(failed))
+        emit(make_redactor(kind, Path(folder)).redact_event(failed))
         return exit_code
 
-    threading.Thread(target=_beat, args=(stage, emit), daemon=True).start()
+    threading.Thread(target=_send_heartbeats, args=(stage, emit), daemon=True).start()
     try:
         from radiant_app.workers.nodes import run_node
 
@@ -70,13 +70,13 @@ def main(arguments: list[str], work: Work | None = None) -> int:
     return 0
 
 
-def _beat(stage: str, emit: Callable[[Event], None]) -> None:
+def _send_heartbeats(stage: str, emit: Callable[[Event], None]) -> None:
     while True:
-        time.sleep(BEAT_S)
-        emit(Beat(stage=stage))
+        time.sleep(HEARTBEAT_S)
+        emit(Heartbeat(stage=stage))
 
 
-def _end_with_the_executor() -> None:
+def _exit_with_executor() -> None:
     while os.read(0, 1):
         pass
     os._exit(1)

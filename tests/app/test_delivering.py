@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.workers.delivering import deliver, introduce, introduce_teacher, refusals, run_number, signed_upload
+from radiant_app.workers.delivering import deliver, exchange_keys, find_refusals, identify_teacher, run_number, sign_upload
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.delivery import MAX_ATTEMPT
 from radiant_core.io.transport.signing import KEY_NAME, PUBLIC_NAME
@@ -20,10 +20,10 @@ EDGE = "edges/north"
 def made_run(folder: Path) -> Path:
     """A run of an edge with devices a and b, all introduced, from above."""
     devices = ["devices/a", "devices/b"]
-    introduce(folder, "cloud", None, [EDGE])
-    introduce(folder, EDGE, "cloud", devices)
+    exchange_keys(folder, "cloud", None, [EDGE])
+    exchange_keys(folder, EDGE, "cloud", devices)
     for device in devices:
-        introduce(folder, device, EDGE)
+        exchange_keys(folder, device, EDGE)
     return folder
 
 
@@ -47,7 +47,7 @@ def arrived(run: Path, sender: str, receiver: str, name: str = "") -> None:
 
 def refused(run: Path, receiver: str = EDGE, *senders: str) -> dict[str, str]:
     names = senders or ("a", "b")
-    return refusals(run / receiver, names, {name: run / receiver / "inbox" / name for name in names})
+    return find_refusals(run / receiver, names, {name: run / receiver / "inbox" / name for name in names})
 
 
 @pytest.fixture
@@ -168,9 +168,9 @@ def test_a_wrong_upload_is_refused_with_its_reason_and_harms_no_other(run: Path,
 
 
 def test_a_teacher_takes_what_its_one_device_addresses_to_the_edge(run: Path) -> None:
-    introduce_teacher(run, "teachers/a", EDGE, "a")
+    identify_teacher(run, "teachers/a", EDGE, "a")
     # Restarted, it is introduced again.
-    introduce_teacher(run, "teachers/a", EDGE, "a")
+    identify_teacher(run, "teachers/a", EDGE, "a")
     for name in ("a", "b"):
         arrived(run, f"devices/{name}", "teachers/a")
     assert read_json(run / "teachers/a/identity/post.json") == {"run": run_number(run), "node": EDGE, "receiver": None}
@@ -185,7 +185,7 @@ def test_what_goes_up_is_the_model_in_its_upload_format_with_its_cameras_and_an_
         write_json(folder / "frame.json", frame)
         for upload, source in (("float32", "model.safetensors"), ("spz", "upload.safetensors"), ("float16", "upload.safetensors")):
             (folder / source).write_text(f"{upload} bytes")
-            assert signed_upload(folder) == ["delivery.json", "delivery.sig"]
+            assert sign_upload(folder) == ["delivery.json", "delivery.sig"]
             files = read_json(folder / "delivery.json")["files"]
             assert sorted(files) == ["cameras.safetensors", *expected, "model.safetensors"]
             assert files["model.safetensors"]["bytes"] == len(f"{upload} bytes")
@@ -193,4 +193,4 @@ def test_what_goes_up_is_the_model_in_its_upload_format_with_its_cameras_and_an_
 
 def test_a_folder_that_is_no_runs_sends_nothing_signed(run: Path) -> None:
     shutil.rmtree(run / "devices/a" / "identity")
-    assert signed_upload(run / "devices/a") == []
+    assert sign_upload(run / "devices/a") == []

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from radiant_app.events import Event, StageDone, StageStarted, Warned
-from radiant_app.executors.fold import Faults
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
@@ -20,9 +20,9 @@ from radiant_app.run.dealing import Dealer
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.run.promises import promises_of
-from radiant_app.run.rescue import Rescue, plan_key, replanned
+from radiant_app.run.reassignment import Reassignment, load_replan, plan_key
 from radiant_app.run.source import Plan
-from radiant_app.run.time_left import LATE_FACTOR, LEAST_S, TimeLeftListener
+from radiant_app.run.time_left import LEAST_S, OVERDUE_FACTOR, TimeLeftListener
 from radiant_app.run.uncaptured import deal_uncaptured
 from radiant_core.aggregate.config import aggregate_preset
 from radiant_core.aggregate.tree import Tree, tree_of_plan
@@ -82,11 +82,11 @@ def test_a_lost_devices_photographs_go_to_those_that_have_not_begun_and_a_resume
     lost, other, *waiting = [node for node in tree if node.tier == "device"]
     before = cameras_by_device(dealer.recipe.edge_plans)
     events: list[Event] = []
-    rescue = Rescue(
+    reassignment = Reassignment(
         dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key=plan_key(first.cloud, first.edges), listen=events.append
     )
     # As the fold says it: who is lost neither runs nor is done.
-    rescue(lost, {other.id})
+    reassignment(lost, {other.id})
     after = cameras_by_device(dealer.recipe.edge_plans)
     assert after[lost.name] == set() and after[other.name] == before[other.name]
     assert set().union(*(after[node.name] for node in waiting)) == set(range(40)) - before[other.name]
@@ -95,21 +95,21 @@ def test_a_lost_devices_photographs_go_to_those_that_have_not_begun_and_a_resume
         isinstance(event, Warned) and f"{len(before[lost.name])} photographs of {lost.name} go to" in event.message for event in events
     )
     save_plan(tmp_path / "plan.json", first.cloud, first.edges)
-    assert cameras_by_device(replanned(tmp_path, first).edges) == after == cameras_by_device(load_plan(tmp_path / "plan.json")[1])
-    assert replanned(tmp_path, plan_of(dealer)).edges is dealer.recipe.edge_plans, "another plan is left as it is"
+    assert cameras_by_device(load_replan(tmp_path, first).edges) == after == cameras_by_device(load_plan(tmp_path / "plan.json")[1])
+    assert load_replan(tmp_path, plan_of(dealer)).edges is dealer.recipe.edge_plans, "another plan is left as it is"
 
 
 def test_where_every_other_device_has_begun_the_plan_stays_and_the_loss_is_named(tmp_path: Path) -> None:
     dealer, tree = planned(tmp_path)
     plan, (lost, *_) = dealer.recipe.cloud_plan, [node for node in tree if node.tier == "device"]
     events: list[Event] = []
-    Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=events.append)(
+    Reassignment(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=events.append)(
         lost, {node.id for node in tree}
     )
     assert dealer.recipe.cloud_plan is plan and not (tmp_path / "replanned").exists()
     (warning,) = events
     assert isinstance(warning, Warned) and "are in no model: every other device has begun or is full; --resume" in warning.message
-    assert set(dealer.missing()) == set(cameras_by_device(dealer.recipe.edge_plans)), "nothing of this run is done"
+    assert set(dealer.missing_devices()) == set(cameras_by_device(dealer.recipe.edge_plans)), "nothing of this run is done"
 
 
 def test_photographs_in_one_folder_follow_the_new_plan_where_devices_fetch_them(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_photographs_in_one_folder_follow_the_new_plan_where_devices_fetch_them(
     dealer = Dealer(run=tmp_path, recipe=pooled.recipe, photographs=field)
     lost, other, *_ = [node for node in tree if node.tier == "device"]
     kept = field.shares[other.name]
-    Rescue(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=lambda event: None)(lost, {other.id})
+    Reassignment(dealer=dealer, positions=positions_of(dealer), tree=tree, first_plan_key="", listen=lambda event: None)(lost, {other.id})
     assert lost.name not in field.shares and field.shares[other.name] == kept
     assert sorted(name for share in field.shares.values() for name in share.names) == sorted(training.names)
 
@@ -169,25 +169,25 @@ def test_a_node_is_late_by_the_plan_only_once_another_of_its_tier_was_measured(t
     first, second, *_ = [node.id for node in tree if node.tier == "device"]
     watch(StageStarted(stage=first))
     watch(StageStarted(stage=second))
-    assert watch.late(second, 1e9) is None and watch.too_late(second, 1e9) is None
+    assert watch.overdue_reason(second, 1e9) is None and watch.timeout_reason(second, 1e9) is None
     now_s = 100.0
     watch(StageDone(stage=first, seconds=100.0))
-    assert watch.late(second, LEAST_S) is None and watch.too_late(second, 100.0 * LATE_FACTOR) is None
-    late = watch.late(second, 100.0 * LATE_FACTOR * 1.5)
-    assert late is not None and "says 1" in late and watch.too_late(second, 1500.0) is not None
-    assert watch.late("edges/a", 1e9) is None, "no edge was measured"
+    assert watch.overdue_reason(second, LEAST_S) is None and watch.timeout_reason(second, 100.0 * OVERDUE_FACTOR) is None
+    late = watch.overdue_reason(second, 100.0 * OVERDUE_FACTOR * 1.5)
+    assert late is not None and "says 1" in late and watch.timeout_reason(second, 1500.0) is not None
+    assert watch.overdue_reason("edges/a", 1e9) is None, "no edge was measured"
 
 
 class Impatient:
     """Waits for nobody."""
 
-    def late(self, node_id: str, ran_s: float) -> str | None:
+    def overdue_reason(self, node_id: str, ran_s: float) -> str | None:
         return "it is slow"
 
-    def too_late(self, node_id: str, ran_s: float) -> str | None:
+    def timeout_reason(self, node_id: str, ran_s: float) -> str | None:
         return "it is too slow" if node_id == "devices/2" else None
 
-    def paused(self, node_ids: Collection[str], seconds: float) -> None:
+    def exclude_pause(self, node_ids: Collection[str], seconds: float) -> None:
         """It makes no difference."""
 
 
@@ -206,13 +206,13 @@ def test_who_is_too_late_is_stopped_and_the_rest_goes_on(tmp_path: Path) -> None
 
     events: list[Event] = []
     lost: list[tuple[str, frozenset[str]]] = []
-    faults = Faults(
+    retry_policy = RetryPolicy(
         may_fail=lambda node, error: node.tier == "device",
-        attempts=3,
-        watch=Impatient(),
-        on_lost=lambda node, begun: lost.append((node.id, frozenset(begun))),
+        max_attempts=3,
+        deadlines=Impatient(),
+        on_given_up=lambda node, begun: lost.append((node.id, frozenset(begun))),
     )
-    times = LocalExecutor(num_workers=2, command=command, faults=faults).fold(tree, prepare, events.append)
+    times = LocalExecutor(num_workers=2, command=command, retry_policy=retry_policy).fold(tree, prepare, events.append)
     assert set(times) == {node.id for node in tree} and [node_id for node_id, _ in lost] == ["devices/2"]
     assert "devices/1" in lost[0][1]
     assert Warned(stage="devices/2", message="it is too slow, and was given up.") in events

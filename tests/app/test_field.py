@@ -22,15 +22,15 @@ from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.commands.replan import ReplanRequest, replan_files
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
-from radiant_app.report.html import ledger_by_tier
+from radiant_app.report.html import access_by_tier
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.captured import Captured, _by_poses, _middle, _warn_of_unplaced
+from radiant_app.run.captured import Captured, _locate_by_poses, _middle, _warn_of_unplaced
 from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.progress import Progress
-from radiant_app.workers.field_nodes import _placed, _placed_once, run_field, run_positions
+from radiant_app.workers.field_nodes import _place, _place_once, run_field, run_positions
 from radiant_app.workers.nodes import run_node
-from radiant_app.workers.own_names import HIDDEN, NOTES_NAME, OwnNames, own_names
+from radiant_app.workers.redaction import HIDDEN, NOTES_NAME, Redactor, make_redactor
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import FieldTask, PlacingTask, PositionsTask, SfmSettings
 from radiant_core.decisions import Decision
@@ -41,7 +41,7 @@ from radiant_core.io.messages import load_task, save_task
 from radiant_core.io.photos.listing import photograph_positions
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene
-from radiant_core.plan.revision.replan import Situation
+from radiant_core.plan.revision.replan import FleetChange
 from radiant_core.sfm.given_poses import read_given_poses
 from radiant_core.sfm.reconstruct import scene_from_colmap
 from radiant_core.train.config import train_preset
@@ -120,11 +120,11 @@ def test_a_device_that_begins_again_makes_the_same_scene(finished: tuple[RunConf
     config, _ = finished
     shutil.copytree(config.out / "devices" / "north-1", tmp_path / "north-1")
     task = load_task(FieldTask, tmp_path / "north-1").placing
-    first, second = (_placed_once(tmp_path / "north-1", task, "photographs", reporter("devices/north-1")).scene for _ in range(2))
+    first, second = (_place_once(tmp_path / "north-1", task, "photographs", reporter("devices/north-1")).scene for _ in range(2))
     assert len(first.points) > 100 and first.points.tobytes() == second.points.tobytes()
     assert first.observations.tobytes() == second.observations.tobytes()
     (tmp_path / "north-1" / "placed" / "scene.safetensors").write_bytes(b"")
-    assert len(_placed_once(tmp_path / "north-1", task, "photographs", reporter("devices/north-1")).scene.points) > 100
+    assert len(_place_once(tmp_path / "north-1", task, "photographs", reporter("devices/north-1")).scene.points) > 100
 
 
 def test_resuming_skips_everything(finished: tuple[RunConfig, RunResult]) -> None:
@@ -368,17 +368,17 @@ def test_a_device_that_fails_names_no_photograph(hamlet: Path, tmp_path: Path) -
 def test_whatever_a_device_says_is_without_its_names(tmp_path: Path) -> None:
     for name in ("a.jpg", "a.jpg.png", "night\n.jpg", "zoo.jpg"):
         (tmp_path / name).touch()
-    names = OwnNames(notes=tmp_path / NOTES_NAME, source=tmp_path, given=("gone.jpg",))
+    names = Redactor(notes=tmp_path / NOTES_NAME, source=tmp_path, given=("gone.jpg",))
     decision = Decision(stage="devices/a.jpg", topic="a.jpg", choice="left out: a.jpg, zoo.jpg", figure=1.0, unit="px", reason="(gone.jpg)")
-    hidden = names.without_in(Decided(decision=decision))
+    hidden = names.redact_event(Decided(decision=decision))
     assert isinstance(hidden, Decided) and hidden.decision.stage == "devices/a.jpg"
     assert {hidden.decision.topic, hidden.decision.choice.removeprefix("left out: "), hidden.decision.reason[1:-1]} == {HIDDEN}
-    failed = names.without_in(
+    failed = names.redact_event(
         Failed(stage="s", message=f"cannot read {tmp_path / 'a.jpg.png'} or {'night' + chr(10) + '.jpg'!r}", exit_code=2)
     )
     assert failed == Failed(stage="s", message=f"cannot read {tmp_path}/{HIDDEN} or '{HIDDEN}'", exit_code=2)
     kept = StageProgress(stage="s", done=1, total=2, note="data.jpg of 3, a.jpgx")
-    assert names.without_in(kept) == kept, "other words stay"
+    assert names.redact_event(kept) == kept, "other words stay"
     assert "left out: a.jpg, zoo.jpg" in (tmp_path / NOTES_NAME).read_text()
 
 
@@ -386,10 +386,10 @@ def test_a_folder_of_all_devices_has_no_secret_names(tmp_path: Path) -> None:
     for fetch, said in ((True, "a.jpg"), (False, HIDDEN)):
         placing = replace(placing_in(tmp_path), names=("a.jpg",), fetch=fetch)
         save_task(tmp_path, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
-        assert own_names("field", tmp_path).without("a.jpg is truncated") == f"{said} is truncated"
+        assert make_redactor("field", tmp_path).redact("a.jpg is truncated") == f"{said} is truncated"
     save_task(tmp_path, PositionsTask(source=str(tmp_path), cell_m=None, held_out=("a.jpg",), owned=True))
-    assert own_names("positions", tmp_path).without("a.jpg is truncated") == f"{HIDDEN} is truncated"
-    assert own_names("device", tmp_path).without("a.jpg is truncated") == "a.jpg is truncated"
+    assert make_redactor("positions", tmp_path).redact("a.jpg is truncated") == f"{HIDDEN} is truncated"
+    assert make_redactor("device", tmp_path).redact("a.jpg is truncated") == "a.jpg is truncated"
 
 
 def test_unplaced_photographs_of_a_devices_own_folder_are_counted() -> None:
@@ -430,7 +430,7 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
     delivered = len(load_scene(config.out / "delivered" / "scene.safetensors").cameras)
     assert 0 < delivered <= sum(len(plan.camera_indices) for plan in load_plan(config.out / "plan.json")[1]), "some may have no pose"
     new = replan_files(
-        ReplanRequest(source=config.out, out=tmp_path / "new.json", situation=Situation(dead=frozenset(["south-1"]))), display
+        ReplanRequest(source=config.out, out=tmp_path / "new.json", change=FleetChange(dead=frozenset(["south-1"]))), display
     )
     assert new["captured"] == delivered and new["lost"] == new["moved"] == 0, "what a dead device has delivered stays"
     extended = extend(ExtendRequest(old=config.out, new=config.out, out=tmp_path / "more.ply", num_epochs=1), display)
@@ -508,7 +508,7 @@ def test_the_manifest_says_what_each_tier_received(finished: tuple[RunConfig, Ru
     assert {node for node, count in fetched.items() if count} == {"devices/north-1", "devices/south-1"}, "each fetched its own"
     assert sum(fetched.values()) == 12
     assert {row["node"] for row in ledger} >= {"devices/north-1", "edges/north", "cloud", "devices/north-1/score", "planning"}
-    tiers = {row["tier"]: row for row in ledger_by_tier(ledger, shared=False)}
+    tiers = {row["tier"]: row for row in access_by_tier(ledger, shared=False)}
     assert [row["num_nodes"] for row in tiers.values()] == [2, 2, 2] and list(tiers) == ["device", "edge", "cloud"]
     assert tiers["device"]["num_photographs"] == 12 and tiers["edge"]["photograph_bytes"] == tiers["cloud"]["photograph_bytes"] == 0
     assert sum(row["other_bytes"] for row in tiers.values()) == sum(row["other_bytes"] for row in ledger)
@@ -549,7 +549,7 @@ def test_a_frame_counts_the_positions_that_it_is_from(hamlet: Path, tmp_path: Pa
     told: list[Event] = []
     placing = replace(placing_in(photos), origin=origin)
     save_task(tmp_path, FieldTask(train=train_preset("draft"), backend="native", placing=placing, changed=()))
-    _placed(tmp_path, placing, reporter("devices/a", told.append))
+    _place(tmp_path, placing, reporter("devices/a", told.append))
     (frame,) = [event.decision for event in told if isinstance(event, Decided) and event.decision.topic == "frame"]
     assert frame.reason.startswith("from 12 positions;")
 
@@ -560,7 +560,7 @@ def test_copies_among_given_poses_are_told(hamlet: Path, tmp_path: Path) -> None
     shutil.copy(tmp_path / "images" / first, tmp_path / "images" / second)
     poses = read_given_poses(tmp_path, hamlet / "known")
     told: list[Event] = []
-    captured = _by_poses(poses, None, tmp_path, cast(Progress, SimpleNamespace(listen=told.append)))
+    captured = _locate_by_poses(poses, None, tmp_path, cast(Progress, SimpleNamespace(listen=told.append)))
     assert second not in captured.names and len(captured.names) == 11
     (warning,) = [event.message for event in told if isinstance(event, Warned)]
     assert warning.startswith("1 of 12 photographs are copies") and f"{second} (of {first})" in warning

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from radiant_app.events import Decided, Event, StageProgress, Warned
-from radiant_app.workers.delivering import IDENTITY, introduce
-from radiant_app.workers.inbox import received_device_models, received_edge_models, save_arrivals
+from radiant_app.workers.delivering import IDENTITY, exchange_keys
+from radiant_app.workers.inbox import receive_device_models, receive_edge_models, save_joining
 from radiant_app.workers.reporting import EventReporter
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.cameras import Cameras, concatenate_cameras
@@ -61,11 +61,11 @@ def read_inbox(
         strips=((),) * len(senders),
         aggregate=AggregateConfig(),
     )
-    return admit(received_device_models(folder, task), num_dealt, EventReporter(stage=stage, emit=listen))
+    return admit(receive_device_models(folder, task), num_dealt, EventReporter(stage=stage, emit=listen))
 
 
 def saved(folder: Path, inbox: Arrivals) -> list[str]:
-    return save_arrivals(folder, inbox.corrections, inbox.refused, inbox.uncertainty)
+    return save_joining(folder, inbox.corrections, inbox.refused, inbox.uncertainty)
 
 
 def warnings(events: list[Event]) -> list[str]:
@@ -125,7 +125,7 @@ def test_cameras_are_a_devices_an_edges_virtual_ones_or_none(tmp_path: Path) -> 
     for name in ("device", "edge"):
         save_cameras(tmp_path / "inbox" / name / "virtual_cameras.safetensors", two)
     reporter = EventReporter(stage="cloud", emit=lambda event: None)
-    at_cloud = admit(received_edge_models(tmp_path, ["device", "edge", "nothing"], 48), [6, 6, 6], reporter)
+    at_cloud = admit(receive_edge_models(tmp_path, ["device", "edge", "nothing"], 48), [6, 6, 6], reporter)
     assert [len(cameras) for cameras in at_cloud.cameras] == [2, 2, 0], "the cloud does not look at poses of devices"
     at_edge = read_inbox(tmp_path, ["device", "nothing"], "edges/north", lambda event: None)
     assert [len(cameras) for cameras in at_edge.cameras] == [6, 0]
@@ -133,8 +133,8 @@ def test_cameras_are_a_devices_an_edges_virtual_ones_or_none(tmp_path: Path) -> 
 
 def test_only_signed_uploads_are_read_in_the_folder_of_a_run(tmp_path: Path) -> None:
     edge = tmp_path / "edges/north"
-    introduce(tmp_path, "edges/north", None)
-    introduce(tmp_path, "devices/a", "edges/north")
+    exchange_keys(tmp_path, "edges/north", None)
+    exchange_keys(tmp_path, "devices/a", "edges/north")
     arrive(edge, "a")
     signed = read_inbox(edge, ["a"], "edges/north", lambda event: None)
     assert signed.senders == () and "delivery.json" in signed.refused["a"]

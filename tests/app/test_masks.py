@@ -13,9 +13,9 @@ from radiant_app.commands.steps import sfm
 from radiant_app.commands.train import TrainRequest, train
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
-from radiant_app.run.dealing import deal_masks, received
-from radiant_app.workers.evaluation import scored_part
-from radiant_app.workers.sources import masks_of_scene
+from radiant_app.run.dealing import count_received, deal_masks
+from radiant_app.workers.evaluation import select_scored
+from radiant_app.workers.sources import masks_folder_of
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name, save_mask
 from radiant_core.io.run_store import write_json
@@ -47,7 +47,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_scene_made_with_masks_keeps_them_for_training(project: Path, tmp_path: Path) -> None:
     scene = tmp_path / "scene"
     sfm(project, scene, "auto", ProgressDisplay(Console(quiet=True)), project / "masks")
-    assert masks_of_scene(scene) == scene / "masks" and len(list((scene / "masks").iterdir())) == 11
+    assert masks_folder_of(scene) == scene / "masks" and len(list((scene / "masks").iterdir())) == 11
     metrics = train(TrainRequest(source=scene, out=tmp_path / "trained", overrides=TINY.overrides))
     assert [row["used_share"] < 1 for row in metrics["images"]] == [True, False]
     with pytest.raises(BadInput, match="is a scene"):
@@ -75,7 +75,7 @@ def test_masks_go_with_their_photographs_and_count_as_none_of_them(tmp_path: Pat
     assert [path.relative_to(place).as_posix() for path in place.rglob("*.png")] == ["a/b.jpg.png"]
     (tmp_path / "device" / "photos").mkdir()
     (tmp_path / "device" / "photos" / "whole.jpg").write_bytes(b"123")
-    counts = received([tmp_path / "device" / "photos", place])
+    counts = count_received([tmp_path / "device" / "photos", place])
     size_bytes = (place / "a" / "b.jpg.png").stat().st_size
     assert counts == {"num_photographs": 1, "photograph_bytes": 3, "other_bytes": size_bytes}
 
@@ -91,9 +91,9 @@ def test_a_photograph_of_which_nothing_can_be_scored_is_left_out_and_named(tmp_p
     sliver[:, :4] = True
     save_mask(tmp_path / mask_name(cameras.names[0]), sliver)
     told: list[str] = []
-    scored, used = scored_part(cameras, tmp_path, told.append)
+    scored, used = select_scored(cameras, tmp_path, told.append)
     assert scored.names == cameras.names[1:] and len(used) == 1 and used[0] is not None and used[0].all()
     assert len(told) == 1 and cameras.names[0] in told[0]
     save_mask(tmp_path / mask_name(cameras.names[1]), sliver)
     with pytest.raises(BadInput, match="nothing of any held-out photograph"):
-        scored_part(cameras, tmp_path, told.append)
+        select_scored(cameras, tmp_path, told.append)

@@ -13,10 +13,10 @@ from rich.console import Console
 from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.cloud_planning import placed_by_raster
+from radiant_app.run.cloud_planning import place_edges_by_raster
 from radiant_app.run.config import PlanOptions, RunConfig
 from radiant_app.workers.field_nodes import raster_record
-from radiant_app.workers.regions import planned_at_cloud, planned_from_raster, regions_task, run_regions
+from radiant_app.workers.regions import plan_from_raster, plan_regions_of_task, regions_task, run_regions
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import RegionsTask
 from radiant_core.errors import BadInput
@@ -54,7 +54,7 @@ def test_a_device_tells_how_many_lie_in_a_cell_and_no_position(cell_m: float) ->
 
 def test_the_cloud_answers_from_its_task_alone(tmp_path: Path) -> None:
     positions = enu_from_geodetic(captured(), ORIGIN)[:, :2]
-    system = placed_by_raster(even_system(3, 2), positions, None, 20.0, 0)
+    system = place_edges_by_raster(even_system(3, 2), positions, None, 20.0, 0)
     task = regions_task(count_raster(positions, 20.0), system, "exact")
     text = json.dumps(message_record(task))
     assert not any(device.id in text for device in system.devices) and "device" not in text
@@ -63,20 +63,20 @@ def test_the_cloud_answers_from_its_task_alone(tmp_path: Path) -> None:
     assert run_regions(tmp_path, told, EventReporter(stage="planning", emit=lambda event: None)) == ["regions.json"]
     regions, edges = load_plan(tmp_path / "regions.json")
     assert edges == () and regions.counts.sum() == 60
-    again = planned_at_cloud(told)
+    again = plan_regions_of_task(told)
     np.testing.assert_array_equal(again.weights, regions.weights)
-    plan = planned_from_raster(system, positions, 20.0, "exact")
+    plan = plan_from_raster(system, positions, 20.0, "exact")
     np.testing.assert_array_equal(plan.weights, regions.weights)
     assert plan.counts.sum() == 60 and plan.makespan_s >= plan.lower_bound_s
 
 
 def test_what_the_edges_cannot_hold_is_refused_with_its_reason() -> None:
     positions = enu_from_geodetic(captured(), ORIGIN)[:, :2]
-    system = placed_by_raster(even_system(2, 1), positions, None, 20.0, 0)
+    system = place_edges_by_raster(even_system(2, 1), positions, None, 20.0, 0)
     task = regions_task(count_raster(positions, 20.0), system, "exact")
     full = tuple(replace(edge, max_cameras=20) for edge in task.edges)
     with pytest.raises(BadInput, match="can hold 40 of 60"):
-        planned_at_cloud(replace(task, edges=full))
+        plan_regions_of_task(replace(task, edges=full))
 
 
 def test_radiant_plan_from_a_raster_says_so_and_refuses_what_needs_positions(tmp_path: Path) -> None:

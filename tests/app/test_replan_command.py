@@ -19,7 +19,7 @@ from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.records import load_plan, load_plan_waypoints
 from radiant_core.io.waypoints.reader import read_waypoints
 from radiant_core.plan.revision.captured import require_same_system
-from radiant_core.plan.revision.replan import Situation
+from radiant_core.plan.revision.replan import FleetChange
 
 SYSTEM = """
 [[edge]]
@@ -68,7 +68,7 @@ def test_a_dead_device_and_a_joined_edge_make_a_plan_with_all_its_files(planned:
         source=planned / "plan.json",
         out=planned / "new.json",
         system=planned / "system.toml",
-        situation=Situation(dead=frozenset({"n2"}), slow={"n1": 1.5}),
+        change=FleetChange(dead=frozenset({"n2"}), slow={"n1": 1.5}),
         join=planned / "joins.toml",
         captured=captured,
     )
@@ -101,8 +101,8 @@ def test_bad_requests_are_one_sentence_and_leave_nothing(planned: Path) -> None:
     files = sorted(planned.rglob("*"))
     base = {"source": planned / "plan.json", "out": planned / "new.json", "system": planned / "system.toml"}
     cases = [
-        ({"situation": Situation(dead=frozenset({"nobody"}))}, "no device or edge 'nobody'"),
-        ({"situation": Situation(dead=frozenset({"north", "south"}))}, "can hold 0 of 180 positions"),
+        ({"change": FleetChange(dead=frozenset({"nobody"}))}, "no device or edge 'nobody'"),
+        ({"change": FleetChange(dead=frozenset({"north", "south"}))}, "can hold 0 of 180 positions"),
         ({"join": planned / "twice.toml"}, "device id 'n1' comes twice"),
         ({"join": planned / "none.toml"}, "cannot be read"),
         ({"system": None}, "use the system it was planned for"),

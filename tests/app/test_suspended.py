@@ -14,7 +14,7 @@ import pytest
 
 from radiant_app.events import Event, StageDone, StageStarted, TimeLeft, Warned
 from radiant_app.executors import fold
-from radiant_app.executors.fold import Ended, Faults, Fold
+from radiant_app.executors.fold import Fold, NodeEnded, RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.executors.ray_cluster import _Cluster
@@ -42,20 +42,20 @@ class Watcher:
 
     pauses: list[tuple[list[str], float]] = field(default_factory=list)
 
-    def late(self, node_id: str, ran_s: float) -> str | None:
+    def overdue_reason(self, node_id: str, ran_s: float) -> str | None:
         return None
 
-    def too_late(self, node_id: str, ran_s: float) -> str | None:
+    def timeout_reason(self, node_id: str, ran_s: float) -> str | None:
         return f"it has run for {ran_s:.0f} s" if node_id == "devices/2" and ran_s > PATIENCE_S else None
 
-    def paused(self, node_ids: Collection[str], seconds: float) -> None:
+    def exclude_pause(self, node_ids: Collection[str], seconds: float) -> None:
         self.pauses.append((list(node_ids), seconds))
 
 
 @pytest.fixture(autouse=True)
 def _in_small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Looks every 50 ms, so that seconds stand for minutes."""
-    monkeypatch.setattr(fold, "LOOK_S", 0.05)
+    monkeypatch.setattr(fold, "CHECK_INTERVAL_S", 0.05)
 
 
 def preparer(run: Path) -> Callable[[Tree], NodeTask]:
@@ -80,8 +80,10 @@ def folded(run: Path, second: str, pause: Callable[[], None] = lambda: None) -> 
         if isinstance(event, StageDone) and event.stage == "devices/1":
             pause()
 
-    faults = Faults(may_fail=lambda node, error: node.tier == "device", watch=Watcher(), on_lost=lambda node, begun: lost.append(node.id))
-    LocalExecutor(num_workers=2, command=command, faults=faults).fold(TREE, preparer(run), listen)
+    retry_policy = RetryPolicy(
+        may_fail=lambda node, error: node.tier == "device", deadlines=Watcher(), on_given_up=lambda node, begun: lost.append(node.id)
+    )
+    LocalExecutor(num_workers=2, command=command, retry_policy=retry_policy).fold(TREE, preparer(run), listen)
     return events, lost
 
 
@@ -136,14 +138,14 @@ class Sleeper:
         self.ends.append(node.id)
         return True
 
-    def wait(self, timeout_s: float) -> tuple[str, Ended] | None:
+    def wait(self, timeout_s: float) -> tuple[str, NodeEnded] | None:
         time.sleep(self.pause_s)
         self.pause_s = 0.0
         if not self.ends:
             return None
         node_id = self.ends.pop(0)
         seal(self.run / node_id, "key", [])
-        return node_id, Ended()
+        return node_id, NodeEnded()
 
     def stop(self, node_id: str) -> None:
         raise AssertionError(f"{node_id} was given up")
@@ -156,7 +158,9 @@ def test_a_pause_is_told_to_those_who_run_and_to_the_watch(tmp_path: Path, monke
     monkeypatch.setattr(fold, "PAUSE_S", 0.3)
     watch, events = Watcher(), list[Event]()
     runner = Sleeper(tmp_path, 0.5)
-    Fold(runner=runner, prepare=preparer(tmp_path), listen=events.append, clock=time.monotonic, faults=Faults(watch=watch)).run(TREE)
+    Fold(
+        runner=runner, prepare=preparer(tmp_path), listen=events.append, clock=time.monotonic, retry_policy=RetryPolicy(deadlines=watch)
+    ).run(TREE)
     ((nodes, seconds),) = watch.pauses
     assert set(nodes) == {"devices/1", "devices/2"} and seconds >= 0.5
     warned = [event for event in events if isinstance(event, Warned)]
@@ -167,7 +171,9 @@ def test_messages_are_all_heard_before_anybody_is_given_up(tmp_path: Path, monke
     monkeypatch.setattr(fold, "SILENT_S", -1.0)
     events: list[Event] = []
     runner = Sleeper(tmp_path, 0.0)
-    times = Fold(runner=runner, prepare=preparer(tmp_path), listen=events.append, clock=time.monotonic, faults=Faults()).run(TREE)
+    times = Fold(runner=runner, prepare=preparer(tmp_path), listen=events.append, clock=time.monotonic, retry_policy=RetryPolicy()).run(
+        TREE
+    )
     assert set(times) == done(events) == {node.id for node in TREE}
     assert not [event for event in events if isinstance(event, Warned)]
 
@@ -178,7 +184,7 @@ def test_a_message_of_a_node_that_is_gone_hides_none_that_came_after_it(tmp_path
     for message in ({"node": "devices/1", "line": ""}, {"node": "devices/2", "lost": "its machine is gone."}):
         cluster.messages.put(message)
     heard = cluster.wait(0.0)
-    assert heard is not None and heard[0] == "devices/2" and isinstance(heard[1], Ended)
+    assert heard is not None and heard[0] == "devices/2" and isinstance(heard[1], NodeEnded)
 
 
 def test_the_time_of_a_node_that_stood_still_says_nothing_of_others(tmp_path: Path) -> None:
@@ -196,8 +202,8 @@ def test_the_time_of_a_node_that_stood_still_says_nothing_of_others(tmp_path: Pa
     first, second, *_ = [node.id for node in tree if node.tier == "device"]
     for node in (first, second):
         watch(StageStarted(stage=node))
-    watch.paused([first], 3600.0)
+    watch.exclude_pause([first], 3600.0)
     now_s = 3700.0
     watch(StageDone(stage=first, seconds=3700.0))
     (left,) = (event for event in told if isinstance(event, TimeLeft))
-    assert left.correction == 1.0 and watch.too_late(second, 1e9) is None, "no device was measured"
+    assert left.correction == 1.0 and watch.timeout_reason(second, 1e9) is None, "no device was measured"

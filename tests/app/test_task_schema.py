@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, give_task, introduce, introduce_scoring, take_task
+from radiant_app.workers.delivering import ABOVE_NAME, GIVEN, IDENTITY, TAKEN_NAME, accept_task, exchange_keys, identify_scoring, sign_task
 from radiant_app.workers.tasks import (
     TASKS,
     EvaluateTask,
@@ -30,7 +30,7 @@ from radiant_app.workers.tasks import (
     SfmSettings,
     SfmTask,
     TeacherTask,
-    received_task,
+    receive_task,
 )
 from radiant_core.aggregate.config import AggregateConfig
 from radiant_core.errors import BadInput
@@ -107,10 +107,10 @@ MESSAGES: dict[str, Any] = {
 
 def run_with(folder: Path, *devices: str) -> Path:
     """A run of one edge whose devices were introduced."""
-    introduce(folder, "cloud", None, [EDGE])
-    introduce(folder, EDGE, "cloud", devices)
+    exchange_keys(folder, "cloud", None, [EDGE])
+    exchange_keys(folder, EDGE, "cloud", devices)
     for device in devices:
-        introduce(folder, device, EDGE)
+        exchange_keys(folder, device, EDGE)
     return folder
 
 
@@ -122,7 +122,7 @@ def given(run: Path, device: str = DEVICE, seed: int = 0) -> Path:
         (folder / "photos" / name).write_bytes(name.encode() * 20)
     (folder / "scene.safetensors").write_bytes(b"scene")
     write_json(folder / "task.json", message_record(replace(MESSAGES["device"], train=replace(TRAIN, seed=seed))))
-    give_task(run, EDGE, device, "device_task", folder, SHARED)
+    sign_task(run, EDGE, device, "device_task", folder, SHARED)
     return folder
 
 
@@ -131,7 +131,7 @@ def refusal(folder: Path, kind: Any = "device_task") -> str:
     taken = folder / IDENTITY / TAKEN_NAME
     before = taken.read_bytes() if taken.is_file() else None
     with pytest.raises(BadInput) as caught:
-        take_task(folder, kind)
+        accept_task(folder, kind)
     assert (taken.read_bytes() if taken.is_file() else None) == before
     return str(caught.value)
 
@@ -139,12 +139,12 @@ def refusal(folder: Path, kind: Any = "device_task") -> str:
 def test_a_task_is_taken_as_often_as_its_process_begins_and_a_newer_one_replaces_it(tmp_path: Path) -> None:
     run = run_with(tmp_path, DEVICE)
     folder = given(run)
-    take_task(folder, "device_task")
-    take_task(folder, "device_task")
+    accept_task(folder, "device_task")
+    accept_task(folder, "device_task")
     assert json.loads((folder / IDENTITY / TAKEN_NAME).read_text())["attempt"] == 1
-    take_task(given(run), "device_task")
+    accept_task(given(run), "device_task")
     assert json.loads((folder / IDENTITY / TAKEN_NAME).read_text())["attempt"] == 1, "the same files are the same attempt"
-    take_task(given(run, seed=1), "device_task")
+    accept_task(given(run, seed=1), "device_task")
     assert json.loads((folder / IDENTITY / TAKEN_NAME).read_text())["attempt"] == 2
 
 
@@ -152,7 +152,7 @@ def test_an_older_task_does_not_come_back(tmp_path: Path) -> None:
     run = run_with(tmp_path, DEVICE)
     old = shutil.copytree(given(run), tmp_path / "old")
     folder = given(run, seed=1)
-    take_task(folder, "device_task")
+    accept_task(folder, "device_task")
     for name in ("task.json", f"{GIVEN}/{RECORD_NAME}", f"{GIVEN}/{SIGNATURE_NAME}"):
         shutil.copyfile(old / name, folder / name)
     assert "attempt 1 is old, attempt 2 was taken" in refusal(folder)
@@ -167,14 +167,14 @@ def test_a_task_for_somebody_else_of_another_run_or_kind_is_refused(tmp_path: Pa
     assert "has a device_task, expected a field_task" in refusal(folder, "field_task")
     (run / "run.json").unlink()
     # The same keys, another number: a run that was copied and begun anew.
-    introduce(run, DEVICE, EDGE)
+    exchange_keys(run, DEVICE, EDGE)
     assert "it belongs to run" in refusal(folder)
 
 
 def test_only_the_key_that_was_registered_counts_until_it_is_renewed(tmp_path: Path) -> None:
     run = run_with(tmp_path, DEVICE, "devices/a-2")
-    take_task(given(run), "device_task")
-    take_task(given(run, seed=1), "device_task")
+    accept_task(given(run), "device_task")
+    accept_task(given(run, seed=1), "device_task")
     # Somebody changes the edge's key; then a device gives itself a task.
     shutil.copytree(run / EDGE / IDENTITY, tmp_path / "kept")
     for name in (KEY_NAME, PUBLIC_NAME):
@@ -185,7 +185,7 @@ def test_only_the_key_that_was_registered_counts_until_it_is_renewed(tmp_path: P
     shutil.rmtree(run / EDGE / IDENTITY)
     run_with(run, DEVICE, "devices/a-2")
     for device in (DEVICE, "devices/a-2"):
-        take_task(given(run, device), "device_task")
+        accept_task(given(run, device), "device_task")
     assert (run / DEVICE / IDENTITY / ABOVE_NAME).read_bytes() != (tmp_path / "kept" / PUBLIC_NAME).read_bytes()
 
 
@@ -195,9 +195,9 @@ def test_a_scoring_takes_what_is_addressed_to_its_device(tmp_path: Path) -> None
     (folder / "inbox").mkdir(parents=True)
     for name in ("task.json", "inbox/scene.ply", "inbox/plan.json"):
         (folder / name).write_bytes(name.encode())
-    introduce_scoring(run, f"{DEVICE}/score", DEVICE, EDGE)
-    give_task(run, EDGE, DEVICE, "score_task", folder, ["task.json", "inbox/scene.ply", "inbox/plan.json"])
-    take_task(folder, "score_task")
+    identify_scoring(run, f"{DEVICE}/score", DEVICE, EDGE)
+    sign_task(run, EDGE, DEVICE, "score_task", folder, ["task.json", "inbox/scene.ply", "inbox/plan.json"])
+    accept_task(folder, "score_task")
     (folder / "inbox" / "lpips.safetensors").write_bytes(b"not sent")
     assert "was not sent with the score_task" in refusal(folder, "score_task")
 
@@ -219,7 +219,7 @@ def tampered_tasks(folder: Path, count: int, seed: int) -> list[str]:
     # All of it right, but signed by another device.
     shutil.copytree(run / "devices/a-2" / IDENTITY, folder / "forger" / "edges/x" / IDENTITY)
     shutil.copyfile(run / "run.json", folder / "forger" / "run.json")
-    give_task(folder / "forger", "edges/x", DEVICE, "device_task", shutil.copytree(kept["right"], folder / "forged"), SHARED)
+    sign_task(folder / "forger", "edges/x", DEVICE, "device_task", shutil.copytree(kept["right"], folder / "forged"), SHARED)
     place = run / DEVICE
     names = ["task.json", "scene.safetensors", "photos/one.jpg", "photos/two.jpg", *signed]
     whole = {name: (place / name).read_bytes() for name in names}
@@ -251,7 +251,7 @@ def tampered_tasks(folder: Path, count: int, seed: int) -> list[str]:
         lambda: of("other", *names),
         lambda: of("forged", *signed),
     ]
-    take_task(place, "device_task")
+    accept_task(place, "device_task")
     taken = []
     for number in range(count):
         attack = rng.randrange(len(attacks))
@@ -260,7 +260,7 @@ def tampered_tasks(folder: Path, count: int, seed: int) -> list[str]:
             (place / name).parent.mkdir(exist_ok=True)
             (place / name).write_bytes(data)
         try:
-            take_task(place, "device_task")
+            accept_task(place, "device_task")
             taken.append(f"task {number}, attack {attack}")
         except BadInput:
             pass
@@ -270,7 +270,7 @@ def tampered_tasks(folder: Path, count: int, seed: int) -> list[str]:
         for name in changed.keys() & whole.keys():
             (place / name).write_bytes(whole[name])
     # Nothing of it was refused because the receiver was broken.
-    take_task(place, "device_task")
+    accept_task(place, "device_task")
     return taken
 
 
@@ -301,13 +301,13 @@ def test_a_task_has_exactly_the_fields_of_its_kind_and_comes_back_as_it_was(kind
 
 def test_what_is_no_node_of_a_run_is_not_asked_for_a_signature(tmp_path: Path) -> None:
     save_task(tmp_path, MESSAGES["device"])
-    assert received_task("device", tmp_path).train == TRAIN
+    assert receive_task("device", tmp_path).train == TRAIN
     folder = run_with(tmp_path / "run", DEVICE) / DEVICE
     save_task(folder, MESSAGES["sfm"])
-    assert received_task("sfm", folder) == MESSAGES["sfm"]
+    assert receive_task("sfm", folder) == MESSAGES["sfm"]
     save_task(folder, MESSAGES["device"])
     with pytest.raises(BadInput, match=r"delivery\.json"):
-        received_task("device", folder)
+        receive_task("device", folder)
 
 
 def test_a_worker_refuses_a_changed_task_before_it_works(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import tifffile
 from radiant_app.commands.inspect import run_setting
 from radiant_app.commands.train import TrainRequest
 from radiant_app.files.run_folder import Manifest
-from radiant_app.workers.sources import scored_scene_of
+from radiant_app.workers.sources import load_scored_scene
 from radiant_core.cameras import Cameras
 from radiant_core.errors import BadInput
 from radiant_core.io.colmap.model import read_model
@@ -101,7 +101,7 @@ def test_a_training_shows_and_films_what_it_scored_where_its_scene_holds_copies(
     settings = TrainRequest(source=sfm, out=trained).settings
     Manifest(folder=trained, config=json.loads(json.dumps(settings, default=str))).save()
     save_ply(trained / "scene.ply", town.splats)
-    trained_on = scored_scene_of(sfm)[0].cameras.names
+    trained_on = load_scored_scene(sfm)[0].cameras.names
     scored = sorted(trained_on)[::8]
     write_json(trained / "metrics.json", {"images": [{"name": name, "psnr_db": 20.0} for name in scored]})
     run = load_run_view(trained)
@@ -111,7 +111,7 @@ def test_a_training_shows_and_films_what_it_scored_where_its_scene_holds_copies(
     for folder in (trained, sfm):
         radiant("export", folder, tmp_path / f"{folder.name} colmap")
         assert [image.name for image in read_model(tmp_path / f"{folder.name} colmap").images] == list(
-            scored_scene_of(sfm)[0].cameras.names
+            load_scored_scene(sfm)[0].cameras.names
         )
 
 

@@ -100,7 +100,7 @@ def with_devices_of(late: Dealer, folder: Path) -> Dealer:
     """A copy of a run whose devices are done."""
     shutil.copytree(late.run / "devices", folder / "devices")
     shutil.copyfile(late.run / "run.json", folder / "run.json")
-    return replace(late, run=folder, ledger=[])
+    return replace(late, run=folder, access_log=[])
 
 
 def test_early_teachers_change_no_bit_of_the_scene(late: Dealer, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_early_teachers_change_no_bit_of_the_scene(late: Dealer, tmp_path: Path)
     assert teacher_choice(events) == "5 of 5 views were rendered before the last device arrived"
     assert sum(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in events) == 5
     assert scene_bytes(early) == scene_bytes(late)
-    assert [row["tier"] for row in early.ledger] == ["device", "device", "edge", "cloud"], "what an edge is sent counts once"
+    assert [row["tier"] for row in early.access_log] == ["device", "device", "edge", "cloud"], "what an edge is sent counts once"
 
 
 def test_a_teacher_that_was_killed_leaves_the_rest_to_its_edge(late: Dealer, tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_resuming_after_a_kill_between_teacher_and_edge_takes_the_views(late: De
     early = with_devices_of(late, tmp_path)
     folded(early, teachers=True, without="edge")
     again: list[Event] = []
-    folded(replace(early, ledger=[]), teachers=True, listen=again.append)
+    folded(replace(early, access_log=[]), teachers=True, listen=again.append)
     assert not any(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in again), "no view is rendered twice"
     assert teacher_choice(again).startswith("5 of 5")
     assert scene_bytes(early) == scene_bytes(late)
@@ -154,7 +154,7 @@ def test_views_of_another_run_are_not_taken_when_teachers_are_late(late: Dealer,
 def test_other_models_make_teachers_render_anew(late: Dealer, tmp_path: Path) -> None:
     early = with_devices_of(late, tmp_path)
     folded(early, teachers=True)
-    seeded = replace(early, recipe=replace(early.recipe, train=replace(early.recipe.train, seed=5)), ledger=[])
+    seeded = replace(early, recipe=replace(early.recipe, train=replace(early.recipe.train, seed=5)), access_log=[])
     events: list[Event] = []
     folded(seeded, teachers=True, listen=events.append)
     assert sum(isinstance(event, StageProgress) and "/teachers/" in event.stage for event in events) == 5
@@ -163,7 +163,7 @@ def test_other_models_make_teachers_render_anew(late: Dealer, tmp_path: Path) ->
 
 @pytest.mark.parametrize("upload", ["float16", "spz"])
 def test_a_run_with_compressed_uploads_keeps_its_models_and_sends_less(late: Dealer, tmp_path: Path, upload: UploadFormat) -> None:
-    small = replace(late, run=tmp_path, recipe=replace(late.recipe, upload=upload), ledger=[])
+    small = replace(late, run=tmp_path, recipe=replace(late.recipe, upload=upload), access_log=[])
     tree = folded(small, teachers=True)
     for node in tree:
         if node.tier == "device":
@@ -171,12 +171,12 @@ def test_a_run_with_compressed_uploads_keeps_its_models_and_sends_less(late: Dea
             assert len(kept) == len(sent) and (kept.sh0 != sent.sh0).any()
             inbox = tmp_path / "edges" / "edge-1" / "inbox" / node.name / "model.safetensors"
             assert inbox.read_bytes() == (tmp_path / node.id / "upload.safetensors").read_bytes()
-    received = {row["tier"]: row["other_bytes"] for row in small.ledger}
-    exact = {row["tier"]: row["other_bytes"] for row in late.ledger}
+    received = {row["tier"]: row["other_bytes"] for row in small.access_log}
+    exact = {row["tier"]: row["other_bytes"] for row in late.access_log}
     assert received["edge"] < 0.75 * exact["edge"] and received["cloud"] < 0.6 * exact["cloud"]
     scene, same = load_ply(tmp_path / "cloud" / "scene.ply"), load_ply(late.run / "cloud" / "scene.ply")
     assert len(scene) == pytest.approx(len(same), rel=0.05)
-    folded(replace(small, ledger=[]), teachers=True, listen=lambda event: pytest.fail(f"a sealed node ran again: {event}"))
+    folded(replace(small, access_log=[]), teachers=True, listen=lambda event: pytest.fail(f"a sealed node ran again: {event}"))
 
 
 def test_a_model_that_the_format_cannot_hold_is_sent_as_float32_with_a_warning(late: Dealer, tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_a_model_that_the_format_cannot_hold_is_sent_as_float32_with_a_warning(l
     scattered = scene.points.copy()
     scattered[0] = 1e8
     photographs = replace(late.photographs, scene=replace(scene, points=scattered))
-    far = replace(late, run=tmp_path, recipe=replace(late.recipe, upload="spz"), photographs=photographs, ledger=[])
+    far = replace(late, run=tmp_path, recipe=replace(late.recipe, upload="spz"), photographs=photographs, access_log=[])
     events: list[Event] = []
     folded(far, teachers=False, listen=events.append, without="edge")
     warned = [event for event in events if isinstance(event, Warned)]

@@ -13,10 +13,10 @@ import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.events import Event, Failed, StageDone, StageProgress, StageSkipped, StageStarted, Warned, encode
-from radiant_app.executors.fold import Faults
+from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
-from radiant_app.executors.ray_cluster import RayExecutor, _environment, place_of
+from radiant_app.executors.ray_cluster import RayExecutor, _environment, resource_of
 from radiant_app.run.config import ExecutionOptions, RunConfig
 from radiant_app.run.pipeline import run
 from radiant_core.aggregate.tree import Tree
@@ -45,8 +45,10 @@ def make(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
             return [sys.executable, "-c", f"import os; os.chdir({str(task.folder)!r})\n{scripts.get(task.stage, SEAL)}"]
 
         if request.param == "local":
-            return LocalExecutor(num_workers=2, command=command, faults=Faults(attempts=2))
-        return RayExecutor(address=request.getfixturevalue("address"), log=tmp_path / "ray.log", command=command, faults=Faults(attempts=2))
+            return LocalExecutor(num_workers=2, command=command, retry_policy=RetryPolicy(max_attempts=2))
+        return RayExecutor(
+            address=request.getfixturevalue("address"), log=tmp_path / "ray.log", command=command, retry_policy=RetryPolicy(max_attempts=2)
+        )
 
     return executor
 
@@ -123,8 +125,8 @@ def test_a_cluster_of_this_machine_alone_gets_a_secret_of_its_own_each_time(monk
 
 
 def test_the_machines_of_nodes_are_named_by_what_they_are() -> None:
-    assert [place_of(node) for node in TAUGHT] == ["device:1", "edge:a", "device:2", "edge:a", "device:3", "edge:a", "edge:a", "cloud"]
-    assert place_of(Tree(id="devices/1/score", tier="device")) == "device:1"
+    assert [resource_of(node) for node in TAUGHT] == ["device:1", "edge:a", "device:2", "edge:a", "device:3", "edge:a", "edge:a", "cloud"]
+    assert resource_of(Tree(id="devices/1/score", tier="device")) == "device:1"
 
 
 @pytest.mark.parametrize(("address", "said"), [("nowhere", "no host:port"), ("127.0.0.1:1", "no Ray cluster answers at 127.0.0.1:1")])

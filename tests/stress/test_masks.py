@@ -14,7 +14,7 @@ from radiant_app.commands.train import TrainRequest, train
 from radiant_app.events import Event, StageSkipped
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import RunConfig, SfmOptions
-from radiant_app.run.dealing import received
+from radiant_app.run.dealing import count_received
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.errors import BadInput
 from radiant_core.io.photos.masks import mask_name, save_mask
@@ -41,7 +41,7 @@ def test_each_device_has_the_masks_of_its_photographs_and_they_count_as_no_photo
     for device in (config.out / "devices").iterdir():
         photographs = {path.name for path in (device / "photos").iterdir()}
         assert {path.name for path in (device / "masks").iterdir()} == {mask_name(name) for name in photographs - {HELD_OUT}}
-        ledger = received([device / "photos", device / "scene.safetensors", device / "masks"])
+        ledger = count_received([device / "photos", device / "scene.safetensors", device / "masks"])
         assert ledger["num_photographs"] == len(photographs)
         dealt += len(photographs)
     manifest = read_json(config.out / "manifest.json")

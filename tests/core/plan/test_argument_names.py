@@ -27,7 +27,7 @@ from radiant_core.plan.regions.region_plan import plan_regions, regions_around, 
 from radiant_core.plan.regions.transport import deal_with_counts
 from radiant_core.plan.revision.assigned import assigned_plan
 from radiant_core.plan.revision.captured import captured_for_other_edges, plan_captured, plan_of_owners
-from radiant_core.plan.revision.replan import Situation, replan
+from radiant_core.plan.revision.replan import FleetChange, replan
 from radiant_core.plan.timeline.simulate import BandwidthTrace, fleet_of, simulate
 from radiant_core.plan.waypoints import Waypoints
 
@@ -57,8 +57,8 @@ CALLS: list[tuple[str, Callable[[], object]]] = [
     ("positions", lambda: count_raster(WRONG, 1.0)),
     ("positions", lambda: middles_of_cells(WRONG, 1.0)),
     ("positions", lambda: assign_to_regions(CLOUD, WRONG, SYSTEM)),
-    ("positions", lambda: replan(CLOUD, EDGES, WRONG, SYSTEM, Situation())),
-    ("captured", lambda: replan(CLOUD, EDGES, PLACES, SYSTEM, Situation(), captured=WRONG)),
+    ("positions", lambda: replan(CLOUD, EDGES, WRONG, SYSTEM, FleetChange())),
+    ("captured", lambda: replan(CLOUD, EDGES, PLACES, SYSTEM, FleetChange(), captured=WRONG)),
     ("planned_xy", lambda: plan_captured(CLOUD, EDGES, WRONG, PLACES, system=SYSTEM)),
     ("captured_xy", lambda: plan_captured(CLOUD, EDGES, PLACES, WRONG, system=SYSTEM)),
     ("captured_xy", lambda: plan_of_owners(CLOUD, EDGES, np.zeros(4, np.int64), WRONG, system=SYSTEM)),

@@ -20,7 +20,7 @@ from radiant_core.plan.regions.power_diagram import assign
 from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.plan.revision import replan as replan_module
 from radiant_core.plan.revision.assigned import hull_of
-from radiant_core.plan.revision.replan import Replan, ReplanInfeasible, Situation, extend_system, replan
+from radiant_core.plan.revision.replan import FleetChange, Replan, ReplanInfeasible, extend_system, replan
 from radiant_core.plan.system import Device, Edge, System
 from tests.seeds import for_seeds
 
@@ -47,8 +47,8 @@ class Made:
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]
 
-    def replanned(self, situation: Situation, **more: object) -> Replan | ReplanInfeasible:
-        return replan(self.cloud, self.edges, self.positions, self.system, situation, **more)  # type: ignore[arg-type]
+    def replanned(self, change: FleetChange, **more: object) -> Replan | ReplanInfeasible:
+        return replan(self.cloud, self.edges, self.positions, self.system, change, **more)  # type: ignore[arg-type]
 
 
 def made(system: System, num_positions: int, seed: int = 0) -> Made:
@@ -76,7 +76,7 @@ def counts(result: Replan, owners: Sequence[int] | None = None) -> dict[str, int
 
 def test_a_dead_device_gives_all_its_positions_away_and_few_others_move() -> None:
     plan = town()
-    result = solved(plan.replanned(Situation(dead=frozenset({"e2"}))))
+    result = solved(plan.replanned(FleetChange(dead=frozenset({"e2"}))))
     had = len(plan.edges[1].cameras_of("e2"))
     assert counts(result)["e2"] == 0 and sum(counts(result).values()) == 120
     assert had <= result.moved.sum() <= 2 * had
@@ -91,7 +91,7 @@ def test_a_dead_device_gives_all_its_positions_away_and_few_others_move() -> Non
 def test_captured_positions_never_move_and_those_of_a_dead_device_are_lost() -> None:
     plan = town()
     captured = np.random.default_rng(1).random(120) < 0.4
-    result = solved(plan.replanned(Situation(dead=frozenset({"w1"}), slow={"e1": 3.0}), captured=captured))
+    result = solved(plan.replanned(FleetChange(dead=frozenset({"w1"}), slow={"e1": 3.0}), captured=captured))
     assert not (result.moved & captured).any() and result.moved.any()
     on_w1 = result.device_before == 0
     np.testing.assert_array_equal(result.lost, on_w1 & captured)
@@ -100,7 +100,7 @@ def test_captured_positions_never_move_and_those_of_a_dead_device_are_lost() -> 
 
 def test_what_is_done_stays_as_it_is_and_takes_nothing() -> None:
     plan = town()
-    result = solved(plan.replanned(Situation(dead=frozenset({"e2"}), done=frozenset({"west"}))))
+    result = solved(plan.replanned(FleetChange(dead=frozenset({"e2"}), done=frozenset({"west"}))))
     for index in (0, 1):
         np.testing.assert_array_equal(result.edges[0].cameras_of(f"w{index + 1}"), plan.edges[0].cameras_of(f"w{index + 1}"))
     assert result.time_after_s[:2].tolist() == [0.0, 0.0] and result.cloud.edge_time_s[0] == 0.0
@@ -108,16 +108,16 @@ def test_what_is_done_stays_as_it_is_and_takes_nothing() -> None:
     np.testing.assert_array_equal(result.cloud.borders[0], plan.cloud.borders[0])
     for old, new in zip(plan.edges[0].strips, result.edges[0].strips, strict=True):
         np.testing.assert_array_equal(old, new)
-    nothing = solved(plan.replanned(Situation(done=frozenset({"west", "east"}))))
+    nothing = solved(plan.replanned(FleetChange(done=frozenset({"west", "east"}))))
     assert not nothing.moved.any() and nothing.cloud.makespan_s == 0.0
 
 
 def test_nothing_new_moves_nothing_and_a_tolerance_moves_less() -> None:
     plan = town()
-    same = solved(plan.replanned(Situation()))
+    same = solved(plan.replanned(FleetChange()))
     assert not same.moved.any() and same.cloud.makespan_s == pytest.approx(plan.cloud.makespan_s, rel=1e-9)
     assert same.makespan_before_s == pytest.approx(plan.cloud.makespan_s, rel=1e-9)
-    slow = Situation(slow={"w1": 1.3})
+    slow = FleetChange(slow={"w1": 1.3})
     exact, loose = solved(plan.replanned(slow)), solved(plan.replanned(slow, tolerance=0.05))
     assert exact.moved.sum() > loose.moved.sum()
     assert exact.cloud.makespan_s <= loose.cloud.makespan_s <= 1.05 * exact.cloud.makespan_s * (1 + 1e-9)
@@ -126,7 +126,7 @@ def test_nothing_new_moves_nothing_and_a_tolerance_moves_less() -> None:
 
 def test_a_busy_device_is_waited_for() -> None:
     plan = town()
-    free, busy = solved(plan.replanned(Situation())), solved(plan.replanned(Situation(busy_s={"e1": 20.0})))
+    free, busy = solved(plan.replanned(FleetChange())), solved(plan.replanned(FleetChange(busy_s={"e1": 20.0})))
     assert counts(busy)["e1"] < counts(free)["e1"]
     assert busy.time_after_s[2] == pytest.approx(20.0 + device_time_s(plan.system.devices[2], counts(busy)["e1"]))
 
@@ -134,7 +134,7 @@ def test_a_busy_device_is_waited_for() -> None:
 def test_a_joined_edge_and_device_take_the_land_beside_them() -> None:
     plan = town(400)
     joining = System(edges=(edge("north", (50.0, 95.0), device("n1"), device("n2")), edge("west", (0.0, 0.0), device("w3"))))
-    result = solved(plan.replanned(Situation(), joining=joining))
+    result = solved(plan.replanned(FleetChange(), joining=joining))
     assert [e.id for e in result.system.edges] == ["west", "east", "north"] and counts(result)["w3"] > 0
     assert result.system.edges[0].position == (20.0, 50.0), "an edge that was there keeps its place"
     assert result.cloud.makespan_s < result.makespan_before_s
@@ -148,16 +148,16 @@ def test_a_joined_edge_and_device_take_the_land_beside_them() -> None:
 
 def test_what_cannot_be_done_is_said_with_the_capacity() -> None:
     plan = town()
-    everybody = plan.replanned(Situation(dead=frozenset({"west", "east"})))
+    everybody = plan.replanned(FleetChange(dead=frozenset({"west", "east"})))
     assert isinstance(everybody, ReplanInfeasible) and everybody.capacity == 0 and "0 of 120 positions" in everybody.reason
-    gone = plan.replanned(Situation(dead=frozenset({"west", "east"})), captured=np.ones(120))
+    gone = plan.replanned(FleetChange(dead=frozenset({"west", "east"})), captured=np.ones(120))
     assert isinstance(gone, ReplanInfeasible) and "plan them anew" in gone.reason
     tight = made(System(edges=(edge("a", (0.0, 0.0), device("a1", most=30), device("a2", most=30)),)), 60)
-    full = tight.replanned(Situation(dead=frozenset({"a2"})))
+    full = tight.replanned(FleetChange(dead=frozenset({"a2"})))
     assert isinstance(full, ReplanInfeasible) and full.capacity == 30 and "30 of 60 positions" in full.reason
     one = made(System(edges=(edge("a", (0.0, 0.0), device("a1")),)), 5)
-    assert not solved(one.replanned(Situation(slow={"a1": 4.0}))).moved.any()
-    closed = plan.replanned(Situation(dead=frozenset({"w1"}), closed=frozenset({"w2", "e1", "e2"})))
+    assert not solved(one.replanned(FleetChange(slow={"a1": 4.0}))).moved.any()
+    closed = plan.replanned(FleetChange(dead=frozenset({"w1"}), closed=frozenset({"w2", "e1", "e2"})))
     assert isinstance(closed, ReplanInfeasible) and closed.capacity == 120 - len(plan.edges[0].cameras_of("w1"))
 
 
@@ -173,35 +173,35 @@ def test_what_cannot_be_done_is_said_with_the_capacity() -> None:
 )
 def test_impossible_situations_are_refused(about: Mapping[str, object], told: str) -> None:
     with pytest.raises(BadInput, match=told):
-        Situation(**about)  # type: ignore[arg-type]
+        FleetChange(**about)  # type: ignore[arg-type]
 
 
 def test_what_does_not_belong_together_is_refused() -> None:
     plan = town()
     for field in ("dead", "done", "closed"):
         with pytest.raises(BadInput, match=r"no device or edge 'w9': there are e1, e2, w1, w2, of west, east"):
-            plan.replanned(Situation(**{field: frozenset({"w9"})}))  # type: ignore[arg-type]
+            plan.replanned(FleetChange(**{field: frozenset({"w9"})}))  # type: ignore[arg-type]
     with pytest.raises(BadInput, match="no device or edge 'w9'"):
-        plan.replanned(Situation(slow={"w9": 2.0}))
+        plan.replanned(FleetChange(slow={"w9": 2.0}))
     with pytest.raises(BadInput, match="tolerance is nan"):
-        plan.replanned(Situation(), tolerance=float("nan"))
+        plan.replanned(FleetChange(), tolerance=float("nan"))
     with pytest.raises(BadInput, match="device id 'w1' comes twice"):
         extend_system(plan.system, System(edges=(edge("new", (0.0, 0.0), device("w1")),)))
     with pytest.raises(BadInput, match="'new' has no position"):
-        plan.replanned(Situation(), joining=System(edges=(replace(edge("new", (0.0, 0.0), device("n1")), position=None),)))
+        plan.replanned(FleetChange(), joining=System(edges=(replace(edge("new", (0.0, 0.0), device("n1")), position=None),)))
     with pytest.raises(BadInput, match="shape"):
-        replan(plan.cloud, plan.edges, plan.positions[1:], plan.system, Situation())
+        replan(plan.cloud, plan.edges, plan.positions[1:], plan.system, FleetChange())
     with pytest.raises(BadInput, match="captured"):
-        plan.replanned(Situation(), captured=np.full(120, np.nan))
+        plan.replanned(FleetChange(), captured=np.full(120, np.nan))
 
 
-def best_by_search(plan: Made, system: System, situation: Situation, captured: np.ndarray, before: np.ndarray) -> tuple[float, int]:
+def best_by_search(plan: Made, system: System, change: FleetChange, captured: np.ndarray, before: np.ndarray) -> tuple[float, int]:
     """Least makespan and fewest moves over all owners of the positions that may move, times written out from the paper's equations."""
     devices, names = system.devices, [d.id for d in system.devices]
     edge_of = np.repeat(np.arange(len(system.edges)), [len(e.devices) for e in system.edges])
-    stays = captured | np.array([names[o] in situation.done for o in before])
-    lost = captured & np.array([names[o] in situation.dead for o in before])
-    takers = [i for i, name in enumerate(names) if name not in situation.dead | situation.done]
+    stays = captured | np.array([names[o] in change.done for o in before])
+    lost = captured & np.array([names[o] in change.dead for o in before])
+    takers = [i for i, name in enumerate(names) if name not in change.dead | change.done]
     free = np.flatnonzero(~stays)
     found: list[tuple[float, int]] = []
     for choice in product(takers, repeat=len(free)):
@@ -218,11 +218,11 @@ def best_by_search(plan: Made, system: System, situation: Situation, captured: n
                 continue
             ready = 0.0
             for i in own:
-                if held[i] and names[i] not in situation.done:
-                    slow = situation.slow.get(names[i], 1.0)
+                if held[i] and names[i] not in change.done:
+                    slow = change.slow.get(names[i], 1.0)
                     d, k = devices[i], int(held[i])
                     spent = slow * (d.init_s(k) + d.train_s(k)) + d.model_bytes(k) / d.uplink_bytes_per_s
-                    ready = max(ready, situation.busy_s.get(names[i], 0.0) + float(spent))
+                    ready = max(ready, change.busy_s.get(names[i], 0.0) + float(spent))
             sent = sum(float(devices[i].model_bytes(int(held[i]))) for i in own) / e.uplink_bytes_per_s
             worst = max(worst, ready + float(e.aggregate_s(int(held[own].sum()))) + sent)
         found.append((worst, int((owners != before).sum())))
@@ -243,7 +243,7 @@ def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
         plan = made(System(edges=(first, second)), num, seed)
         names = [d.id for d in plan.system.devices]
         picked = rng.permutation(names)
-        situation = Situation(
+        change = FleetChange(
             dead=frozenset(picked[:1] if rng.random() < 0.6 else ()),
             done=frozenset(picked[1:2] if rng.random() < 0.3 and len(names) > 2 else ()),
             slow={picked[-1]: float(rng.uniform(0.5, 4.0))},
@@ -251,12 +251,12 @@ def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
         )
         joining = System(edges=(edge("c", (50.0, 90.0), device("c0", 1.2)),)) if rng.random() < 0.3 else None
         captured = rng.random(num) < 0.25
-        result = plan.replanned(situation, captured=captured, joining=joining)
+        result = plan.replanned(change, captured=captured, joining=joining)
         if isinstance(result, ReplanInfeasible):
-            assert captured.all() or len(situation.dead) + len(situation.done) == len(names), seed
+            assert captured.all() or len(change.dead) + len(change.done) == len(names), seed
             continue
         system = plan.system if joining is None else extend_system(plan.system, joining)
-        least_s, fewest = best_by_search(plan, system, situation, captured, result.device_before)
+        least_s, fewest = best_by_search(plan, system, change, captured, result.device_before)
         assert result.cloud.makespan_s == pytest.approx(least_s, rel=1e-9), seed
         assert result.moved.sum() == fewest, seed
         assert result.fewest_proved
@@ -266,11 +266,11 @@ def test_exhaustive_search_finds_nothing_faster_and_no_fewer_moves() -> None:
 
 def test_those_that_move_are_the_nearest_for_one_and_for_several_that_lose() -> None:
     """Against every choice of who goes where with the same quotas: Σ of squared distances to the devices' centres."""
-    for seed, situation in enumerate(
-        [Situation(slow={"w1": 3.0}), Situation(slow={"w1": 4.0, "e1": 4.0}), Situation(dead=frozenset({"w2"}))] * 4
+    for seed, change in enumerate(
+        [FleetChange(slow={"w1": 3.0}), FleetChange(slow={"w1": 4.0, "e1": 4.0}), FleetChange(dead=frozenset({"w2"}))] * 4
     ):
         plan = made(town().system, 6, seed)
-        result = solved(plan.replanned(situation))
+        result = solved(plan.replanned(change))
         centres = np.array([[0.0, 0.0]] * 4)
         for index in range(4):
             own = plan.positions[result.device_before == index]
@@ -284,14 +284,14 @@ def test_those_that_move_are_the_nearest_for_one_and_for_several_that_lose() -> 
             if (np.bincount(owners, minlength=4) == held).all() and (np.array(owners) != result.device_before).sum() == result.moved.sum()
         )
         cost = float(gains[np.arange(6), result.device_after].sum())
-        assert cost == pytest.approx(best, rel=1e-9, abs=1e-9), (seed, situation)
+        assert cost == pytest.approx(best, rel=1e-9, abs=1e-9), (seed, change)
 
 
 def test_unequal_uploads_keep_the_deadline_and_say_that_moves_are_not_proved() -> None:
     """One device sends ten times the bytes: quotas stay within the least makespan of the fastest dealing."""
     heavy = replace(device("w2", 0.7), model_bytes=CostCurve(constant=1e6, linear=5e6))
     plan = made(System(edges=(edge("west", (20.0, 50.0), device("w1"), heavy), edge("east", (80.0, 50.0), device("e1")))), 100)
-    result = solved(plan.replanned(Situation(slow={"e1": 2.0})))
+    result = solved(plan.replanned(FleetChange(slow={"e1": 2.0})))
     assert not result.fewest_proved and result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)
 
 
@@ -299,7 +299,7 @@ def test_twenty_thousand_positions_are_replanned_in_seconds() -> None:
     devices = [tuple(device(f"d{e}-{i}", 1 + 0.1 * i) for i in range(4)) for e in range(16)]
     where = [(float(x), float(y)) for x in (10, 35, 60, 85) for y in (10, 35, 60, 85)]
     plan = made(System(edges=tuple(edge(f"e{i}", where[i], *own) for i, own in enumerate(devices))), 20_000)
-    result = solved(plan.replanned(Situation(dead=frozenset({"d3-0", "e7"}), slow={"d0-0": 2.0}), tolerance=0.01))
+    result = solved(plan.replanned(FleetChange(dead=frozenset({"d3-0", "e7"}), slow={"d0-0": 2.0}), tolerance=0.01))
     gone = sum(len(plan.edges[e].cameras_of(n)) for e, n in [(3, "d3-0"), *((7, f"d7-{i}") for i in range(4))])
     assert gone <= result.moved.sum() <= 1.4 * gone
     assert len(result.cloud.borders[7]) == 0, "nobody owns the land of a dead edge"
@@ -312,7 +312,7 @@ def test_an_edge_that_need_not_join_is_counted_so_and_stays_within_the_deadline(
     one = replace(edge("one", (0.0, 0.0), first, second), aggregate_alone_s=CostCurve(constant=0.5))
     for num_positions in (1, 2, 3, 5, 8, 13):
         plan = made(System(edges=(one,)), num_positions)
-        result = solved(plan.replanned(Situation(slow={"a": 1.01})))
+        result = solved(plan.replanned(FleetChange(slow={"a": 1.01})))
         slowed = result.system.edges[0]
 
         def time_s(quotas: tuple[int, int], edge: Edge = slowed) -> float:
@@ -330,11 +330,11 @@ def test_an_edge_that_need_not_join_is_counted_so_and_stays_within_the_deadline(
 
 def test_an_edge_of_which_nothing_changed_keeps_its_strips_and_another_gets_hulls() -> None:
     plan = town()
-    same = solved(plan.replanned(Situation()))
+    same = solved(plan.replanned(FleetChange()))
     for old, new in zip(plan.edges, same.edges, strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(old.strips, new.strips, strict=True))
     # e2 gives to e1 alone: the west is as before.
-    result = solved(plan.replanned(Situation(dead=frozenset({"e2"}), closed=frozenset({"w1", "w2"}))))
+    result = solved(plan.replanned(FleetChange(dead=frozenset({"e2"}), closed=frozenset({"w1", "w2"}))))
     west, east = result.edges
     assert all(np.array_equal(a, b) for a, b in zip(plan.edges[0].strips, west.strips, strict=True))
     np.testing.assert_array_equal(east.strips[0], hull_of(plan.positions[result.device_after == 2]))
@@ -343,14 +343,14 @@ def test_an_edge_of_which_nothing_changed_keeps_its_strips_and_another_gets_hull
 
 def test_limits_of_what_is_said_of_a_machine() -> None:
     for factor in (1e-9, 1e6):
-        assert Situation(slow={"w1": factor}).slow["w1"] == factor
+        assert FleetChange(slow={"w1": factor}).slow["w1"] == factor
     with pytest.raises(BadInput, match="slow by 1000001"):
-        Situation(slow={"w1": 1_000_001.0})
-    assert Situation(busy_s={"w1": 0.0}).busy_s["w1"] == 0
+        FleetChange(slow={"w1": 1_000_001.0})
+    assert FleetChange(busy_s={"w1": 0.0}).busy_s["w1"] == 0
     with pytest.raises(BadInput, match=r"busy for -0\.1 s"):
-        Situation(busy_s={"w1": -0.1})
+        FleetChange(busy_s={"w1": -0.1})
     with pytest.raises(BadInput, match="positions has shape"):
-        replan(town().cloud, town().edges, np.zeros((3, 2)), town().system, Situation())
+        replan(town().cloud, town().edges, np.zeros((3, 2)), town().system, FleetChange())
 
 
 @pytest.mark.parametrize(
@@ -366,13 +366,13 @@ def test_limits_of_what_is_said_of_a_machine() -> None:
 def test_fewest_moves_are_proved_where_what_is_sent_depends_on_the_sum_alone(curve: CostCurve, proved: bool) -> None:
     west = edge("west", (20.0, 50.0), *(replace(device(name), model_bytes=curve) for name in ("w1", "w2")))
     east = edge("east", (80.0, 50.0), *(replace(device(name), model_bytes=curve) for name in ("e1", "e2")))
-    result = solved(made(System(edges=(west, east)), 60).replanned(Situation(slow={"w1": 2.0})))
+    result = solved(made(System(edges=(west, east)), 60).replanned(FleetChange(slow={"w1": 2.0})))
     assert result.fewest_proved is proved and result.cloud.makespan_s <= result.cloud.lower_bound_s * (1 + 1e-9)
 
 
 def test_polygons_of_a_replan_are_the_cells_of_its_weights() -> None:
     plan = town()
-    result = solved(plan.replanned(Situation(dead=frozenset({"w1"}), slow={"e1": 2.0})))
+    result = solved(plan.replanned(FleetChange(dead=frozenset({"w1"}), slow={"e1": 2.0})))
     assert (result.cloud.edge_of_camera != plan.cloud.edge_of_camera).any(), "regions are new"
     cells = assign(plan.positions, result.cloud.sites, result.cloud.weights)
     for index, border in enumerate(result.cloud.borders):
@@ -383,24 +383,24 @@ def test_polygons_of_a_replan_are_the_cells_of_its_weights() -> None:
 
 def test_dead_devices_have_no_time_in_the_new_plan_and_nothing_is_left_to_replan_without_positions() -> None:
     plan = town()
-    result = solved(plan.replanned(Situation(dead=frozenset({"e2"}))))
+    result = solved(plan.replanned(FleetChange(dead=frozenset({"e2"}))))
     assert result.edges[1].device_time_s[1] == 0.0 and result.edges[1].device_time_s[0] > 0
-    gone = plan.replanned(Situation(dead=frozenset({"west", "east"})), captured=np.ones(120))
+    gone = plan.replanned(FleetChange(dead=frozenset({"west", "east"})), captured=np.ones(120))
     assert isinstance(gone, ReplanInfeasible) and (gone.num_positions, gone.capacity, gone.status) == (120, 0, "infeasible")
     assert gone.reason == "all 120 positions were captured by devices that are dead: plan them anew."
-    everybody = plan.replanned(Situation(dead=frozenset({"west", "east"})))
+    everybody = plan.replanned(FleetChange(dead=frozenset({"west", "east"})))
     assert isinstance(everybody, ReplanInfeasible)
     assert everybody.reason == "the machines that are left can hold 0 of 120 positions: let more join, or raise max_cameras."
 
 
 def test_a_slow_edge_slows_its_devices_and_what_it_joins_and_both_factors_multiply() -> None:
     plan = town()
-    result = solved(plan.replanned(Situation(slow={"west": 2.0, "w1": 3.0})))
+    result = solved(plan.replanned(FleetChange(slow={"west": 2.0, "w1": 3.0})))
     old, new = plan.system.edges[0], result.system.edges[0]
     assert [d.train_s.linear / o.train_s.linear for d, o in zip(new.devices, old.devices, strict=True)] == pytest.approx([6.0, 2.0])
     assert [d.init_s.linear / o.init_s.linear for d, o in zip(new.devices, old.devices, strict=True)] == pytest.approx([6.0, 2.0])
     assert new.aggregate_s.linear == pytest.approx(2 * old.aggregate_s.linear) and result.system.edges[1] == plan.system.edges[1]
-    busy = solved(plan.replanned(Situation(busy_s={"west": 10.0})))
+    busy = solved(plan.replanned(FleetChange(busy_s={"west": 10.0})))
     held = counts(busy)
     for index, name in enumerate(("w1", "w2")):
         assert busy.time_after_s[index] == pytest.approx(10.0 + float(device_time_s(plan.system.devices[index], held[name])))
@@ -444,17 +444,17 @@ def test_the_linear_program_is_the_best_of_all_choices_and_so_is_the_native_way(
 
 def test_beyond_the_arcs_of_the_program_devices_are_emptied_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = town(60)
-    situation = Situation(slow={"w1": 3.0, "w2": 3.0})
-    exact = solved(plan.replanned(situation))
+    change = FleetChange(slow={"w1": 3.0, "w2": 3.0})
+    exact = solved(plan.replanned(change))
     monkeypatch.setattr(replan_module, "MAX_ARCS", 0)
-    stepwise = solved(plan.replanned(situation))
+    stepwise = solved(plan.replanned(change))
     assert counts(stepwise) == counts(exact) and stepwise.moved.sum() == exact.moved.sum() > 2
 
 
 def test_what_new_devices_of_an_edge_get_together_is_cut_across_its_long_side() -> None:
     plan = town(200)
     joining = System(edges=(edge("north", (50.0, 95.0), device("n1"), device("n2"), device("n3")),))
-    result = solved(plan.replanned(Situation(), joining=joining))
+    result = solved(plan.replanned(FleetChange(), joining=joining))
     own = [plan.positions[result.edges[2].cameras_of(f"n{index}")] for index in (1, 2, 3)]
     axis = long_axis(np.concatenate(own))
     spans = [(float((part @ axis).min()), float((part @ axis).max())) for part in own]
@@ -463,9 +463,9 @@ def test_what_new_devices_of_an_edge_get_together_is_cut_across_its_long_side() 
 
 def test_where_everything_stays_the_bound_and_the_cells_say_how_good_it_is() -> None:
     plan = town()
-    same = solved(plan.replanned(Situation()))
+    same = solved(plan.replanned(FleetChange()))
     assert (same.cloud.status, same.cloud.certified, same.cloud.method) == ("optimal", True, "replan")
     assert same.cloud.history == (same.cloud.makespan_s,) and same.makespan_before_s == pytest.approx(same.cloud.makespan_s)
-    moved = solved(plan.replanned(Situation(dead=frozenset({"e1"}))))
+    moved = solved(plan.replanned(FleetChange(dead=frozenset({"e1"}))))
     assert moved.cloud.status == ("optimal" if moved.cloud.certified else "converged")
     np.testing.assert_array_equal(moved.cloud.edge_of_camera, np.array([0, 0, 1, 1])[moved.device_after])

@@ -1,4 +1,4 @@
-"""A plan after the fleet has changed: a device died, became slow or is busy, a device or edge joined.
+"""Revises a plan after the fleet has changed: a device died, became slow or is busy, a device or edge joined.
 
 First the least makespan, then the fewest positions that change their device, then geography: those that move go where
     minimise Σ_moved ‖x − centre of the new device‖² − ‖x − centre of the old one‖²
@@ -38,19 +38,19 @@ MAX_ARCS = 40_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Situation:
-    """What has changed since the plan was made. Ids are of devices or edges; an edge stands for all its devices."""
+class FleetChange:
+    """What has changed since the plan was made, by ids of devices or edges; an edge stands for all its devices."""
 
     dead: frozenset[str] = frozenset()
-    """Gone with what they captured; their other positions must go elsewhere."""
+    """Lost with what they captured; their other positions go to other devices."""
     done: frozenset[str] = frozenset()
-    """Finished: nothing of theirs moves and nothing is added. A done edge has delivered."""
+    """Finished: their positions stay and none is added. A done edge has delivered."""
     closed: frozenset[str] = frozenset()
-    """Devices at work on exactly what they have, until `busy_s`."""
+    """Devices that keep exactly the positions they have and work until `busy_s`."""
     slow: Mapping[str, float] = field(default_factory=dict[str, float])
-    """How many times longer they take to initialise and train (an edge: to aggregate too)."""
+    """Factor on their times to initialise and train (of an edge: to aggregate too)."""
     busy_s: Mapping[str, float] = field(default_factory=dict[str, float])
-    """Devices that are busy for so many seconds before anything of this plan begins."""
+    """Seconds for which devices are busy before this plan begins."""
 
     def __post_init__(self) -> None:
         for name, factor in self.slow.items():
@@ -61,7 +61,7 @@ class Situation:
                 raise BadInput(f"{name!r} is busy for {seconds} s, expected a finite time of at least 0.")
         both = sorted(self.dead & (self.done | self.closed))
         if both:
-            raise BadInput(f"{both[0]!r} is said to be dead and to be done or at work: say one of them.")
+            raise BadInput(f"{both[0]!r} is given as dead and as done or at work: give one of them.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +116,7 @@ def replan(  # noqa: PLR0913
     edge_plans: Sequence[EdgePlan],
     positions: ArrayLike,
     system: System,
-    situation: Situation,
+    change: FleetChange,
     *,
     captured: ArrayLike | None = None,
     joining: System | None = None,
@@ -137,14 +137,14 @@ def replan(  # noqa: PLR0913
     grown = system if joining is None else extend_system(system, joining)
     if unplaced := [edge.id for edge in grown.edges if edge.position is None]:
         raise BadInput(f"edge {unplaced[0]!r} has no position in metres: call place_edges first.")
-    situation = _of_devices(situation, grown)
-    slowed = _slowed(grown, situation)
-    dead = np.array([device.id in situation.dead for device in slowed.devices])
-    closed = np.array([device.id in (situation.closed | situation.done) for device in slowed.devices])
+    change = _of_devices(change, grown)
+    slowed = _slowed(grown, change)
+    dead = np.array([device.id in change.dead for device in slowed.devices])
+    closed = np.array([device.id in (change.closed | change.done) for device in slowed.devices])
     lost = dead[before] & fixed
     must_stay = fixed | closed[before]
     must_go = dead[before] & ~fixed
-    loads = _loads(slowed, situation, before, (must_stay, lost), positions, positions[must_go])
+    loads = _loads(slowed, change, before, (must_stay, lost), positions, positions[must_go])
     num_positions = int((~lost).sum())
     if not num_positions:
         reason = f"all {len(lost)} positions were captured by devices that are dead: plan them anew."
@@ -152,31 +152,31 @@ def replan(  # noqa: PLR0913
     found = new_counts(loads, num_positions, tolerance)
     if found is None:
         return _infeasible(loads, num_positions)
-    quotas = _per_device(slowed, situation, found)
+    quotas = _per_device(slowed, change, found)
     after = _dealt(positions, before, must_stay, quotas, slowed)
-    return _result(cloud_plan, edge_plans, positions, slowed, situation, (before, after, lost), (loads, found))
+    return _result(cloud_plan, edge_plans, positions, slowed, change, (before, after, lost), (loads, found))
 
 
-def _of_devices(situation: Situation, system: System) -> Situation:
-    """The situation with every edge id replaced by its devices (done edges stay listed too); BadInput for an unknown id."""
+def _of_devices(change: FleetChange, system: System) -> FleetChange:
+    """The change with every edge id replaced by its devices (done edges stay listed too); BadInput for an unknown id."""
     members = {edge.id: {device.id for device in edge.devices} for edge in system.edges}
     devices = {device.id for device in system.devices}
-    for name in (*situation.dead, *situation.done, *situation.closed, *situation.slow, *situation.busy_s):
+    for name in (*change.dead, *change.done, *change.closed, *change.slow, *change.busy_s):
         if name not in devices and name not in members:
             raise BadInput(f"there is no device or edge {name!r}: there are {', '.join(sorted(devices))}, of {', '.join(members)}.")
 
     def spread(names: frozenset[str]) -> frozenset[str]:
         return names.union(*(members[name] for name in names if name not in devices))
 
-    busy_s = {device: seconds for name, seconds in situation.busy_s.items() for device in ({name} & devices or members[name])}
-    made = {name: spread(getattr(situation, name)) for name in ("dead", "done", "closed")}
-    return replace(situation, busy_s=busy_s, **made)
+    busy_s = {device: seconds for name, seconds in change.busy_s.items() for device in ({name} & devices or members[name])}
+    made = {name: spread(getattr(change, name)) for name in ("dead", "done", "closed")}
+    return replace(change, busy_s=busy_s, **made)
 
 
-def _slowed(system: System, situation: Situation) -> System:
+def _slowed(system: System, change: FleetChange) -> System:
     def slower(edge: Edge) -> Edge:
-        whole = situation.slow.get(edge.id, 1.0)
-        factors = [whole * situation.slow.get(device.id, 1.0) if device.id != edge.id else whole for device in edge.devices]
+        whole = change.slow.get(edge.id, 1.0)
+        factors = [whole * change.slow.get(device.id, 1.0) if device.id != edge.id else whole for device in edge.devices]
         devices = tuple(
             replace(device, init_s=device.init_s.scaled(factor), train_s=device.train_s.scaled(factor))
             for device, factor in zip(edge.devices, factors, strict=True)
@@ -196,7 +196,7 @@ def _in_grown_system(device_of_position: Indices, system: System, joining: Syste
 
 def _loads(
     system: System,
-    situation: Situation,
+    change: FleetChange,
     before: Indices,
     marks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     positions: FloatArray,
@@ -212,22 +212,22 @@ def _loads(
     for edge in system.edges:
         machines: list[MachineLoad] = []
         for index, device in enumerate(edge.devices, start=first):
-            if device.id not in situation.dead:
+            if device.id not in change.dead:
                 most = len(positions) if device.max_cameras is None else device.max_cameras
-                is_done = device.id in situation.done
+                is_done = device.id in change.done
                 machines.append(
                     MachineLoad(
                         device=device,
                         now=int(now[index]),
                         fixed=int(fixed[index]),
                         most=max(most, int(fixed[index])),
-                        busy_s=0.0 if is_done else situation.busy_s.get(device.id, 0.0),
-                        closed=is_done or device.id in situation.closed,
+                        busy_s=0.0 if is_done else change.busy_s.get(device.id, 0.0),
+                        closed=is_done or device.id in change.closed,
                     )
                 )
         first += len(edge.devices)
         distance_m = float(np.hypot(*(np.array(edge.position) - middle)))
-        loads.append(EdgeLoad(edge=edge, machines=tuple(machines), distance_m=distance_m, finished=edge.id in situation.done))
+        loads.append(EdgeLoad(edge=edge, machines=tuple(machines), distance_m=distance_m, finished=edge.id in change.done))
     return loads
 
 
@@ -238,12 +238,12 @@ def _infeasible(loads: Sequence[EdgeLoad], num_positions: int) -> ReplanInfeasib
     return ReplanInfeasible(num_positions=num_positions, capacity=capacity, reason=reason)
 
 
-def _per_device(system: System, situation: Situation, found: NewCounts) -> Indices:
+def _per_device(system: System, change: FleetChange, found: NewCounts) -> Indices:
     """Quotas (D,) of all devices, 0 for the dead."""
     quotas: list[int] = []
     for edge, living in zip(system.edges, found.quotas, strict=True):
         rest = iter(living)
-        quotas += [0 if device.id in situation.dead else next(rest) for device in edge.devices]
+        quotas += [0 if device.id in change.dead else next(rest) for device in edge.devices]
     return np.array(quotas)
 
 
@@ -350,7 +350,7 @@ def _result(  # noqa: PLR0913
     edge_plans: Sequence[EdgePlan],
     positions: FloatArray,
     system: System,
-    situation: Situation,
+    change: FleetChange,
     dealt: tuple[Indices, Indices, NDArray[np.bool_]],
     counted: tuple[list[EdgeLoad], NewCounts],
 ) -> Replan:
@@ -386,7 +386,7 @@ def _result(  # noqa: PLR0913
         lost=lost,
         time_before_s=times[0],
         time_after_s=times[1],
-        makespan_before_s=_makespan_s(loads, system, before[~lost], situation),
+        makespan_before_s=_makespan_s(loads, system, before[~lost], change),
         fewest_proved=found.proved,
     )
 
@@ -398,9 +398,9 @@ def _times_s(system: System, loads: Sequence[EdgeLoad], owners: Indices, lost: N
     return np.array([alive[name].time_s(count) if name in alive else (np.inf if count else 0.0) for name, count in counts.items()])
 
 
-def _makespan_s(loads: Sequence[EdgeLoad], system: System, owners: Indices, situation: Situation) -> float:
+def _makespan_s(loads: Sequence[EdgeLoad], system: System, owners: Indices, change: FleetChange) -> float:
     counts = dict(zip((d.id for d in system.devices), np.bincount(owners, minlength=len(system.devices)).tolist(), strict=True))
-    if any(counts[name] for name in counts if name in situation.dead):
+    if any(counts[name] for name in counts if name in change.dead):
         return float("inf")
     return max(load.time_s([counts[machine.device.id] for machine in load.machines]) for load in loads)
 

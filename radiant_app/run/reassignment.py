@@ -1,8 +1,9 @@
-"""What becomes of the photographs of a device that is gone, where one owner has all: devices that have not begun get them.
+"""Reassigns the photographs of a lost device, where one owner has all, to devices that have not started.
 
-A device that has begun keeps exactly what it has, so that nothing is trained twice; the rest is `replan`. The new plan replaces
-plan.json and lies in replanned/ with the key of the plan it was made from: a resumed run makes that plan again and goes on from the new
-one. Where nobody is left to take the photographs, the edge goes on without them and the report says so. Runs once per lost device.
+A device that has started keeps exactly its photographs, so that nothing is trained twice; `replan`
+deals the rest. The new plan replaces plan.json and lies in replanned/ with the key of the plan it was
+made from: a resumed run makes that plan again and continues with the new one. If no device can take
+the photographs, the edge goes on without them and the report says so. Runs once per lost device.
 """
 
 from __future__ import annotations
@@ -22,25 +23,25 @@ from radiant_core.io.records import load_plan, save_plan
 from radiant_core.io.run_store import content_key, read_json, write_json
 from radiant_core.numerics import FloatArray
 from radiant_core.plan.plans import CloudPlan, EdgePlan
-from radiant_core.plan.revision.replan import ReplanInfeasible, Situation, replan
+from radiant_core.plan.revision.replan import FleetChange, ReplanInfeasible, replan
 
 FOLDER, RECORD = "replanned", "made_from.json"
 
 
 @dataclass(kw_only=True)
-class Rescue:
-    """Deals a lost device's photographs to devices of the tree that have not begun."""
+class Reassignment:
+    """Deals a lost device's photographs to devices of the tree that have not started."""
 
     dealer: Dealer
     positions: FloatArray
     """(C,2) m of the plan's photographs."""
     tree: Tree
     first_plan_key: str
-    """`plan_key` of the plan that this run makes by itself."""
+    """`plan_key` of the plan before any reassignment."""
     listen: Listener
 
     def __call__(self, lost: Tree, begun: Collection[str]) -> None:
-        """A node is given up while those in `begun` run or are done; ids of nodes."""
+        """Reassign the photographs of the node `lost` while the nodes with ids in `begun` run or are done."""
         if lost.tier != "device":
             return
         dealer, positions = self.dealer, self.positions
@@ -53,8 +54,8 @@ class Rescue:
         count = sum(len(plan.cameras_of(lost.name)) for plan in dealer.recipe.edge_plans if lost.name in plan.device_ids)
         message = f"{count} photographs of {lost.name} are in no model: every other device has begun or is full; --resume tries it again"
         if waiting and count:
-            situation = Situation(dead=frozenset({lost.name}), closed=frozenset(at_work))
-            new = replan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, positions, dealer.recipe.system, situation, captured=fixed)
+            change = FleetChange(dead=frozenset({lost.name}), closed=frozenset(at_work))
+            new = replan(dealer.recipe.cloud_plan, dealer.recipe.edge_plans, positions, dealer.recipe.system, change, captured=fixed)
             if not isinstance(new, ReplanInfeasible) and all(_has_cameras(new.edges, device) for device in waiting):
                 self._keep(new.cloud, new.edges)
                 takers = sorted({new.system.devices[index].id for index in new.device_after[new.moved].tolist()})
@@ -68,16 +69,16 @@ class Rescue:
         save_plan(folder / "plan.json", cloud, edges)
         write_json(folder / RECORD, {"first_plan": self.first_plan_key})
         save_plan(self.dealer.run / "plan.json", cloud, edges)
-        self.dealer.take_plan(cloud, edges)
+        self.dealer.replace_plan(cloud, edges)
 
 
 def plan_key(cloud: CloudPlan, edges: Sequence[EdgePlan]) -> str:
-    """Hash of a plan."""
+    """Return the hash of a plan."""
     return content_key(cloud, list(edges))
 
 
-def replanned(run: Path, plan: Plan) -> Plan:
-    """The plan that an earlier try of this run came to from this one, and this one where it came to none."""
+def load_replan(run: Path, plan: Plan) -> Plan:
+    """Return the plan that an interrupted run reassigned from this one, or this one if there is none."""
     record = run / FOLDER / RECORD
     if not record.is_file() or read_json(record, ("first_plan",))["first_plan"] != plan_key(plan.cloud, plan.edges):
         return plan
