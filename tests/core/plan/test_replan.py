@@ -168,7 +168,7 @@ def test_what_cannot_be_done_is_said_with_the_capacity() -> None:
         ({"slow": {"w1": 0.0}}, "slow by 0.0"),
         ({"slow": {"w1": -2.0}}, "slow by -2.0"),
         ({"busy_s": {"w1": np.inf}}, "busy for inf s"),
-        ({"dead": frozenset({"w1"}), "done": frozenset({"w1"})}, "dead and to be done"),
+        ({"dead": frozenset({"w1"}), "done": frozenset({"w1"})}, "dead and as done"),
     ],
 )
 def test_impossible_situations_are_refused(about: Mapping[str, object], told: str) -> None:
