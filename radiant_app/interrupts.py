@@ -15,12 +15,12 @@ def interrupt_on_signals() -> None:
         signal.signal(number, _interrupt)
 
 
-def interrupt_was_heard() -> None:
+def stop_repeating_interrupt() -> None:
     """Stop repeating the last interrupt."""
     signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def _interrupt(number: int, frame: Any) -> NoReturn:
-    # Raised inside a finalizer, Python drops it: repeat it until `interrupt_was_heard`.
+    # Raised inside a finalizer, Python drops it: repeat it until `stop_repeating_interrupt`.
     signal.setitimer(signal.ITIMER_REAL, 1.0)
     raise KeyboardInterrupt

@@ -146,11 +146,11 @@ def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]
 
 
 def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_app.files.run_folder import new_folder
+    from radiant_app.files.run_folder import create_folder
     from radiant_core.io.export.scene import save_colmap
 
     scene = _unrepeated_scene(_run_of(request), display)
-    with new_folder(request.out):
+    with create_folder(request.out):
         save_colmap(request.out, scene)
     return {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 EVENTS_NAME = "events.jsonl"
 SECONDS_BETWEEN = 0.5
-SECONDS_TO_A_PHASE = 0.05
+MIN_PHASE_S = 0.05
 """A phase that begins sooner after a line than this is not told of at once: totals that change with every event are no phases."""
 
 
@@ -48,7 +48,7 @@ class EventFile:
     def __init__(self, run: Path, listen: Listener, clock: Callable[[], float] = time.monotonic) -> None:
         self._path, self._listen, self._clock = run / EVENTS_NAME, listen, clock
         self._file: IO[str] | None = None
-        self._told_s: dict[str, float] = {}
+        self._written_s: dict[str, float] = {}
         self._seen: dict[str, StageProgress] = {}
 
     def __enter__(self) -> Self:
@@ -76,9 +76,9 @@ class EventFile:
         last, now_s = self._seen.get(event.stage), self._clock()
         self._seen[event.stage] = event
         begins = last is not None and (event.phase != last.phase or event.done < last.done or event.total != last.total)
-        if now_s - self._told_s.get(event.stage, float("-inf")) < (SECONDS_TO_A_PHASE if begins else SECONDS_BETWEEN):
+        if now_s - self._written_s.get(event.stage, float("-inf")) < (MIN_PHASE_S if begins else SECONDS_BETWEEN):
             return True
-        self._told_s[event.stage] = now_s
+        self._written_s[event.stage] = now_s
         return False
 
 
@@ -97,7 +97,7 @@ def read_progress(run: Path) -> RunProgress:
             seconds_left = event.seconds
         elif isinstance(event, Outlined):
             outline = event
-        elif (state := _after(event, stages)) is not None:
+        elif (state := _next_state(event, stages)) is not None:
             stages[state.stage] = state
     status = _status(run)
     is_running = status == "running" and _is_locked(run)
@@ -127,7 +127,7 @@ def progress_stamps(run: Path) -> tuple[object, ...]:
     return tuple(stamps)
 
 
-def _after(event: Event, stages: dict[str, StageState]) -> StageState | None:
+def _next_state(event: Event, stages: dict[str, StageState]) -> StageState | None:
     from radiant_viewer.runs.run_feeds import StageState
 
     if isinstance(event, StageStarted):

@@ -66,10 +66,10 @@ class Manifest:
     warnings: list[str] = field(default_factory=list)
     access_log: list[dict[str, Any]] = field(default_factory=list)
 
-    def note(self, event: Event, now_s: float) -> None:
+    def record(self, event: Event, now_s: float) -> None:
         """Take from the stream what the record keeps."""
         if isinstance(event, StageStarted):
-            self.forget(event.stage)
+            self.drop_notes(event.stage)
             self._times(event)[event.stage] = {"started_s": now_s, "ended_s": now_s}
             if event.machine:
                 self.machines[event.stage] = event.machine
@@ -92,7 +92,7 @@ class Manifest:
     def _times(self, event: StageStarted | StageDone | StageSkipped) -> dict[str, dict[str, float]]:
         return self.emulated if event.emulated else self.stages
 
-    def forget(self, stage: str) -> None:
+    def drop_notes(self, stage: str) -> None:
         """What an earlier try of this stage decided and warned of."""
         self.decisions = [decision for decision in self.decisions if decision["stage"] != stage]
         self.warnings = [warning for warning in self.warnings if not warning.startswith(f"{stage}: ")]
@@ -101,7 +101,7 @@ class Manifest:
         """Forget all other stages: those of devices and edges that an earlier plan had."""
         for times in (self.stages, self.emulated):
             for stage in [stage for stage in times if stage.removesuffix(UPLINK) not in stages]:
-                self.forget(stage)
+                self.drop_notes(stage)
                 del times[stage]
                 self.peak_bytes.pop(stage, None)
 
@@ -118,34 +118,34 @@ class Manifest:
 
 
 @contextmanager
-def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
+def open_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
     """Make or reopen the run's folder and hold its lock.
 
     Raises BadInput when the folder exists and is not empty (without `resume`), was made by other settings, or cannot be made. When
     the input turns out to be unusable, a folder made here goes away again: nothing half-written stays behind.
     """
-    with opened_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
+    with open_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
         yield manifest
 
 
 @contextmanager
-def opened_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
-    """As `opened_run`, of any work with such settings; a file that fits a pattern of `keep` is worth keeping after bad input."""
-    if resume and out.is_dir() and _is_begun(out):
-        with RunLock(out), _ending(_reopened(out, settings)) as manifest:
+def open_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
+    """As `open_run`, of any work with such settings; a file that fits a pattern of `keep` is worth keeping after bad input."""
+    if resume and out.is_dir() and _has_content(out):
+        with RunLock(out), _record_outcome(_reopen(out, settings)) as manifest:
             yield manifest
         return
-    made = _made_folders(out)
+    made = _create_folders(out)
     # A lock that somebody else holds is no reason to clean up: what lies there is that run's work.
     with RunLock(out):
         require_empty(out)
         fresh = Manifest(folder=out, config=settings)
-        with _undone_after_bad_input(out, made, keep=keep), _ending(fresh) as manifest:
+        with _remove_after_bad_input(out, made, keep=keep), _record_outcome(fresh) as manifest:
             yield manifest
 
 
 @contextmanager
-def _ending(manifest: Manifest) -> Iterator[Manifest]:
+def _record_outcome(manifest: Manifest) -> Iterator[Manifest]:
     """Save the record before and after the work, with how that ended."""
     manifest.status = "running"
     manifest.save()
@@ -166,17 +166,17 @@ def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[Non
     """The folder of `radiant sfm` for a `task`, which it keeps in task.json: new, or with `resume` what an interrupted one left, whose
     features and matches are used. Held by one process at a time.
 
-    Raises BadInput as `new_folder`, and with `resume` where the folder is of something else, of another task, or finished.
+    Raises BadInput as `create_folder`, and with `resume` where the folder is of something else, of another task, or finished.
     """
-    if resume and out.is_dir() and _is_begun(out):
+    if resume and out.is_dir() and _has_content(out):
         with RunLock(out):
             _require_unfinished(out, task)
             yield
         return
-    made = _made_folders(out)
+    made = _create_folders(out)
     with RunLock(out):
         require_empty(out)
-        with _undone_after_bad_input(out, made):
+        with _remove_after_bad_input(out, made):
             write_json(out / SFM_TASK, task)
             yield
 
@@ -193,17 +193,17 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
 
 
 @contextmanager
-def new_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
+def create_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
     """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot be made.
 
     After a BadInput within, everything that was made here goes again; where it is `resumable`, not after a full disk.
     """
-    made = _made_folders(out, resumable=resumable)
-    with _undone_after_bad_input(out, made, resumable=resumable):
+    made = _create_folders(out, resumable=resumable)
+    with _remove_after_bad_input(out, made, resumable=resumable):
         yield
 
 
-def _made_folders(out: Path, *, resumable: bool = True) -> list[Path]:
+def _create_folders(out: Path, *, resumable: bool = True) -> list[Path]:
     """`out`, which afterwards is an empty folder, and its parents, as far as they had to be made; innermost first."""
     if out.is_symlink() and not out.exists():
         raise BadInput(f"{out} is a link to {out.readlink()}, which does not exist: make that folder or choose another name.")
@@ -218,24 +218,24 @@ def _made_folders(out: Path, *, resumable: bool = True) -> list[Path]:
 
 def require_empty(out: Path, *, resumable: bool = True) -> None:
     """Raise BadInput when the folder holds anything but what a kill leaves before anything was begun."""
-    if _is_begun(out):
+    if _has_content(out):
         way_on = ", or go on with what was begun there by --resume" if resumable else ""
         raise BadInput(f"{out} exists and is not empty: choose another folder{way_on}.")
 
 
-def _is_begun(out: Path) -> bool:
+def _has_content(out: Path) -> bool:
     """Whether a folder holds more than a lock and a half-written manifest."""
     return any(path.name != LOCK_NAME and not path.match(".manifest.json.*.part") for path in out.iterdir())
 
 
 @contextmanager
-def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
+def _remove_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
     """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
     try:
         yield
     except BadInput as error:
         # What was computed and stored is no input, nor is a disk: whatever else lies there is worth looking at, or going on with.
-        worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _is_begun(out)
+        worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _has_content(out)
         if not worth_it and not any(found for pattern in keep for found in out.glob(pattern)):
             for inner in list(out.iterdir()):
                 shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
@@ -351,7 +351,7 @@ def _record(path: Path) -> _Record:
         raise BadInput(f"{path} is damaged ({error}): run again into another folder.") from error
 
 
-def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
+def _reopen(out: Path, settings: dict[str, Any]) -> Manifest:
     if not (out / "manifest.json").is_file():
         raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
     manifest = read_manifest(out)

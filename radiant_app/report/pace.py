@@ -34,7 +34,7 @@ class Pace:
     def __post_init__(self) -> None:
         self._begun_s = self.clock()
 
-    def hear(self, event: StageProgress) -> None:
+    def update(self, event: StageProgress) -> None:
         """Take how far the stage is; another phase or fewer done begin anew."""
         last = self._last
         if last is None or event.phase != last.phase or event.done < last.done:

@@ -84,7 +84,7 @@ class ProgressDisplay:
         elif isinstance(event, StageStarted):
             self._begin(event.stage)
         elif isinstance(event, StageProgress) and event.stage in self._tasks:
-            self._paces[event.stage].hear(event)
+            self._paces[event.stage].update(event)
             title = f"{event.stage}: {event.doing}" if event.doing else event.stage
             self._progress.update(
                 self._tasks[event.stage], description=title, completed=event.done, total=event.total or None, note=event.note

@@ -18,7 +18,7 @@ from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
-from radiant_app.files.run_folder import Manifest, opened_run
+from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.files.system_file import even_system, load_system
 from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, deal_files
@@ -90,7 +90,7 @@ def run(
 
     system = _checked_system(config)
     lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
-    with opened_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
+    with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
