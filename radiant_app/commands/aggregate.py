@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
+from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.inbox import receive_device_models
 from radiant_app.workers.reporting import EventReporter
@@ -26,6 +27,7 @@ def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None,
     """Join the device models of a finished run and write a PLY; neither edges nor the cloud have a limit."""
     require_file_to_be(out)
     require_run(run)
+    require_current(run)
     config = aggregate_preset(preset)
     config = config if epochs is None else replace(config, num_epochs=epochs)
     scene, joined_s = join_run(run, config, display)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
+from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.inbox import load_corrections
 from radiant_app.workers.sources import DELIVERED, has_scene, load_scene_of
@@ -54,6 +55,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
 
     require_file_to_be(request.out)
     require_run(request.new, "scene.ply")
+    require_current(request.new)
     task = load_task(CloudTask, request.new / "cloud")
     old = load_ply(request.old if request.old.is_file() else _scene_of(request.old))
     move, origin, frames = _common_frame(request)

@@ -25,7 +25,7 @@ from radiant_app.events import Listener, StageDone, StageStarted
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
-from radiant_app.files.run_folder import read_manifest
+from radiant_app.files.run_folder import read_manifest, require_current
 from radiant_app.run.predictions import planned_training, training_key_of
 from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of
 from radiant_core.errors import BadInput
@@ -110,6 +110,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
     _require_place(out)
     require_run(run, "metrics.json")
     require_run(run)
+    require_current(run)
     manifest = read_manifest(run)
     if manifest.config["emulate"]:
         raise BadInput(f"{run} was emulated, its devices' times are played: give a run without --emulate.")

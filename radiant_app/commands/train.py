@@ -29,7 +29,7 @@ from radiant_app.workers.evaluation import save_comparison, score_render, select
 from radiant_app.workers.memory import base_bytes_in, peak_bytes, resident_bytes
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.sources import detect_source, has_scene, load_scored_scene, masks_folder_of
-from radiant_app.workers.training import CHECKPOINTS, make_machine, remove_checkpoints
+from radiant_app.workers.training import CHECKPOINTS, remove_checkpoints
 from radiant_core.cameras import Cameras
 from radiant_core.decisions import Decision
 from radiant_core.errors import BadInput
@@ -45,6 +45,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.sfm.world_frame.placement import AUTO, Placement
 from radiant_core.splats import Splats
+from radiant_core.train.checkpoint import CheckpointFolder
 from radiant_core.train.config import NEVER, Preset, TrainConfig, train_preset
 from radiant_core.train.needs import Overrides, fit_to_backend
 from radiant_core.train.photographs import load_training_views
@@ -271,7 +272,8 @@ def _train_model(training: PreparedTraining, request: TrainRequest, stage: _Stag
         stage.emit(event)
 
     reporter = EventReporter(stage=STAGE, emit=emit)
-    checkpoints = make_machine(out, request.checkpoint_every_s, reporter).checkpoints(lambda: training.key)
+    # Checkpoints of another training are refused; a node of a run removes them.
+    checkpoints = CheckpointFolder(out / CHECKPOINTS, training.key, every_s=request.checkpoint_every_s, warn=stage.reporter.warn)
     result = fit_prepared(replace(training, options=replace(training.options, checkpoints=checkpoints)), reporter)
     summary = {**training_summary(result), "num_photographs": len(training.views), **_validation_figures(result)}
     save_ply(out / "scene.ply", result.splats)

@@ -17,9 +17,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
 from radiant_app.run.config import RunConfig
@@ -28,12 +28,19 @@ from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, StoreDamaged
 from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, read_json, write_json
 
-MANIFEST_VERSION = 1
+MANIFEST_VERSION = 2
+EARLIER = (
+    "was made by an earlier version of radiant, which wrote tasks and settings in another form: begin again in another folder; its scene "
+    "stays readable"
+)
+"""Why a folder can be looked at and not resumed."""
 SFM_TASK = "task.json"
 """What `radiant sfm` was asked for, beside its work."""
 OPTIONS = {"source": "source", "preset": "--train-preset", "time_s": "--time", "memory_bytes": "--memory", "overrides.settings": "--set"}
 """Setting of `radiant train` and `radiant sfm` → what the command line calls it, where `config_fields` does not say."""
 UNRECORDED = ("out", "execution", "evaluate")
+"""What may differ when a run is resumed: where it lies, how it is worked on, and what its scene is scored with in the end."""
+RECORDED = ("out", "execution", "evaluate")
 """What may differ when a run is resumed: where it lies, how it is worked on, and what its scene is scored with in the end."""
 FORMER_PATHS = {
     **{name: f"sfm.{name}" for name in ("matching", "poses", "masks", "up", "distance", "height_m")},
@@ -251,23 +258,6 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
     return {name: value for name, value in tables_of(config).items() if name not in UNRECORDED}
 
 
-def _in_sections(config: dict[str, Any]) -> dict[str, Any]:
-    """A recorded configuration, also of a run made before it had sections."""
-    if "plan_method" not in config:
-        return config
-    overrides = dict(config.get("overrides") or {})
-    settings = overrides.pop("settings", {})
-    sections: dict[str, Any] = {"train": {**overrides, **settings}}
-    system = "emulate" if config.get("emulated") else "system"
-    for name, value in {**config, "system": None, "emulate": None, system: config.get("system")}.items():
-        section, dot, field_name = FORMER_PATHS.get(name, name).partition(".")
-        if dot:
-            sections.setdefault(section, {})[field_name] = value
-        elif name not in ("overrides", "emulated"):
-            sections[name] = value
-    return sections
-
-
 def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> str:
     """What was asked for otherwise before, as the command line calls it; empty where nothing was."""
     return ", ".join(sorted(set(_differing_options(asked, before))))
@@ -306,8 +296,8 @@ def software_versions() -> dict[str, str]:
 class _Record(BaseModel):
     model_config = ConfigDict(strict=True, extra="ignore")
 
-    version: Literal[1]
-    config: Annotated[dict[str, Any], AfterValidator(_in_sections)]
+    version: Literal[1, 2]
+    config: dict[str, Any]
     stages: dict[str, dict[str, float]]
     emulated: dict[str, dict[str, float]] = {}
     machines: dict[str, str] = {}
@@ -322,6 +312,12 @@ def read_manifest(run: Path) -> Manifest:
     if not path.is_file():
         raise BadInput(f"{run} holds no manifest.json: give the folder of a run.")
     return Manifest(folder=run, **_record(path).model_dump(exclude={"version"}))
+
+
+def require_current(run: Path) -> None:
+    """Raise BadInput where a run's tasks and settings were written by an earlier version, in another form."""
+    if (run / "manifest.json").is_file() and _record(run / "manifest.json").version != MANIFEST_VERSION:
+        raise BadInput(f"{run} {EARLIER}.")
 
 
 def _digest(record: dict[str, Any]) -> str:
@@ -354,6 +350,7 @@ def _record(path: Path) -> _Record:
 def _reopen(out: Path, settings: dict[str, Any]) -> Manifest:
     if not (out / "manifest.json").is_file():
         raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
+    require_current(out)
     manifest = read_manifest(out)
     differing = differing_options(settings, manifest.config)
     if differing:

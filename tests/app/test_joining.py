@@ -15,7 +15,7 @@ from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.config import RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
-from radiant_app.workers import nodes
+from radiant_app.workers import nodes, training
 from radiant_core.aggregate.ownership import claims_of_polygons
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_plan
@@ -63,7 +63,7 @@ def test_what_the_machine_cannot_join_is_cut_with_a_warning_and_what_an_edge_poo
     trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     by_views = joined_again(trained, tmp_path / "views", max_cameras=10)
-    monkeypatch.setattr(nodes, "available_bytes", lambda: 100_000_000)
+    monkeypatch.setattr(training, "available_bytes", lambda: 100_000_000)
     by_machine = joined_again(trained, tmp_path / "machine")
     assert by_views.choice == by_machine.choice == "models are cut at their borders instead of retrained"
     (views_warning,), (warning,) = by_views.warnings, by_machine.warnings

@@ -7,7 +7,6 @@ import shutil
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +27,8 @@ from radiant_app.workers.nodes import run_node
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
+from radiant_core.hierarchy.messages import DeviceTask, EdgeTask
+from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_plan, load_scene, save_plan, save_scene
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.plan.devices.device_split import split_edges
@@ -66,9 +67,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def in_this_process(self: Measuring, kind: str, folder: Path, task: dict[str, Any]) -> float:
+def in_this_process(self: Measuring, kind: str, folder: Path, task: DeviceTask | EdgeTask) -> float:
     """As `Measuring._run`, without a process of its own: the work is real, the start of Python is saved."""
-    write_json(folder / "task.json", task)
+    save_task(folder, task)
     begun_s = time.monotonic()
     run_node(kind, folder, folder.name, lambda event: self._report_progress(0.0))
     # Stands for the start of a process, and makes seconds of these few steps stand out of the noise.

@@ -15,11 +15,21 @@ from radiant_app.cli.app import app
 from radiant_app.commands.train import TrainRequest
 from radiant_app.events import StageDone, StageStarted, Warned
 from radiant_app.files import run_folder
-from radiant_app.files.run_folder import Manifest, create_folder, differing_options, open_run, recorded_config, sfm_folder
+from radiant_app.files.run_folder import (
+    Manifest,
+    create_folder,
+    differing_options,
+    open_folder,
+    open_run,
+    read_manifest,
+    recorded_config,
+    require_current,
+    sfm_folder,
+)
 from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.config_fields import config_fields
 from radiant_core.errors import BadInput, CannotWrite
-from radiant_core.io.run_store import RunLock, atomic_path, write_atomic
+from radiant_core.io.run_store import RunLock, atomic_path, read_json, write_atomic, write_json
 from radiant_core.train.needs import Overrides
 
 
@@ -174,21 +184,6 @@ BEFORE_SECTIONS = {
 """The configuration of a run as manifests kept it when it had no sections, without its source."""
 
 
-@pytest.mark.parametrize("emulated", [False, True])
-def test_a_run_made_before_its_configuration_had_sections_can_be_resumed(tmp_path: Path, emulated: bool) -> None:
-    out = tmp_path / "run"
-    out.mkdir()
-    Manifest(folder=out, config={**BEFORE_SECTIONS, "source": str(tmp_path), "emulated": emulated}).save()
-    system: dict[str, Any] = {"emulate" if emulated else "system": Path("/desk/system.toml")}
-    asked = TrainOptions(preset="draft", long_side_px=400, num_steps=800, settings={"sky": False})
-    same = RunConfig(source=tmp_path, out=out, train=asked, **system)
-    other = replace(same, train=replace(asked, num_steps=9, settings={}))
-    with pytest.raises(BadInput, match=r"begun with another --set train\.sky, --steps: repeat"), open_run(other, resume=True):
-        pass
-    with open_run(same, resume=True) as manifest:
-        assert manifest.config == recorded_config(same)
-
-
 SFM = {"source": "photos", "sfm": {"matching": "auto"}, "masks": None, "placement": {}}
 
 
@@ -244,3 +239,17 @@ def test_pictures_that_fill_the_disk_go_away_again_and_nobody_is_told_to_resume_
     with pytest.raises(BadInput) as refused, create_folder(tmp_path):
         pass
     assert "--resume" not in str(refused.value)
+
+
+def test_a_run_of_an_earlier_version_is_not_resumed_over_what_it_holds(tmp_path: Path) -> None:
+    Manifest(folder=tmp_path, config={}).save()
+    record = read_json(tmp_path / "manifest.json")
+    write_json(tmp_path / "manifest.json", {name: value for name, value in record.items() if name != "sha256"} | {"version": 1})
+    before = (tmp_path / "manifest.json").read_bytes()
+    assert read_manifest(tmp_path).config == {}, "it can be looked at"
+    told = "was made by an earlier version of radiant.*begin again in another folder"
+    with pytest.raises(BadInput, match=told), open_folder(tmp_path, {}, True, ()):
+        pass
+    with pytest.raises(BadInput, match=told):
+        require_current(tmp_path)
+    assert (tmp_path / "manifest.json").read_bytes() == before

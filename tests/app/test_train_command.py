@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +25,10 @@ from radiant_app.workers.nodes import run_node
 from radiant_core.cameras import concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
+from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.io.colmap.model import read_model
 from radiant_core.io.colmap.text import write_model
+from radiant_core.io.messages import save_task
 from radiant_core.io.ply import load_ply
 from radiant_core.io.records import load_scene, save_scene
 from radiant_core.io.run_store import read_json, write_json
@@ -305,9 +307,8 @@ def test_a_device_goes_on_inside_its_training_and_drops_checkpoints_of_another_t
     def device(name: str, seed: int = 0) -> Path:
         folder = tmp_path / name
         deal_files(Path(read_json(scene / "result.json")["images"]), names, folder / "photos")
-        shutil.copyfile(scene / "scene.safetensors", folder / "scene.safetensors")
-        task = asdict(replace(train_preset("draft"), num_steps=40, long_side_px=96, seed=seed))
-        write_json(folder / "task.json", {"train": task, "backend": "native", "upload": "float32", "memory_bytes": None})
+        train = replace(train_preset("draft"), num_steps=40, long_side_px=96, seed=seed)
+        save_task(folder, DeviceTask(train=train, backend="native", scene=load_scene(scene / "scene.safetensors")))
         return folder
 
     def run(folder: Path) -> list[Event]:
