@@ -1,4 +1,4 @@
-"""Signals that end a process: all take the way of Ctrl-C, through the same clean-up, so that no worker outlives its run."""
+"""Signals that end a process: all are handled as Ctrl-C, with the same clean-up, so that no worker outlives its run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ INTERRUPTED = 130
 
 
 def interrupt_on_signals() -> None:
-    """Raise KeyboardInterrupt at a polite kill too."""
+    """Raise KeyboardInterrupt on SIGTERM, SIGHUP and SIGALRM too."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         signal.signal(number, _interrupt)
 

@@ -163,8 +163,8 @@ def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
     photographs = None if run.kind == "run" else unplanned_photographs(run.folder)
     if photographs is None or not photographs.is_dir():
         return run.scene
-    scene, told = without_repeats(run.scene, photographs)
-    for message in told:
+    scene, warnings = without_repeats(run.scene, photographs)
+    for message in warnings:
         display(Warned(stage="export", message=message))
     return scene
 

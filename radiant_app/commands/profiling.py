@@ -235,12 +235,12 @@ class Measuring:
         expected_s = self.left_s.pop(0) if self.left_s else 0.0
         begun_s = self._elapsed_s
 
-        def tell(event: Event) -> None:
+        def listen(event: Event) -> None:
             if isinstance(event, StageProgress):
                 self._report_progress(max(0.0, expected_s - (self._elapsed_s - begun_s)))
 
         self._report_progress(expected_s)
-        seen = executor.fold(Tree(id=stage, tier="cloud"), lambda _: node, tell)[stage]
+        seen = executor.fold(Tree(id=stage, tier="cloud"), lambda _: node, listen)[stage]
         return seen.ended_s - seen.started_s
 
     def _report_progress(self, node_left_s: float) -> None:

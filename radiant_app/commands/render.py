@@ -102,8 +102,8 @@ def _pictures(splats: Splats, cameras: Cameras) -> Iterator[tuple[str, NDArray[n
             view = next(views)
             image = view.image_bytes
         except MemoryError:
-            told = f"a picture of {width} × {height} px does not fit into the free memory"
-            raise BadInput(f"{told}: add --long-side-px 4000, or less.") from None
+            size = f"a picture of {width} × {height} px does not fit into the free memory"
+            raise BadInput(f"{size}: add --long-side-px 4000, or less.") from None
         yield view.name, image
 
 

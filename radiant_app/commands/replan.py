@@ -96,7 +96,7 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, float]:
 
 
 def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write the new plan and what goes beside it; returns what the command line prints.
+    """Write the new plan and the files beside it; returns the summary that the command line prints.
 
     Raises BadInput with one sentence when something cannot be used, and where the machines that are left cannot hold what is left; nothing
     stays behind.
@@ -139,7 +139,7 @@ def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[
 
 
 def _grow_system(before: _Before, joining: System | None) -> System:
-    """The system with what joins; edges that are there stand where the plan has them."""
+    """The system with the joining edges and devices; existing edges are placed as in the plan."""
     sites = before.cloud.sites.tolist()
     edges = tuple(replace(edge, position=(x, y), lat_lon_deg=None) for edge, (x, y) in zip(before.system.edges, sites, strict=True))
     system = replace(before.system, edges=edges)
@@ -147,7 +147,7 @@ def _grow_system(before: _Before, joining: System | None) -> System:
 
 
 def _split_system(grown: System, known: System) -> tuple[System, System | None]:
-    """A grown system, edges placed, as what was known and what joins."""
+    """Split a grown system, edges placed, into its known part and the joining part."""
     devices = {device.id for device in known.devices}
     old, new = (
         [replace(edge, devices=own) for edge in grown.edges if (own := tuple(d for d in edge.devices if (d.id in devices) == is_old))]
@@ -218,7 +218,7 @@ def _read_run(request: ReplanRequest) -> _Before:
 
 
 def _load_delivered(run: Path) -> tuple[tuple[CloudPlan, tuple[EdgePlan, ...]], SfmScene]:
-    """Plan and scene of what devices that keep their photographs have delivered: nobody else knows where those were taken."""
+    """Load plan and scene of a run on devices: only delivered photographs have known positions."""
     folder = run / DELIVERED
     if not folder.is_dir():
         raise BadInput(f"{run} keeps photographs on their devices and has delivered no scene yet: finish it by --resume, or plan anew.")
@@ -234,7 +234,7 @@ def _warn_undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) 
 
 
 def _add_progress(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: FleetChange) -> FleetChange:
-    """What is given, and what the run's folder says: sealed nodes are done, devices that have begun are at work until their time."""
+    """Add the progress of a run to the given change: sealed nodes are done, started devices work until their planned time."""
     sealed = {path.parent.name for kind in ("devices", "edges") for path in run.glob(f"{kind}/*/done.json")}
     delivered = {device.id for edge in system.edges if edge.id in sealed for device in edge.devices} | sealed
     dead = given.dead - delivered  # what a dead machine has delivered is not lost
@@ -300,9 +300,9 @@ def _moved_csv(before: _Before, new: Replan) -> str:
     return text.getvalue()
 
 
-def _summary(out: Path, before: _Before, new: Replan, told: tuple[str, ...]) -> dict[str, Any]:
+def _summary(out: Path, before: _Before, new: Replan, more: tuple[str, ...]) -> dict[str, Any]:
     lost, num_devices = int(new.lost.sum()), len(new.system.devices)
-    warnings = list(told)
+    warnings = list(more)
     if lost:
         warnings.append(f"{lost} captured positions of dead devices are lost: leave them out of --captured to have them taken again.")
     if not new.fewest_proved:

@@ -100,22 +100,22 @@ def libraries_log_to(path: Path) -> Iterator[None]:
 
     Nothing changes where Python's standard error is not the process's own, since a test or another program listens to it.
     """
-    told = sys.stderr
+    stderr = sys.stderr
     try:
-        own = told.fileno() == 2
+        own = stderr.fileno() == 2
     except (AttributeError, OSError, ValueError):
         own = False
     if not own:
         yield
         return
-    with os.fdopen(os.dup(2), "w", buffering=1, encoding=told.encoding, errors=told.errors) as shown, path.open("a") as log:
-        told.flush()
+    with os.fdopen(os.dup(2), "w", buffering=1, encoding=stderr.encoding, errors=stderr.errors) as shown, path.open("a") as log:
+        stderr.flush()
         os.dup2(log.fileno(), 2)
         sys.stderr = shown
         try:
             yield
         finally:
-            sys.stderr = told
+            sys.stderr = stderr
             os.dup2(shown.fileno(), 2)
 
 

@@ -1,4 +1,4 @@
-"""The folder of one run and its manifest.json: what was asked, which stages ran when, what was decided and warned.
+"""The folder of one run and its manifest.json: configuration, times of stages, decisions and warnings.
 
     manifest.json plan.json scene.ply metrics.json report.html pictures/
     sfm/ devices/<id>/ edges/<id>/ cloud/ evaluation/        one folder per process
@@ -74,7 +74,7 @@ class Manifest:
     access_log: list[dict[str, Any]] = field(default_factory=list)
 
     def record(self, event: Event, now_s: float) -> None:
-        """Take from the stream what the record keeps."""
+        """Update the record by an event."""
         if isinstance(event, StageStarted):
             self.drop_notes(event.stage)
             self._times(event)[event.stage] = {"started_s": now_s, "ended_s": now_s}
@@ -100,12 +100,12 @@ class Manifest:
         return self.emulated if event.emulated else self.stages
 
     def drop_notes(self, stage: str) -> None:
-        """What an earlier try of this stage decided and warned of."""
+        """Remove the decisions and warnings of an earlier attempt of this stage."""
         self.decisions = [decision for decision in self.decisions if decision["stage"] != stage]
         self.warnings = [warning for warning in self.warnings if not warning.startswith(f"{stage}: ")]
 
     def keep_stages(self, stages: Collection[str]) -> None:
-        """Forget all other stages: those of devices and edges that an earlier plan had."""
+        """Remove all other stages: those of devices and edges in an earlier plan."""
         for times in (self.stages, self.emulated):
             for stage in [stage for stage in times if stage.removesuffix(UPLINK) not in stages]:
                 self.drop_notes(stage)
@@ -114,7 +114,7 @@ class Manifest:
 
     @property
     def ended_s(self) -> float:
-        """When the last stage so far ended; 0 at first. A resumed run goes on from there."""
+        """Time at which the last stage ended, 0 at first; the clock of a resumed run continues from it."""
         return max((times["ended_s"] for times in (*self.stages.values(), *self.emulated.values())), default=0.0)
 
     def save(self) -> None:
@@ -126,7 +126,7 @@ class Manifest:
 
 @contextmanager
 def open_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
-    """Make or reopen the run's folder and hold its lock.
+    """Create or reopen the run's folder and hold its lock.
 
     Raises BadInput when the folder exists and is not empty (without `resume`), was made by other settings, or cannot be made. When
     the input turns out to be unusable, a folder made here goes away again: nothing half-written stays behind.
@@ -137,13 +137,13 @@ def open_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
 
 @contextmanager
 def open_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
-    """As `open_run`, of any work with such settings; a file that fits a pattern of `keep` is worth keeping after bad input."""
+    """As `open_run`, for any work with these settings; after bad input the folder stays if a file matches a pattern of `keep`."""
     if resume and out.is_dir() and _has_content(out):
         with RunLock(out), _record_outcome(_reopen(out, settings)) as manifest:
             yield manifest
         return
     made = _create_folders(out)
-    # A lock that somebody else holds is no reason to clean up: what lies there is that run's work.
+    # A lock held by another process is no reason to clean up: the folder is the work of that run.
     with RunLock(out):
         require_empty(out)
         fresh = Manifest(folder=out, config=settings)
@@ -153,14 +153,14 @@ def open_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequenc
 
 @contextmanager
 def _record_outcome(manifest: Manifest) -> Iterator[Manifest]:
-    """Save the record before and after the work, with how that ended."""
+    """Save the record before and after the work, with its outcome."""
     manifest.status = "running"
     manifest.save()
     try:
         yield manifest
     except BaseException as error:
         manifest.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
-        # The disk may be what failed; the error that brought us here is the one to tell.
+        # The disk may be what failed; the original error is the one to report.
         with suppress(BadInput):
             manifest.save()
         raise
@@ -224,7 +224,7 @@ def _create_folders(out: Path, *, resumable: bool = True) -> list[Path]:
 
 
 def require_empty(out: Path, *, resumable: bool = True) -> None:
-    """Raise BadInput when the folder holds anything but what a kill leaves before anything was begun."""
+    """Raise BadInput if the folder has content beyond what a run killed at its start leaves."""
     if _has_content(out):
         way_on = ", or go on with what was begun there by --resume" if resumable else ""
         raise BadInput(f"{out} exists and is not empty: choose another folder{way_on}.")
@@ -241,13 +241,13 @@ def _remove_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (
     try:
         yield
     except BadInput as error:
-        # What was computed and stored is no input, nor is a disk: whatever else lies there is worth looking at, or going on with.
+        # A damaged store or a full disk is no bad input: the other results are worth keeping.
         worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _has_content(out)
         if not worth_it and not any(found for pattern in keep for found in out.glob(pattern)):
             for inner in list(out.iterdir()):
                 shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
             for folder in made:
-                # Somebody may have begun another run here in the meantime.
+                # Another run may have started here in the meantime.
                 with suppress(OSError):
                     folder.rmdir()
         raise
@@ -259,7 +259,7 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
 
 
 def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> str:
-    """What was asked for otherwise before, as the command line calls it; empty where nothing was."""
+    """The options that differ from those of before, as the command line names them; empty if none."""
     return ", ".join(sorted(set(_differing_options(asked, before))))
 
 
@@ -273,7 +273,7 @@ def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any], pref
 
 
 def _option_name(path: str, name: str) -> str:
-    """What the command line calls a field of a run by its path, or a setting of another command by its name."""
+    """The option of a run's field by its path, or of another command's setting by its name."""
     fields = config_fields()
     if path in OPTIONS or path in fields:
         return OPTIONS.get(path) or fields[path].option_name
@@ -282,7 +282,7 @@ def _option_name(path: str, name: str) -> str:
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of what decides a result."""
+    """Versions of the software that results depend on."""
     packages = ("torch", "numpy", "scipy", "pycolmap", "open3d", "opencv-contrib-python-headless")
     found = {"radiant": __version__, "python": platform.python_version(), "machine": platform.machine()}
     for package in packages:
@@ -326,7 +326,7 @@ def _digest(record: dict[str, Any]) -> str:
 
 
 def _require_unchanged(record: Any) -> None:
-    """Raise BadInput where a manifest is not what was written; older ones say no hash and are taken as they are."""
+    """Raise BadInput if a manifest was changed; older ones have no hash and are accepted."""
     known = {"version", "software", "sha256", "ledger", *RECORDED}
     if not isinstance(record, dict) or not record.keys() <= known:
         raise BadInput("it has keys that no manifest has")

@@ -38,7 +38,7 @@ GIVEN = {
         "device": "beside its own photographs, the finished scene and its borders",
         "edge": "its devices' models and poses, under numbers",
         "cloud": "edges' models, virtual cameras and borders; where it plans, counts in cells",
-        "owner": "what devices told for the plan",
+        "owner": "what devices sent for the plan",
     },
 }
 """What the nodes of a tier were given, by whether one owner ran structure from motion (frames "shared")."""
