@@ -21,8 +21,7 @@ from radiant_core import __version__
 from radiant_core.errors import BadInput
 from radiant_core.evaluate.borders import DeviceBorders, EdgeBorders
 from radiant_core.evaluate.image_error import psnr_db, ssim
-from radiant_core.evaluate.seam_error import SeamMasks, seam_masks
-from radiant_core.evaluate.seam_scores import seam_scores
+from radiant_core.evaluate.seam_error import SeamMasks, band_and_interior_psnr_db, seam_masks
 from radiant_core.evaluate.shown_pixels import select_strongest
 from radiant_core.hierarchy.messages import DeviceSettings
 from radiant_core.hierarchy.recipe import Recipe
@@ -157,7 +156,7 @@ class Arms:
     def _scored(self, cell: Cell, arm: Arm, made: Made) -> ArmRow:
         images = [view.image for view in render_views(made.splats, self.scene.held_out_views.cameras)]
         pairs = list(zip(images, self.photographs, strict=True))
-        error = seam_scores(images, self.photographs, self.masks(cell)).error()
+        error = band_and_interior_psnr_db(images, self.photographs, self.masks(cell))
         return ArmRow(
             scene=self.scene.name,
             cell=cell.name,

@@ -278,6 +278,9 @@ def dealt_cell(
 def run_cell(run: Path, cache: ModelCache) -> Cell:
     """The scene of a finished run under the run's own plan, system and settings.
 
+    Its recipe makes the run's scene bit for bit where every device delivered and none has a limit of memory: such a limit
+    counts what the device's process held besides.
+
     Raises:
         BadInput: the folder is not that of a run with pooled photographs (`--frames shared`) whose edges have joined.
     """

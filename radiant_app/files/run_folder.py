@@ -266,8 +266,8 @@ def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> st
 def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     for name in {*asked, *before} if prefix else asked:
         value, other, path = asked.get(name), before.get(name), f"{prefix}{name}"
-        if value != other and isinstance(value, dict) and isinstance(other, dict) and path not in OPTIONS:
-            yield from _differing_options(value, other, f"{path}.")
+        if value != other and isinstance(value, dict | None) and isinstance(other, dict | None) and path not in OPTIONS:
+            yield from _differing_options(value or {}, other or {}, f"{path}.")
         elif value != other:
             yield _option_name(path, name)
 

@@ -20,7 +20,7 @@ from radiant_app.quantities import seconds_of
 from radiant_core.aggregate.config import AggregateConfig, AggregatePreset, aggregate_preset
 from radiant_core.choices import LpipsNetwork, Matching, PlanMethod, UploadFormat
 from radiant_core.errors import BadInput
-from radiant_core.train.config import Preset, TrainConfig, train_preset
+from radiant_core.train.config import Preset, setting_types, train_preset, with_settings
 
 if TYPE_CHECKING:
     from radiant_core.train.needs import Overrides
@@ -144,9 +144,7 @@ class TrainOptions:
     """Training steps of a device."""
     max_num_splats: Annotated[int | None, Option(name="--max-splats", min=100)] = None
     """Upper limit of Gaussians of a device."""
-    settings: Annotated[Mapping[str, Any], SettingsOf(types=partial(get_type_hints, TrainConfig), fixed=(*SIZES, "seed"))] = field(
-        default_factory=dict
-    )
+    settings: Annotated[Mapping[str, Any], SettingsOf(types=setting_types, fixed=(*SIZES, "seed"))] = field(default_factory=dict)
     """Path of a field of `TrainConfig` → its value."""
 
     @property
@@ -157,7 +155,7 @@ class TrainOptions:
         return Overrides(**{name: getattr(self, name) for name in SIZES}, settings=self.settings)
 
     def __post_init__(self) -> None:
-        replace(train_preset(self.preset), **self.settings)
+        with_settings(train_preset(self.preset), self.settings)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,20 +17,10 @@ from radiant_app.bench.runner import run_bench
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.steps import sfm
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig, TrainOptions
-from radiant_app.run.pipeline import run
 from radiant_core.errors import BadInput
-from radiant_core.io.ply import save_ply
-from radiant_core.io.records import load_splats
-from radiant_core.io.run_store import read_json
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.edge_sites import place_edges
 from radiant_core.plan.regions.region_plan import plan_regions
-
-UNEQUAL = "\n".join(
-    f'[[edge]]\nid = "{edge}"\n' + "\n".join(f'[[edge.device]]\nid = "{edge}{n}"\ntrain_s = {{ linear = {n}.0 }}' for n in (1, 2))
-    for edge in ("north", "south")
-)
 
 
 @pytest.fixture(scope="module")
@@ -61,25 +51,6 @@ def test_all_methods_are_compared_and_rows_are_kept(bench: MethodBench) -> None:
     again, _ = bench_methods(replace(bench, methods=("paper",)))
     assert [row for row in again if row.arm == "paper"] == [made["paper"]]
     assert stamps == {path: path.stat().st_mtime_ns for path in (bench.out / "joined").iterdir()}
-
-
-def test_ours_in_a_runs_cell_is_the_scene_that_the_run_wrote_bit_for_bit(tmp_path: Path) -> None:
-    train = TrainOptions(preset="draft", long_side_px=96, num_steps=30, max_num_splats=1500)
-    system = tmp_path / "system.toml"
-    system.write_text(UNEQUAL)
-    source, out = sample_scenes_folder() / "hamlet" / "images", tmp_path / "run"
-    run(RunConfig(source=source, out=out, system=system, seed=3, train=train))
-    bench = MethodBench(scene=out, out=tmp_path / "out", layout=layout_of("run"), methods=("crop", "ours", "even"))
-    rows, _ = bench_methods(bench)
-    assert [(row.cell, row.arm, row.seed) for row in rows] == [("run-run-s3", name, 3) for name in ("centralised", "crop", "ours", "even")]
-    (model,) = (tmp_path / "out" / "joined").glob("run-run-s3-ours-*.safetensors")
-    save_ply(tmp_path / "ours.ply", load_splats(model))
-    assert (tmp_path / "ours.ply").read_bytes() == (out / "cloud" / "scene.ply").read_bytes()
-    num_steps = [read_json(path)["num_steps"] for path in (*out.glob("edges/*/summary.json"), out / "cloud" / "summary.json")]
-    ours = next(row for row in rows if row.arm == "ours")
-    assert ours.training_px == num_steps[-1] * 96 * 72 > 0 and num_steps[:-1] == [0, 0]
-    with pytest.raises(BadInput, match="no edge that received models"):
-        bench_methods(replace(bench, scene=out / "sfm", out=tmp_path / "other"))
 
 
 def test_models_are_reduced_to_as_many_gaussians(bench: MethodBench) -> None:
@@ -129,6 +100,8 @@ def test_unknown_methods_are_named(tmp_path: Path) -> None:
         MethodBench(scene=tmp_path, out=tmp_path, methods=("ours", "magic"))
     with pytest.raises(BadInput, match=r"radiant sfm"):
         bench_methods(MethodBench(scene=tmp_path, out=tmp_path / "out"))
+    with pytest.raises(BadInput, match="no edge that received models"):
+        bench_methods(MethodBench(scene=tmp_path, out=tmp_path / "out", layout=layout_of("run")))
 
 
 def test_the_command_prints_a_table_and_draws_a_picture(bench: MethodBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

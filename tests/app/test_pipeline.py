@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from radiant_app.bench.cells import ModelCache, run_cell
+from radiant_app.bench.methods import MethodBench, bench_methods
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
@@ -35,7 +37,7 @@ from radiant_core.errors import BadInput
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import geodetic_from_enu
 from radiant_core.io.colmap.model import read_model
-from radiant_core.io.ply import load_ply
+from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_cameras, load_plan, load_scene, load_splats, save_cameras
 from radiant_core.io.run_store import read_json, write_json
 from radiant_core.io.transport.upload import load_upload, save_upload
@@ -160,6 +162,21 @@ def test_weights_for_lpips_given_later_make_resume_score_again_and_nothing_else(
     with pytest.raises(BadInput, match="no LPIPS weights"):
         run(replace(config, out=tmp_path / "new", evaluate=EvaluateOptions(lpips_weights=tmp_path / "none")))
     assert not (tmp_path / "new").exists()
+
+
+def test_ours_of_the_benchmark_in_the_runs_cell_is_the_scene_of_the_run_bit_for_bit(
+    finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path
+) -> None:
+    run_folder = finished[0].out
+    rows, _ = bench_methods(MethodBench(scene=run_folder, out=tmp_path, layout=None, methods=("ours",)))
+    assert [(row.cell, row.arm) for row in rows] == [("hamlet-run-s0", "centralised"), ("hamlet-run-s0", "ours")]
+    (model,) = (tmp_path / "joined").glob("hamlet-run-s0-ours-*.safetensors")
+    save_ply(tmp_path / "ours.ply", load_splats(model))
+    assert (tmp_path / "ours.ply").read_bytes() == (run_folder / "scene.ply").read_bytes()
+    edges, cloud = ([read_json(path)["num_steps"] for path in run_folder.glob(f"{tier}/summary.json")] for tier in ("edges/*", "cloud"))
+    assert edges == [0, 0] and rows[1].training_px == cloud[0] * 96 * 72 > 0
+    even = run_cell(run_folder, ModelCache(folder=tmp_path)).even
+    assert sorted(len(even.cameras_of(device.id)) for device in even.system.devices) == [2, 2, 3, 3]
 
 
 def test_a_flipped_bit_makes_resume_repeat_that_stage(finished: tuple[RunConfig, RunResult, list[Event]], tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,6 @@ from radiant_app.files.event_file import EventFile, read_progress
 from radiant_app.report.pace import Pace, clock_text
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.report.tables import print_figures
-from radiant_app.workers.reporting import sfm_progress
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import write_json
 from radiant_core.sfm.config import SfmProgress, number_phases
@@ -83,10 +82,10 @@ def steps_of_sfm(clock: Clock, mapping_s: float) -> Iterator[StageProgress]:
     ):
         for done in range(total + 1):
             report(SfmProgress(phase=phase, done=done, total=total))
-            yield sfm_progress("sfm", heard[-1])
+            yield StageProgress(stage="sfm", **asdict(heard[-1]))
             clock.now_s += mapping_s / total if step_s is None else step_s
     report(SfmProgress(phase="refining", done=0, total=60))
-    yield sfm_progress("sfm", heard[-1])
+    yield StageProgress(stage="sfm", **asdict(heard[-1]))
 
 
 @pytest.mark.parametrize("mapping_s", [15.0, 900.0])

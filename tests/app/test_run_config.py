@@ -16,6 +16,7 @@ from radiant_app.run.config import AggregateOptions, ExecutionOptions, PlanOptio
 from radiant_app.run.config_fields import config_of, tables_of, train_options, values_of, with_settings
 from radiant_core.errors import BadInput
 from radiant_core.train.config import train_preset
+from radiant_core.train.densification import Mcmc
 from radiant_core.train.needs import Overrides, fit_to_backend
 
 FILE = """
@@ -30,6 +31,7 @@ method = "voronoi"
 num_steps = 300
 sky = false
 max_epochs = "none"
+density.kind = "mcmc"
 [aggregate]
 num_epochs = 2
 [execution]
@@ -40,7 +42,7 @@ ASKED: dict[str, Any] = {
     "upload": "float32",
     "sfm": SfmOptions(matching="exhaustive"),
     "plan": PlanOptions(method="voronoi"),
-    "train": TrainOptions(preset="paper", num_steps=300, settings={"sky": False, "max_epochs": None}),
+    "train": TrainOptions(preset="paper", num_steps=300, settings={"sky": False, "max_epochs": None, "density.kind": "mcmc"}),
     "aggregate": AggregateOptions(preset="paper", settings={"num_epochs": 2}),
     "execution": ExecutionOptions(checkpoint_every_s=90.0),
 }
@@ -71,7 +73,7 @@ def run_file(folder: Path, text: str = FILE) -> Path:
 def test_a_run_file_options_and_set_start_the_same_run(tmp_path: Path, asked: RunConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     assert started(monkeypatch, run_file(tmp_path)) == asked
     where = (tmp_path / "photos", "--out", tmp_path / "run", "--system", tmp_path / "fleet.toml", "--preset", "paper")
-    only_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set", "aggregate.num_epochs=2")
+    only_set = ("--set=train.sky=false", "--set=train.max-epochs=none", "--set=train.density.kind=mcmc", "--set", "aggregate.num_epochs=2")
     options = ("--seed", 3, "--plan-method", "voronoi", "--steps", 300, "--checkpoint-every", "1.5m")
     assert started(monkeypatch, *where, *options, *only_set) == asked
     paths = ("seed=3", "plan.method=voronoi", "train.num_steps=300", "execution.checkpoint_every_s=90")
@@ -81,7 +83,7 @@ def test_a_run_file_options_and_set_start_the_same_run(tmp_path: Path, asked: Ru
 def test_options_beside_a_run_file_win(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = started(monkeypatch, run_file(tmp_path), "--steps", 7, "--set=plan.method=even", "--out", tmp_path / "other")
     assert (config.train.num_steps, config.plan.method, config.out) == (7, "even", tmp_path / "other")
-    assert config.train.settings == {"sky": False, "max_epochs": None}
+    assert config.train.settings == {"sky": False, "max_epochs": None, "density.kind": "mcmc"}
 
 
 def test_a_configuration_comes_back_from_its_tables(asked: RunConfig) -> None:
@@ -128,10 +130,10 @@ def test_values_have_the_type_of_their_field() -> None:
 
 
 def test_what_is_set_is_a_forced_decision() -> None:
-    overrides = train_options(with_settings({}, ["train.start_scale=1", "train.adam=visible"], "train")).overrides
-    config, decisions = fit_to_backend(train_preset("default"), "gsplat", overrides)
-    assert (config.start_scale, config.adam) == (1.0, "visible")
-    assert {decision.topic: decision.forced for decision in decisions} == {"start_scale": True, "adam": True}
+    given = ["train.start_scale=1", "train.adam=visible", "train.density.kind=mcmc", "train.density.every=50"]
+    config, decisions = fit_to_backend(train_preset("default"), "gsplat", train_options(with_settings({}, given, "train")).overrides)
+    assert (config.start_scale, config.adam, config.density) == (1.0, "visible", Mcmc(every=50))
+    assert {decision.topic for decision in decisions if decision.forced} == {"start_scale", "adam", "density.kind", "density.every"}
     assert train_options({"train.num_steps": 5}).overrides == Overrides(num_steps=5)
 
 
@@ -164,8 +166,9 @@ def test_a_training_takes_no_setting_of_a_run(tmp_path: Path) -> None:
 
 
 def test_a_value_out_of_range_is_refused_before_the_run_begins() -> None:
-    for values in ({"train.start_scale": 2.0}, {"aggregate.num_epochs": 0}):
-        with pytest.raises(BadInput, match=r"start_scale is 2|num_epochs"):
+    of_no_policy = {"train.density.kind": "mcmc", "train.density.reset_opacity_every": 5}
+    for values in ({"train.start_scale": 2.0}, {"aggregate.num_epochs": 0}, of_no_policy):
+        with pytest.raises(BadInput, match=r"start_scale is 2|num_epochs|reset_opacity_every is no setting of 'mcmc'"):
             config_of({"source": Path("photos"), "out": Path("run"), **values})
 
 

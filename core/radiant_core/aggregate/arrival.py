@@ -1,17 +1,14 @@
 """Whether a model that arrived can be joined: decided before anything renders it, so that one bad sender costs no one else the scene.
 
-A file says how many Gaussians it holds before they are read; then numbers, extent and what its own cameras see. Once per arrival.
+Its count, which a file's head gives before anything is read (`io.messages`), its numbers and extent, and what its own cameras see.
+Once per arrival.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from radiant_core.cameras import Cameras
-from radiant_core.errors import BadInput
-from radiant_core.io.transport.upload import count_uploaded, load_upload
 from radiant_core.splats import Splats
 
 MAX_SPLATS = 5_000_000
@@ -24,18 +21,6 @@ MAX_HARMONIC = 50.0
 MIN_SEEN_SHARE = 0.05
 """Of the Gaussians in sight of the cameras that made them: all but the sky usually are."""
 NUM_TRIED = 20_000
-
-
-def load_arrived(path: Path, cameras: Cameras) -> Splats | str:
-    """The model in a file of an upload, made by `cameras`, or why it is not to be joined, one sentence."""
-    try:
-        count = count_uploaded(path)
-        if not 0 < count <= MAX_SPLATS:
-            return f"it has {count:,} Gaussians, expected 1 to {MAX_SPLATS:,}."
-        splats = load_upload(path)
-    except BadInput as error:
-        return str(error)
-    return check_splats(splats, cameras) or splats
 
 
 def check_splats(splats: Splats, cameras: Cameras) -> str | None:

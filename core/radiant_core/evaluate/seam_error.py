@@ -8,7 +8,7 @@ else, depth mixes both. Inverse depth is affine over any plane, seen however fla
     |q(u−1) − 2 q(u) + q(u+1)| z² ‖horizontal part of K⁻¹ (u, v, 1)‖,  q = 1 / z, and likewise for v
 are how far the place is unsure.
 
-The headline (`seam_scores.py`) is (band − interior) of a method minus that of a reference, usually the centralised model: what is hard
+The headline is (band − interior) of a method minus that of a reference, usually the centralised model: what is hard
 to learn along a border for anybody cancels out.
 """
 
@@ -93,13 +93,6 @@ class SeamError:
             f"insufficient: {self.num_band_pixels} pixels in {self.num_band_images} images lie near a border,"
             f" at least {MIN_PIXELS} in {MIN_IMAGES} are needed"
         )
-
-    @property
-    def band_minus_interior_db(self) -> float | None:
-        """Negative where the band is worse; None where either part has no figure."""
-        if self.seam_psnr_db is None or self.interior_psnr_db is None:
-            return None
-        return self.seam_psnr_db - self.interior_psnr_db
 
 
 def seam_masks(

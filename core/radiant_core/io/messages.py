@@ -123,18 +123,34 @@ def _parsed(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
     try:
         parsed = _model(kind).model_validate_json(data)
     except ValidationError as error:
-        raise BadInput(f"{name}: {problem_sentence(error)}") from error
+        raise BadInput(f"{name}: {_problem_sentence(error)}") from error
+    key = _left_out(parsed.model_dump(mode="json"), json.loads(data))
+    if key is not None:
+        raise BadInput(f"{name}: {key} is missing: add it.")
     return {field: getattr(parsed, field) for field in _json_names(kind)}
 
 
-def problem_sentence(error: ValidationError, kind: str = "message") -> str:
+def _left_out(whole: Any, given: Any, place: str = "") -> str | None:
+    """The path of the first key that `given` leaves to a default: pydantic demands those of the message alone, not of its parts."""
+    parts = whole.items() if isinstance(whole, dict) else enumerate(whole) if isinstance(whole, list) else ()
+    for key, value in parts:
+        path = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
+        if (isinstance(given, dict) and key not in given) or (path := _left_out(value, given[key], path)):
+            return path
+    return None
+
+
+def _problem_sentence(error: ValidationError) -> str:
     """The first problem that pydantic found: key path, what came, what is expected."""
     problem = error.errors(include_url=False)[0]
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")
     if problem["type"] == "missing":
         return f"{key} is missing: add it."
-    if problem["type"] == "extra_forbidden":
-        return f"{key} is not a key of a {kind}: remove it or correct its spelling."
+    if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"{key} is not a key of a message: remove it or correct its spelling."
+    cause = problem.get("ctx", {}).get("error")
+    if isinstance(cause, BadInput):
+        return f"{key}: {cause}"
     text = repr(problem["input"])
     expected = problem["msg"].replace("Input should be", "expected")
     return f"{key} is {text if len(text) <= 60 else text[:57] + '…'}; {expected[0].lower()}{expected[1:]}: correct it."

@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from radiant_core.aggregate.arrival import MAX_SPLATS, check_splats, load_arrived
+from radiant_core.aggregate.arrival import MAX_SPLATS, check_splats
+from radiant_core.hierarchy.joining import model_problem
 from radiant_core.io.array_file import save_arrays
+from radiant_core.io.messages import load_device_model
 from radiant_core.io.records import save_cameras
 from radiant_core.io.transport.upload import count_uploaded, save_upload
 from radiant_core.splats import Splats
@@ -19,6 +21,12 @@ from tests.core.scenes import cameras_above, ground_splats
 
 CAMERAS = cameras_above([(x, y) for x in (-2.0, 0.0, 2.0) for y in (-1.5, 1.5)])
 GROUND = ground_splats()
+
+
+def arrived_in(folder: Path) -> Splats | str:
+    """The model that an edge finds in a folder, or why it is not to be joined."""
+    model = load_device_model(folder)
+    return model if isinstance(model, str) else model_problem(model, len(CAMERAS)) or model.splats
 
 
 def changed(**values: float) -> Splats:
@@ -33,7 +41,7 @@ def changed(**values: float) -> Splats:
 def test_an_honest_model_passes_in_every_format(upload, tmp_path: Path) -> None:
     save_upload(tmp_path / "model.safetensors", GROUND, upload)
     assert count_uploaded(tmp_path / "model.safetensors") == len(GROUND)
-    arrived = load_arrived(tmp_path / "model.safetensors", CAMERAS)
+    arrived = arrived_in(tmp_path)
     assert isinstance(arrived, Splats) and len(arrived) == len(GROUND)
     assert check_splats(GROUND, CAMERAS.select([])) is None
 
@@ -61,26 +69,27 @@ def test_ten_million_gaussians_are_refused_by_the_header_alone(tmp_path: Path) -
     shapes = {"means": 3, "quats": 4, "log_scales": 3, "logit_opacities": None, "sh0": 3, "shN": 9}
     arrays = {name: np.zeros((count,) if width is None else (1, width), np.float32) for name, width in shapes.items()}
     save_arrays(path, "radiant.splats", arrays, {})
-    assert load_arrived(path, CAMERAS) == f"it has 10,000,000 Gaussians, expected 1 to {MAX_SPLATS:,}."
+    assert arrived_in(tmp_path) == f"it has 10,000,000 Gaussians, expected 1 to {MAX_SPLATS:,}."
 
 
 def test_as_many_as_allowed_are_allowed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     save_upload(tmp_path / "model.safetensors", GROUND, "float16")
     for limit, passes in ((len(GROUND), True), (len(GROUND) - 1, False)):
         monkeypatch.setattr("radiant_core.aggregate.arrival.MAX_SPLATS", limit)
+        monkeypatch.setattr("radiant_core.io.messages.MAX_SPLATS", limit)
         assert (check_splats(GROUND, CAMERAS) is None) is passes
-        assert isinstance(load_arrived(tmp_path / "model.safetensors", CAMERAS), Splats) is passes
+        assert isinstance(arrived_in(tmp_path), Splats) is passes
 
 
 def test_files_that_are_no_model_are_refused_with_their_reason(tmp_path: Path) -> None:
     path = tmp_path / "model.safetensors"
-    assert "no such file" in str(load_arrived(path, CAMERAS))
+    assert "no such file" in str(arrived_in(tmp_path))
     path.write_bytes(b"\x00" * 100)
-    assert "not a whole safetensors file" in str(load_arrived(path, CAMERAS))
+    assert "not a whole safetensors file" in str(arrived_in(tmp_path))
     save_cameras(path, CAMERAS)
-    assert "cannot use" in str(load_arrived(path, CAMERAS))
+    assert "cannot use" in str(arrived_in(tmp_path))
     save_arrays(path, "radiant.splats", {**GROUND.arrays(), "sh0": np.full_like(GROUND.sh0, np.nan)}, {})
-    assert "sh0 has" in str(load_arrived(path, CAMERAS)) and "not finite" in str(load_arrived(path, CAMERAS))
+    assert "sh0 has" in str(arrived_in(tmp_path)) and "not finite" in str(arrived_in(tmp_path))
 
 
 @given(st.binary(max_size=400))
@@ -90,7 +99,7 @@ def test_no_bytes_end_a_run(data: bytes) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "model.safetensors"
         path.write_bytes(data)
-        assert isinstance(load_arrived(path, CAMERAS), str)
+        assert isinstance(arrived_in(Path(folder)), str)
 
 
 @pytest.mark.parametrize(("name", "limit"), [("means", 1e6), ("sh0", 50.0), ("shN", 50.0), ("log_scales", 12.0)])

@@ -1,0 +1,148 @@
+"""The cloud: it retrains where limits and memory allow, else cuts with a warning that says whose limit it was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiant_core.aggregate.cloud_choice import cloud_needs
+from radiant_core.aggregate.config import aggregate_preset
+from radiant_core.aggregate.crop_merge import crop_merge
+from radiant_core.aggregate.pooling import render_pictures
+from radiant_core.aggregate.synthetic_views import Teacher
+from radiant_core.hierarchy.cloud import MACHINE_SHARE, join_cloud
+from radiant_core.hierarchy.messages import EdgeModel, SceneModel
+from radiant_core.hierarchy.reporter import Machine, Recorder
+from radiant_core.plan.system import Cloud
+from radiant_core.render.rendered_view import render_views
+from tests.core.hierarchy.grounds import AGGREGATE, CAMERAS, MIDDLES, NAMES, cloud_task, edge_models, part
+
+PAIR = {name: model for name, model in edge_models().items() if name != "c"}
+NEEDED_BYTES = cloud_needs([part(0), part(1)], CAMERAS[:2], 48, None).memory_bytes
+CUT = "models are cut at their borders instead of retrained"
+
+
+def joined(limits: Cloud | None = None, free_bytes: float = np.inf, **changes: object) -> tuple[SceneModel, Recorder]:
+    """The scene of two edges."""
+    reporter = Recorder(stage="cloud")
+    task = cloud_task("a", "b", limits=limits or Cloud(), **changes)
+    return join_cloud(task, PAIR, reporter, Machine(free_bytes=lambda: free_bytes)), reporter
+
+
+def aggregation(reporter: Recorder) -> str:
+    (decision,) = (decision for decision in reporter.decisions if decision.topic == "aggregation")
+    return decision.choice
+
+
+def test_without_a_limit_models_are_retrained_together() -> None:
+    scene, reporter = joined()
+    assert aggregation(reporter) == "retraining all models together" and not reporter.warnings
+    assert scene.summary["num_steps"] > 0 and not scene.cut_for_memory and not scene.refused
+    again, _ = joined(free_bytes=1.01 * NEEDED_BYTES / MACHINE_SHARE)
+    assert scene.splats is not None and again.splats is not None
+    np.testing.assert_array_equal(scene.splats.means, again.splats.means)
+
+
+def test_a_machine_with_too_little_free_memory_cuts_and_says_that_another_try_may_join() -> None:
+    scene, reporter = joined(free_bytes=0.99 * NEEDED_BYTES / MACHINE_SHARE)
+    (warning,) = reporter.warnings
+    assert scene.cut_for_memory and aggregation(reporter) == CUT
+    assert "80% of what this machine has free" in warning and "free memory there and go on with --resume" in warning
+    assert "radiant aggregate RUN --out JOINED.ply" in warning
+    assert scene.splats is not None and scene.summary["num_steps"] == 0
+    # A cut keeps to each Gaussian's own region.
+    given = sum(len(model.splats or ()) for model in PAIR.values())
+    assert 0 < len(scene.splats) < given
+
+
+@pytest.mark.parametrize(
+    ("limits", "told"),
+    [
+        (Cloud(memory_bytes=0.99 * NEEDED_BYTES), "memory"),
+        (Cloud(max_cameras=3), "views"),
+        (Cloud(time_s=1.0), "time"),
+    ],
+)
+def test_a_limit_of_the_system_file_cuts_and_another_try_would_too(limits: Cloud, told: str) -> None:
+    scene, reporter = joined(limits, free_bytes=1e12, edge_times_s=(3.0, 3.0))
+    (warning,) = reporter.warnings
+    assert not scene.cut_for_memory and aggregation(reporter) == CUT
+    assert (
+        f"the predicted {told} of retraining" in warning and "raise that limit under [cloud] in the system file of the next run" in warning
+    )
+
+
+def test_a_limit_of_the_task_counts_before_what_the_machine_has_free() -> None:
+    scene, reporter = joined(Cloud(memory_bytes=1.01 * NEEDED_BYTES), free_bytes=1.0)
+    assert aggregation(reporter) == "retraining all models together" and scene.summary["num_steps"] > 0
+
+
+def test_where_a_count_of_cameras_forbids_it_anyway_the_machines_memory_is_not_blamed() -> None:
+    scene, _ = joined(Cloud(max_cameras=3), free_bytes=1.0)
+    assert not scene.cut_for_memory
+
+
+def test_what_an_edge_pooled_is_still_joined_by_itself_where_that_fits() -> None:
+    cameras = CAMERAS[0]
+    shown = render_pictures([Teacher(splats=part(0), cameras=cameras)], cameras, np.arange(2), 48, "native")
+    darker = replace(part(0), sh0=0.9 * part(0).sh0)
+    sent = {"pooled": EdgeModel(splats=darker, cameras=cameras, views=tuple(shown.values())), "joined": replace(PAIR["a"], splats=darker)}
+    task = cloud_task("a", "b", limits=Cloud(max_cameras=3))
+    made = {name: join_cloud(task, {"a": model, "b": PAIR["b"]}, Recorder()) for name, model in sent.items()}
+    assert [scene.summary["num_steps"] for scene in made.values()] == [0, 0], "the two were cut, not joined"
+
+    def brightness(name: str) -> float:
+        splats = made[name].splats
+        assert splats is not None
+        return float(np.abs(splats.sh0[splats.means[:, 0] < -2]).mean())
+
+    assert brightness("pooled") > 1.01 * brightness("joined"), "its own pictures taught the darker model"
+
+
+def test_settings_that_ask_for_crop_merge_get_it_without_any_choice() -> None:
+    scene, reporter = joined(Cloud(memory_bytes=1.0), aggregate=replace(AGGREGATE, cloud="crop_merge"))
+    merged = crop_merge([part(0), part(1)], np.array([[x, 0.0] for x in MIDDLES[:2]]), np.zeros(2), fill_blind_spots=False)
+    assert scene.splats is not None and not reporter.warnings
+    np.testing.assert_array_equal(scene.splats.means, merged.splats.means)
+    assert [decision.topic for decision in reporter.decisions if decision.topic == "aggregation"] == []
+    assert scene.summary["num_dropped"] == merged.num_dropped > 0
+
+
+def test_the_papers_cloud_crops_where_its_limits_end() -> None:
+    paper = replace(aggregate_preset("paper"), num_epochs=1)
+    retrained, _ = joined(aggregate=paper)
+    assert retrained.summary["num_steps"] == 4 and retrained.splats is not None and len(retrained.splats) == len(part(0)) + len(part(1))
+    cropped, reporter = joined(Cloud(max_cameras=3), aggregate=paper)
+    assert "num_dropped" in cropped.summary and len(reporter.warnings) == 1
+
+
+def test_a_refused_edge_is_named_and_its_neighbour_keeps_its_own_region() -> None:
+    models = {**edge_models(), "b": "its bytes are not those that were signed."}
+    reporter = Recorder()
+    crop = replace(AGGREGATE, cloud="crop_merge")
+    scene = join_cloud(cloud_task(*NAMES, aggregate=crop), models, reporter)
+    assert scene.refused == {"b": "its bytes are not those that were signed."} and scene.corrections["b"] is None
+    assert reporter.warnings == ["the model of b is left out: its bytes are not those that were signed."]
+    without = join_cloud(cloud_task("a", "c", aggregate=crop), {name: models[name] for name in "ac"}, Recorder())
+    assert scene.splats is not None and without.splats is not None
+    np.testing.assert_array_equal(scene.splats.means, without.splats.means)
+
+
+@pytest.mark.parametrize("names", [NAMES, ()])
+def test_a_cloud_that_gets_nothing_has_no_scene(names: tuple[str, ...]) -> None:
+    scene = join_cloud(cloud_task(*names), dict.fromkeys(names, "nothing arrived."), Recorder())
+    assert scene.splats is None and list(scene.refused) == list(names) and not scene.cut_for_memory
+
+
+def test_pictures_that_show_another_scene_or_cannot_be_read_cost_their_edge_the_pictures_alone() -> None:
+    cameras = CAMERAS[0].scaled(48)
+    wrong = tuple((255 - view.image_bytes, np.full(view.image_bytes.shape[:2], 255, np.uint8)) for view in render_views(part(0), cameras))
+    for views, reason in ((wrong, "they differ from what its model shows"), ("they are broken.", "they are broken.")):
+        reporter = Recorder()
+        sent: dict[str, EdgeModel | str] = {**PAIR, "a": replace(PAIR["a"], views=views)}
+        scene = join_cloud(cloud_task("a", "b"), sent, reporter)
+        (warning,) = reporter.warnings
+        assert "the pictures of a are left out, its model's are shown instead" in warning and reason in warning
+        assert scene.summary["num_steps"] > 0 and not scene.refused

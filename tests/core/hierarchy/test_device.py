@@ -1,0 +1,99 @@
+"""A device: memory limits its Gaussians before anything is trained, and every decision carries its name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame
+from radiant_core.hierarchy.device import prepare_training, train_device
+from radiant_core.hierarchy.messages import DeviceTask
+from radiant_core.hierarchy.reporter import Machine, Recorder
+from radiant_core.render.rendered_view import render_views
+from radiant_core.scene import SfmScene
+from radiant_core.train.memory import MIN_SPLATS
+from radiant_core.train.views import TrainingViews
+from tests.core.hierarchy.grounds import TRAIN
+from tests.core.scenes import cameras_above, ground_splats
+
+LIMIT_BYTES = 140e6
+
+
+@pytest.fixture(scope="module")
+def given() -> tuple[DeviceTask, TrainingViews]:
+    """A device's task and its four photographs of a made-up ground."""
+    truth, cameras = ground_splats(), cameras_above([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    scene = SfmScene(
+        cameras=cameras,
+        points=truth.means.astype(float),
+        colors=np.full((len(truth), 3), 128, np.uint8),
+        observations=np.indices((len(truth), len(cameras))).reshape(2, -1).T,
+        frame=Frame(kind="metric", origin_lat_lon_alt=np.zeros(3), residual_m=0.0),
+    )
+    views = TrainingViews(cameras=cameras, images=tuple(view.image_bytes for view in render_views(truth, cameras)))
+    return DeviceTask(scene=scene, train=TRAIN, backend="native"), views
+
+
+def most_splats(task: DeviceTask, views: TrainingViews, base_bytes: int = 0) -> int:
+    """How many Gaussians the limit of memory allows, by the decision."""
+    reporter = Recorder()
+    prepare_training(task, views, reporter, Machine(base_bytes=base_bytes))
+    (choice,) = (decision.choice for decision in reporter.decisions if decision.topic == "memory")
+    return int(choice.removeprefix("at most ").split(" ")[0].replace(",", ""))
+
+
+def test_a_device_trains_the_same_model_each_time_and_names_itself_in_its_decisions(given: tuple[DeviceTask, TrainingViews]) -> None:
+    task, views = given
+    reporter = Recorder(stage="devices/a-1")
+    model, again = train_device(task, views, reporter), train_device(task, views, Recorder())
+    for name, array in model.splats.arrays().items():
+        np.testing.assert_array_equal(array, again.splats.arrays()[name], err_msg=name)
+    assert {decision.stage for decision in reporter.decisions} == {"devices/a-1"} and not reporter.warnings
+    assert [decision.topic for decision in reporter.decisions][:4] == [
+        "repeated photographs",
+        "blurred photographs",
+        "sky",
+        "fill-in points",
+    ]
+    assert model.summary["num_steps"] == TRAIN.num_steps and model.summary["num_photographs"] == 4
+    assert model.initial is not None and model.summary["num_splats"] == len(model.splats)
+    assert model.cameras.names == task.scene.cameras.names and model.received == {}
+    assert (
+        model.splats.means != train_device(replace(task, train=replace(TRAIN, seed=1)), views, Recorder()).splats.means[: len(model.splats)]
+    ).any()
+
+
+def test_a_limit_of_memory_limits_gaussians_and_what_the_process_holds_counts(given: tuple[DeviceTask, TrainingViews]) -> None:
+    task, views = given
+    many = replace(task, train=replace(TRAIN, max_num_splats=10**9), memory_bytes=LIMIT_BYTES)
+    free, held = most_splats(many, views), most_splats(many, views, base_bytes=20_000_000)
+    assert MIN_SPLATS <= held < free < 10**9
+    whole = tuple(np.full(image.shape[:2], 255, np.uint8) for image in views.images)
+    masked = TrainingViews(cameras=views.cameras, images=views.images, weights=whole)
+    assert most_splats(many, masked) < free
+    assert most_splats(replace(many, train=TRAIN), views) == TRAIN.max_num_splats
+
+
+def test_a_limit_beyond_what_was_asked_for_changes_no_bit(given: tuple[DeviceTask, TrainingViews]) -> None:
+    task, views = given
+    limited = prepare_training(replace(task, memory_bytes=4e9), views, Recorder())
+    assert limited.config == prepare_training(task, views, Recorder()).config and limited.config.max_num_splats == TRAIN.max_num_splats
+    assert limited.key == prepare_training(task, views, Recorder()).key
+
+
+def test_a_limit_that_leaves_room_for_no_model_is_refused_with_what_would_do(given: tuple[DeviceTask, TrainingViews]) -> None:
+    task, views = given
+    with pytest.raises(BadInput, match=r"expected 1,000 or more: give [\d,]+ MB"):
+        train_device(replace(task, memory_bytes=9e7), views, Recorder())
+
+
+def test_the_key_follows_what_decides_the_bits(given: tuple[DeviceTask, TrainingViews]) -> None:
+    task, views = given
+    key = prepare_training(task, views, Recorder()).key
+    assert key == prepare_training(replace(task, checkpoint_every_s=99.0, upload="spz"), views, Recorder(stage="other")).key
+    assert key != prepare_training(replace(task, train=replace(TRAIN, num_steps=21)), views, Recorder()).key
+    darker = TrainingViews(cameras=views.cameras, images=(views.images[0] // 2, *views.images[1:]))
+    assert key != prepare_training(task, darker, Recorder()).key

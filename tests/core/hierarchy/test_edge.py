@@ -1,0 +1,130 @@
+"""An edge: who is refused costs the others no bit, a lone model stays, and who joins is decided by outlook and memory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.hierarchy.edge import join_edge
+from radiant_core.hierarchy.messages import CloudOutlook
+from radiant_core.hierarchy.reporter import Recorder
+from radiant_core.plan.system import Cloud
+from radiant_core.splats import Splats, morton_order
+from tests.core.hierarchy.grounds import AGGREGATE, CAMERAS, NAMES, device_models, edge_task, part
+
+OUTLOOK = CloudOutlook(limits=Cloud(), share=0.5)
+
+
+def assert_same(ours: Splats | None, theirs: Splats | None) -> None:
+    assert ours is not None and theirs is not None
+    for name, array in ours.arrays().items():
+        np.testing.assert_array_equal(array, theirs.arrays()[name], err_msg=name)
+
+
+def choices(reporter: Recorder, topic: str) -> list[str]:
+    return [decision.choice for decision in reporter.decisions if decision.topic == topic]
+
+
+def test_a_refused_device_is_named_and_changes_no_bit_of_what_the_others_make() -> None:
+    reporter = Recorder(stage="edges/north")
+    models = device_models()
+    found = join_edge(edge_task(*NAMES), {**models, "b": "its signature is another's."}, reporter)
+    assert found.refused == {"b": "its signature is another's."} and found.corrections["b"] is None
+    assert [move is None for move in map(found.corrections.get, NAMES)] == [False, True, False]
+    assert reporter.warnings == ["the model of b is left out: its signature is another's."]
+    assert {decision.stage for decision in reporter.decisions} == {"edges/north"}
+    assert found.summary["num_models"] == 2 and found.summary["num_steps"] > 0
+    others = {name: models[name] for name in "ac"}
+    without = join_edge(edge_task("a", "c"), others, Recorder())
+    assert_same(found.splats, without.splats)
+    np.testing.assert_array_equal(found.cameras.cam_from_world, without.cameras.cam_from_world)
+
+
+def test_whoever_sends_more_cameras_than_photographs_or_a_model_elsewhere_is_refused() -> None:
+    models = device_models()
+    far = replace(models["c"], splats=replace(part(2), means=part(2).means + np.float32(500)))
+    found = join_edge(edge_task(*NAMES, num_dealt=(2, 1, 2)), {**models, "c": far}, Recorder())
+    assert found.refused["b"] == "it sends 2 cameras, where 1 photographs were dealt to it."
+    assert list(found.refused) == ["b", "c"] and "its own cameras see 0.0%" in found.refused["c"]
+    assert_same(found.splats, join_edge(edge_task("a"), {"a": models["a"]}, Recorder()).splats)
+
+
+def test_an_edge_all_of_whose_devices_are_refused_has_no_model() -> None:
+    reporter = Recorder()
+    found = join_edge(edge_task("a", "b"), dict.fromkeys("ab", "nothing arrived."), reporter)
+    assert found.splats is None and not len(found.cameras) and found.views == ()
+    assert found.refused == dict.fromkeys("ab", "nothing arrived.") and found.corrections == dict.fromkeys("ab")
+    assert len(reporter.warnings) == 2 and not reporter.decisions
+
+
+def test_a_lone_devices_model_passes_as_it_is_along_a_z_curve() -> None:
+    reporter = Recorder()
+    models = {"a": device_models()["a"]}
+    found = join_edge(edge_task("a", cloud=OUTLOOK), models, reporter)
+    assert_same(found.splats, part(0).select(morton_order(part(0).means)))
+    assert choices(reporter, "retraining") == ["skipped"] and found.summary["num_steps"] == 0
+    assert len(found.cameras) == 2 and found.views == (), "the cloud renders what the model shows"
+    retrained = join_edge(edge_task("a", aggregate=replace(aggregate_preset("paper"), num_epochs=1)), models, Recorder())
+    assert retrained.summary["num_steps"] == 2
+
+
+def test_virtual_cameras_follow_from_what_arrived_and_stand_where_no_device_stood() -> None:
+    models = device_models()
+    found, again = (join_edge(edge_task("a", "b"), {name: models[name] for name in "ab"}, Recorder()) for _ in range(2))
+    np.testing.assert_array_equal(found.cameras.cam_from_world, again.cameras.cam_from_world)
+    other = {**models, "a": replace(models["a"], received={"model.safetensors": "f" * 64})}
+    drawn = join_edge(edge_task("a", "b"), {name: other[name] for name in "ab"}, Recorder())
+    assert_same(found.splats, drawn.splats)
+    assert (found.cameras.centers != drawn.cameras.centers).any()
+    assert not np.isin(found.cameras.centers, [own.centers for own in CAMERAS]).any()
+    cropped = replace(AGGREGATE, cloud="crop_merge")
+    assert not len(join_edge(edge_task("a", aggregate=cropped), {"a": models["a"]}, Recorder()).cameras)
+
+
+def test_joining_is_left_to_a_cloud_that_will_join_and_to_no_other() -> None:
+    models = {name: device_models()[name] for name in "ab"}
+    reporter = Recorder()
+    pooled = join_edge(edge_task("a", "b", cloud=OUTLOOK), models, reporter)
+    assert choices(reporter, "retraining") == ["left to the cloud, with the devices' pictures"]
+    assert pooled.summary["num_steps"] == 0 and len(pooled.views) == len(pooled.cameras) == 4
+    for limits in (Cloud(max_cameras=0), Cloud(memory_bytes=1e6), Cloud(time_s=1e9)):
+        joined = join_edge(edge_task("a", "b", cloud=CloudOutlook(limits=limits, share=0.5)), models, Recorder())
+        assert joined.summary["num_steps"] > 0 and joined.views == ()
+    # Its half of the cameras is within the limit, all of them are not.
+    share = CloudOutlook(limits=Cloud(max_cameras=7), share=0.5)
+    assert join_edge(edge_task("a", "b", cloud=share), models, Recorder()).summary["num_steps"] > 0
+
+
+def test_what_exceeds_an_edges_memory_is_cut_with_a_warning_that_says_how_to_join() -> None:
+    models = {name: device_models()[name] for name in "ab"}
+    reporter = Recorder(stage="edges/north")
+    found = join_edge(edge_task("a", "b", memory_bytes=1e8), models, reporter)
+    (warning,) = reporter.warnings
+    assert "memory_gb of this edge allows 100 MB" in warning and "radiant aggregate" in warning
+    assert choices(reporter, "memory") == ["models are cut at their borders instead of retrained"]
+    assert found.splats is not None and found.summary["num_steps"] == 0
+    assert 0 < len(found.splats) < sum(len(model.splats) for model in models.values())
+    enough = Recorder()
+    assert_same(
+        join_edge(edge_task("a", "b", memory_bytes=1e9), models, enough).splats, join_edge(edge_task("a", "b"), models, Recorder()).splats
+    )
+    assert not enough.warnings
+
+
+def test_views_that_a_teacher_rendered_change_no_bit() -> None:
+    from radiant_core.aggregate.synthetic_views import views_in_bytes
+
+    models = {name: device_models()[name] for name in "ab"}
+    ready = dict(enumerate(views_in_bytes(models["a"].splats, CAMERAS[0].scaled(48), "native")))
+    reporter = Recorder()
+    early = join_edge(edge_task("a", "b"), {**models, "a": replace(models["a"], rendered=ready)}, reporter)
+    assert choices(reporter, "teachers") == ["2 of 4 views were rendered before the last device arrived"]
+    assert_same(early.splats, join_edge(edge_task("a", "b"), models, Recorder()).splats)
+
+
+def test_no_field_of_the_config_is_needed_to_pass_a_lone_model() -> None:
+    for config in (AggregateConfig(), replace(AGGREGATE, edges="retrain"), replace(AGGREGATE, cloud="crop_merge")):
+        found = join_edge(edge_task("c", aggregate=config), {"c": device_models()["c"]}, Recorder())
+        assert found.splats is not None and len(found.splats) == len(part(2))

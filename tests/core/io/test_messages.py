@@ -1,0 +1,327 @@
+"""The codec: what is written comes back, anything else is one sentence, and a key holds all that decides a bit and nothing more."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from radiant_core.aggregate.config import AggregateConfig, aggregate_preset
+from radiant_core.errors import BadInput
+from radiant_core.frames import Frame, FrameUncertainty
+from radiant_core.hierarchy.messages import (
+    CloudOutlook,
+    CloudTask,
+    DeviceModel,
+    DeviceSettings,
+    DeviceTask,
+    EdgeModel,
+    EdgeTask,
+    device_task,
+)
+from radiant_core.io.messages import (
+    TASK_NAME,
+    load_task,
+    message_of,
+    message_record,
+    passed_on,
+    save_device_model,
+    save_frame,
+    save_task,
+    sent_files,
+    task_key,
+)
+from radiant_core.io.run_store import content_key, file_sha256, key_of_files
+from radiant_core.plan.system import Cloud
+from radiant_core.scene import SfmScene
+from radiant_core.train.config import train_preset, with_settings
+from tests.core.scenes import cameras_above, ground_splats
+
+TRAIN, AGGREGATE, LIMITS = train_preset("draft"), AggregateConfig(), Cloud(memory_bytes=1e9)
+TRIANGLE = ((0.0, 1.0), (2.0, 3.0), (4.0, 5.0))
+DEVICE = DeviceSettings(train=TRAIN, backend="native", upload="float16", memory_bytes=2e9)
+EDGE = EdgeTask(
+    devices=("a-1",),
+    num_dealt=(2,),
+    strips=(TRIANGLE,),
+    train=TRAIN,
+    aggregate=AGGREGATE,
+    backend="native",
+    cloud=CloudOutlook(limits=LIMITS, share=0.5),
+    teachers=("a-1",),
+)
+CLOUD = CloudTask(
+    edges=("a",),
+    num_dealt=(2,),
+    sites=((0.0, 1.0),),
+    weights=(-3.5,),
+    train=TRAIN,
+    aggregate=AGGREGATE,
+    backend="native",
+    limits=LIMITS,
+    edge_times_s=(4.5,),
+)
+WHOLE = (DEVICE, EDGE, CLOUD)
+named = pytest.mark.parametrize("task", WHOLE, ids=lambda task: type(task).__name__)
+
+ids = st.from_regex(r"[A-Za-z0-9][A-Za-z0-9_-]{0,8}", fullmatch=True)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+positive = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
+pairs = st.tuples(finite, finite)
+trains = st.sampled_from(["draft", "default", "standard", "paper"]).map(train_preset) | st.sampled_from(
+    ["none", "adc", "planned", "mcmc"]
+).map(lambda kind: with_settings(TRAIN, {"density.kind": kind}))
+clouds = st.builds(
+    Cloud, memory_bytes=st.none() | positive, time_s=st.none() | positive, max_cameras=st.none() | st.integers(min_value=0, max_value=10**9)
+)
+training = {
+    "train": trains,
+    "backend": st.sampled_from(["gsplat", "native", "reference"]),
+    "checkpoint_every_s": positive,
+}
+aggregates = st.sampled_from([AggregateConfig(), aggregate_preset("paper"), AggregateConfig(cloud="crop_merge", max_num_steps=3)])
+devices = st.builds(DeviceSettings, **training, upload=st.sampled_from(["float32", "float16", "spz"]), memory_bytes=st.none() | positive)
+
+
+def of_each(count: int, values: st.SearchStrategy[Any]) -> st.SearchStrategy[tuple[Any, ...]]:
+    return st.lists(values, min_size=count, max_size=count).map(tuple)
+
+
+edges = st.integers(1, 4).flatmap(
+    lambda count: st.builds(
+        EdgeTask,
+        **training,
+        devices=of_each(count, ids),
+        num_dealt=of_each(count, st.integers(0, 10**9)),
+        strips=of_each(count, st.lists(pairs, max_size=4).map(tuple)),
+        aggregate=aggregates,
+        memory_bytes=st.none() | positive,
+        cloud=st.none() | st.builds(CloudOutlook, limits=clouds, share=st.floats(min_value=0, max_value=1, exclude_min=True)),
+        teachers=st.lists(ids, max_size=3).map(tuple),
+    )
+)
+cloud_tasks = st.integers(1, 4).flatmap(
+    lambda count: st.builds(
+        CloudTask,
+        **training,
+        edges=of_each(count, ids),
+        num_dealt=of_each(count, st.integers(0, 10**9)),
+        sites=of_each(count, pairs),
+        weights=of_each(count, finite),
+        aggregate=aggregates,
+        limits=st.none() | clouds,
+        edge_times_s=st.none() | of_each(count, finite),
+    )
+)
+
+
+@settings(max_examples=60)
+@given(devices | edges | cloud_tasks)
+def test_a_task_comes_back_as_it_was(task: Any) -> None:
+    record = message_record(task)
+    assert message_of(type(task), record) == task
+    assert message_record(message_of(type(task), json.loads(json.dumps(record)))) == record
+
+
+def parts_of(record: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """Every value inside a record, with the way to it."""
+    pairs = record.items() if isinstance(record, dict) else enumerate(record) if isinstance(record, list) else ()
+    for key, value in pairs:
+        yield (*path, key), value
+        yield from parts_of(value, (*path, key))
+
+
+def edited(record: Any, path: tuple[Any, ...], edit: Any) -> Any:
+    """A copy whose part at the path `edit` has changed."""
+    copy = json.loads(json.dumps(record))
+    place = copy
+    for key in path[:-1]:
+        place = place[key]
+    edit(place, path[-1])
+    return copy
+
+
+def refusal(task: Any, record: Any) -> str:
+    with pytest.raises(BadInput) as caught:
+        message_of(type(task), record, "the task")
+    message = str(caught.value)
+    assert message.startswith("the task: ") and message.endswith(".") and "\n" not in message
+    return message
+
+
+@named
+def test_no_key_may_be_missing_at_any_depth(task: Any) -> None:
+    record = message_record(task)
+    for path, _ in parts_of(record):
+        if isinstance(path[-1], str) and path[-1] != "kind":
+            place = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).lstrip(".")
+            assert refusal(task, edited(record, path, lambda part, key: part.pop(key))) == f"the task: {place} is missing: add it."
+
+
+@named
+def test_no_key_may_be_unknown_at_any_depth(task: Any) -> None:
+    record = message_record(task)
+    for path in [("more",), *((*path, "more") for path, value in parts_of(record) if isinstance(value, dict))]:
+        message = refusal(task, edited(record, path, lambda part, key: part.update({key: 1})))
+        assert "more is not a key of a message: remove it or correct its spelling." in message
+
+
+@named
+def test_no_number_is_text_infinite_or_not_a_number(task: Any) -> None:
+    record = message_record(task)
+    numbers = [(path, value) for path, value in parts_of(record) if type(value) in (int, float)]
+    assert numbers
+    for path, value in numbers:
+        for wrong in (str(value), float("inf"), -float("inf"), float("nan"), [value], True):
+            message = refusal(task, edited(record, path, lambda part, key, wrong=wrong: part.__setitem__(key, wrong)))
+            assert str(path[-1]) in message
+
+
+@named
+def test_no_text_is_another_choice_or_leaves_a_folder(task: Any) -> None:
+    record = message_record(task)
+    for path, value in parts_of(record):
+        if isinstance(value, str):
+            for wrong in ("../x", "cuda; rm", "", 1):
+                refusal(task, edited(record, path, lambda part, key, wrong=wrong: part.__setitem__(key, wrong)))
+
+
+def test_the_dataclasses_own_sentences_are_passed_on() -> None:
+    record = message_record(EDGE)
+    assert (
+        refusal(EDGE, {**record, "train": {**record["train"], "num_steps": 0}}) == "the task: train: num_steps is 0, expected at least 1."
+    )
+    with pytest.raises(BadInput, match="1 devices, 2 counts and 1 strips"):
+        message_of(EdgeTask, {**record, "num_dealt": [1, 2]})
+    with pytest.raises(BadInput, match="give one per edge"):
+        message_of(CloudTask, {**message_record(CLOUD), "weights": []})
+
+
+OTHERS: dict[str, Any] = {
+    "train": replace(TRAIN, num_steps=7),
+    "backend": "reference",
+    "checkpoint_every_s": 99.0,
+    "upload": "spz",
+    "memory_bytes": 3e9,
+    "aggregate": replace(AGGREGATE, num_epochs=9),
+    "limits": Cloud(),
+    "edge_times_s": (5.5,),
+    "cloud": None,
+    "teachers": (),
+    "devices": ("b",),
+    "edges": ("b",),
+    "num_dealt": (3,),
+    "strips": (((9.0, 9.0),),),
+    "sites": ((9.0, 9.0),),
+    "weights": (1.0,),
+}
+
+
+@named
+def test_what_changes_no_bit_stands_in_no_key_and_everything_else_does(task: Any) -> None:
+    unkeyed = {each.name for each in fields(task) if task_key(replace(task, **{each.name: OTHERS[each.name]})) == task_key(task)}
+    assert unkeyed == {"checkpoint_every_s"} | ({"teachers"} if isinstance(task, EdgeTask) else set())
+    assert unkeyed.isdisjoint(task_key(task))
+
+
+def ground_scene() -> SfmScene:
+    """Three cameras over a made-up ground."""
+    truth, cameras = ground_splats(50), cameras_above([(-1, 0), (0, 0), (1, 0)])
+    return SfmScene(
+        cameras=cameras,
+        points=truth.means.astype(float),
+        colors=np.full((len(truth), 3), 128, np.uint8),
+        observations=np.indices((len(truth), len(cameras))).reshape(2, -1).T,
+        frame=Frame(kind="metric", origin_lat_lon_alt=np.zeros(3), residual_m=0.0),
+    )
+
+
+def test_a_scene_travels_as_a_file_beside_its_task(tmp_path: Path) -> None:
+    scene = ground_scene()
+    task = device_task(DEVICE, scene)
+    assert save_task(tmp_path, task) == [TASK_NAME, "scene.safetensors"] and "scene" not in task_key(task)
+    back = load_task(DeviceTask, tmp_path)
+    assert message_record(back) == message_record(task) and back.scene.cameras.names == scene.cameras.names
+    assert (back.scene.points == scene.points).all() and (back.scene.observations == scene.observations).all()
+    (tmp_path / "scene.safetensors").unlink()
+    with pytest.raises(BadInput, match=r"scene\.safetensors"):
+        load_task(DeviceTask, tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "1", '{"a": 1, "a": 1}', '{"a": NaN}', '{"a": 1e999}', "[" * 100_000, "\xff"])
+def test_a_file_that_is_no_task_is_one_sentence(text: str, tmp_path: Path) -> None:
+    (tmp_path / TASK_NAME).write_bytes(text.encode("latin-1"))
+    with pytest.raises(BadInput) as caught:
+        load_task(EdgeTask, tmp_path)
+    assert str(tmp_path / TASK_NAME) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_an_exact_upload_arrives_bit_for_bit_under_the_key_of_its_folder(tmp_path: Path) -> None:
+    model = DeviceModel(
+        splats=ground_splats(50),
+        cameras=ground_scene().cameras,
+        uncertainty=FrameUncertainty(position_m=1.0, scale=0.01, rotation_rad=0.02),
+        summary={"num_steps": 3},
+    )
+    arrived = passed_on(model, "float32", 48)
+    assert isinstance(arrived, DeviceModel) and arrived.uncertainty == model.uncertainty
+    assert arrived.initial is None and arrived.summary == {}, "figures stay on the device"
+    for name, array in model.splats.arrays().items():
+        np.testing.assert_array_equal(array, arrived.splats.arrays()[name])
+    np.testing.assert_array_equal(model.cameras.cam_from_world, arrived.cameras.cam_from_world)
+    save_frame(tmp_path, model.uncertainty)
+    save_device_model(tmp_path, model, "float32", pytest.fail)
+    inbox = tmp_path / "inbox"
+    inbox.mkdir()
+    for name, path in sent_files(tmp_path).items():
+        (inbox / name).write_bytes(path.read_bytes())
+    assert key_of_files(arrived.received) == content_key(inbox)
+
+
+@settings(max_examples=20)
+@given(st.dictionaries(st.from_regex(r"[a-z]{1,4}(/[a-z]{1,4})?\.x", fullmatch=True), st.binary(max_size=9), max_size=4))
+def test_the_key_of_files_is_that_of_their_folder(tmp_path_factory: pytest.TempPathFactory, files: dict[str, bytes]) -> None:
+    folder = tmp_path_factory.mktemp("files")
+    for name, data in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(data)
+    hashes = {name: file_sha256(folder / name) for name in files}
+    assert key_of_files(hashes) == content_key(folder)
+    assert key_of_files({**hashes, "one-more": "0" * 64}) != content_key(folder)
+
+
+def test_a_compressed_upload_is_what_the_receiver_reads_and_one_that_fits_no_format_is_sent_exact() -> None:
+    splats = ground_splats(50)
+    arrived = passed_on(DeviceModel(splats=splats, cameras=ground_scene().cameras), "float16", 48)
+    assert isinstance(arrived, DeviceModel) and len(arrived.splats) == 50 and (arrived.splats.sh0 != splats.sh0).any()
+    far = replace(splats, means=splats.means + np.float32(1e12) * (np.arange(50) == 0)[:, None])
+    arrived = passed_on(DeviceModel(splats=far, cameras=ground_scene().cameras), "spz", 48)
+    assert isinstance(arrived, DeviceModel)
+    np.testing.assert_array_equal(arrived.splats.means, far.means)
+
+
+def test_an_edges_views_come_back_at_their_cameras_sizes() -> None:
+    cameras = ground_scene().cameras
+    ramp = np.add.outer(np.arange(36), np.arange(48)).astype(np.uint8)
+    views = tuple((np.dstack([ramp + shift] * 3), np.full((36, 48), 17 * shift, np.uint8)) for shift in (0, 5, 15))
+    sent = EdgeModel(splats=ground_splats(50), cameras=cameras, views=views, refused={"a": "it is refused."}, corrections={"a": None})
+    arrived = passed_on(sent, "float32", 48)
+    assert isinstance(arrived, EdgeModel) and not arrived.refused and not arrived.corrections, "nothing names a device"
+    for (image, weight), (ours, theirs) in zip(views, arrived.views, strict=True):
+        # JPEG of a smooth picture; multiples of 17 are the steps of the weights.
+        assert np.abs(image.astype(int) - ours).max() <= 3 and (weight == theirs).all()
+    smaller = passed_on(sent, "float32", 24)
+    assert isinstance(smaller, EdgeModel) and isinstance(smaller.views, str), "pictures of another size are a reason"
+
+
+def test_what_is_no_model_arrives_as_a_reason() -> None:
+    empty = DeviceModel(splats=ground_splats(50).select(np.arange(0)), cameras=ground_scene().cameras)
+    arrived = passed_on(empty, "float32", 48)
+    assert isinstance(arrived, str) and "0 Gaussians" in arrived
