@@ -1,6 +1,6 @@
 """`radiant export`: a run or a model in the files of other programs, and its surface for surveyors. Once per call.
 
-What a format cannot hold or rounds is said with its figure: nobody should learn from a measurement on site that SOG keeps 16 bits.
+Every loss of a format is reported with its figure, for example that SOG keeps 16 bits of a position.
 """
 
 from __future__ import annotations

@@ -229,7 +229,7 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
 
 
 def _points_seen(scene: SfmScene) -> FloatArray | None:
-    """How many sparse points each camera sees, the content of its image; None where nobody knows."""
+    """The number of sparse points that each camera sees, the content of its image; None if unknown."""
     if not len(scene.observations):
         return None
     return np.bincount(scene.observations[:, 1], minlength=len(scene.cameras)).astype(np.float64)

@@ -58,7 +58,7 @@ class ReplanRequest:
     out: Path
     """The plan file to write, .json."""
     system: Path | None = None
-    """What a plan file was planned for; a run knows its own."""
+    """The system of a plan file; a run contains its own."""
     change: FleetChange = field(default_factory=FleetChange)
     join: Path | None = None
     """System file of edges, or of devices at edges that are there, that join."""

@@ -1,7 +1,7 @@
 """The event stream of a run as events.jsonl in its folder, for other processes that show its progress.
 
 One event per line, as `events.encode` writes it. Of progress, at most two lines a second and stage, and the first of every phase, which
-begins anew: else a long phase would show the end of the one before. A run that is resumed begins anew.
+restarts the count: else a long phase would show the end of the previous one. A resumed run starts a new file.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     sfm/source.json     file by name: size in bytes, time of change in ns, SHA-256
 
 A file whose size and time are those of the record keeps its hash; any other is read again. So a note beside the photographs, a copy without
-times or a `touch` changes nothing, and where something did change it is said before what was made from it is made anew.
+times or a `touch` changes nothing, and a warning about changed files precedes the new reconstruction.
 """
 
 from __future__ import annotations
