@@ -1,4 +1,4 @@
-"""Signals that end a process: all take the way of Ctrl-C, through the same clean-up, so that no worker outlives its run."""
+"""Signals that end a process: all are handled as Ctrl-C, with the same clean-up, so that no worker outlives its run."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ INTERRUPTED = 130
 
 
 def interrupt_on_signals() -> None:
-    """Raise KeyboardInterrupt at a polite kill too."""
+    """Raise KeyboardInterrupt on SIGTERM, SIGHUP and SIGALRM too."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         signal.signal(number, _interrupt)
 
 
-def interrupt_was_heard() -> None:
+def stop_repeating_interrupt() -> None:
     """Stop repeating the last interrupt."""
     signal.setitimer(signal.ITIMER_REAL, 0)
 
 
 def _interrupt(number: int, frame: Any) -> NoReturn:
-    # Raised inside a finalizer, Python drops it: repeat it until `interrupt_was_heard`.
+    # Raised inside a finalizer, Python drops it: repeat it until `stop_repeating_interrupt`.
     signal.setitimer(signal.ITIMER_REAL, 1.0)
     raise KeyboardInterrupt

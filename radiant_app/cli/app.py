@@ -20,7 +20,7 @@ from radiant_app.cli.run import demo, run
 from radiant_app.cli.sfm import sfm
 from radiant_app.cli.streams import CannotPrint, make_streams_last
 from radiant_app.cli.train import train
-from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals, interrupt_was_heard
+from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals, stop_repeating_interrupt
 from radiant_app.quantities import size_wh_of
 from radiant_app.report.tables import finish, print_figures
 from radiant_app.workers.memory import OUT_OF_MEMORY, is_out_of_memory
@@ -202,7 +202,7 @@ def main() -> NoReturn:
     except typer.TyperException as error:
         _say(f"{error.format_message().rstrip('.')}: `radiant --help` and `radiant COMMAND --help` say what there is.")
         sys.exit(BadInput.exit_code)
-    interrupt_was_heard()
+    stop_repeating_interrupt()
     if code == INTERRUPTED:
         _say(f"interrupted. {_how_to_go_on()}".strip())
     sys.exit(code if isinstance(code, int) else 0)

@@ -28,15 +28,15 @@ def replan_plan(
     """A plan after a device died, became slow or finished, or others joined: least makespan, then fewest positions that move."""
     from rich.console import Console
 
-    from radiant_app.commands.replan import ReplanRequest, parsed_values, replan_files, replan_table
+    from radiant_app.commands.replan import ReplanRequest, parse_values, replan_files, replan_table
     from radiant_app.report.progress import ProgressDisplay
     from radiant_core.plan.revision.replan import FleetChange
 
     change = FleetChange(
         dead=frozenset(dead or ()),
         done=frozenset(done or ()),
-        slow=parsed_values(slow or (), "--slow"),
-        busy_s=parsed_values(busy or (), "--busy"),
+        slow=parse_values(slow or (), "--slow"),
+        busy_s=parse_values(busy or (), "--busy"),
     )
     request = ReplanRequest(
         source=source, out=out, system=system, change=change, join=join, captured=captured, tolerance=tolerance, seed=seed

@@ -1,4 +1,4 @@
-"""`radiant aggregate`: join the device models of a run anew, with other settings and without limits."""
+"""`radiant aggregate`: join the device models of a run again, with other settings and without limits."""
 
 from __future__ import annotations
 

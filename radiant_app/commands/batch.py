@@ -25,8 +25,8 @@ from radiant_app.events import Event, Listener, StageSkipped
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.job_file import RECORDS, Job, load_jobs
-from radiant_app.files.run_folder import new_folder, require_empty
-from radiant_app.interrupts import INTERRUPTED, interrupt_was_heard
+from radiant_app.files.run_folder import create_folder, require_empty
+from radiant_app.interrupts import INTERRUPTED, stop_repeating_interrupt
 from radiant_app.run.config_fields import tables_of
 from radiant_app.workers.sources import list_files
 from radiant_app.workers.tasks import JobTask
@@ -100,7 +100,7 @@ def run_batch(path: Path, out: Path | None, display: Display, *, resume: bool = 
     """
     folder = batch_folder(path, out)
     jobs = load_jobs(path, folder)
-    with _opened(folder, jobs, resume):
+    with _open_batch(folder, jobs, resume):
         results = [JobResult(name=job.name, source=str(job.config.source), out=str(job.config.out)) for job in jobs]
         try:
             for index, job in enumerate(jobs):
@@ -142,13 +142,13 @@ def _job_result(folder: Path, job: Job, started: JobResult, listen: Listener, *,
     except RadiantError as error:
         return ended("failed", exit_code=error.exit_code, message=str(error).removeprefix(f"{stage}: "))
     except KeyboardInterrupt:
-        interrupt_was_heard()
+        stop_repeating_interrupt()
         return ended("interrupted", exit_code=INTERRUPTED)
     return ended("skipped" if skipped else "done", exit_code=0, figures={name: metrics[name] for name in FIGURES})
 
 
 @contextmanager
-def _opened(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[None]:
+def _open_batch(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[None]:
     """Make or reopen the batch's folder and hold its lock."""
     if resume and folder.is_dir() and any(folder.iterdir()):
         if not (folder / "summary.json").is_file():
@@ -160,7 +160,7 @@ def _opened(folder: Path, jobs: Sequence[Job], resume: bool) -> Iterator[None]:
         for job in jobs:
             if job.config.out.is_dir():
                 require_empty(job.config.out)
-    with new_folder(folder, resumable=True):
+    with create_folder(folder, resumable=True):
         pass
     with RunLock(folder):
         yield

@@ -59,7 +59,7 @@ class _HeldOut:
     masks: Path | None = None
     untrained: Splats | None = None
     copies: tuple[str, ...] = ()
-    """What is told of photographs that repeat others and are neither held out nor trained on."""
+    """Warnings about photographs that repeat others and are neither held out nor trained on."""
 
 
 def evaluate(request: EvaluateRequest, display: ProgressDisplay) -> dict[str, Any]:
@@ -138,7 +138,7 @@ def _held_out_of(request: EvaluateRequest) -> _HeldOut:
 
 
 def _colmap_cameras(model_folder: Path, project: Path, images: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of a project without copies, and what is told of those: the split is that of `radiant train` on the same project."""
+    """The cameras of a project without copies, and warnings about those: the split is that of `radiant train` on the same project."""
     from radiant_core.io.colmap.model import read_model
     from radiant_core.sfm.copies import cameras_without_repeats
     from radiant_core.sfm.known_poses import without_copies

@@ -1,6 +1,6 @@
 """`radiant export`: a run or a model in the files of other programs, and its surface for surveyors. Once per call.
 
-What a format cannot hold or rounds is said with its figure: nobody should learn from a measurement on site that SOG keeps 16 bits.
+Every loss of a format is reported with its figure, for example that SOG keeps 16 bits of a position.
 """
 
 from __future__ import annotations
@@ -146,11 +146,11 @@ def _geojson(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]
 
 
 def _colmap(request: ExportRequest, display: ProgressDisplay) -> dict[str, Any]:
-    from radiant_app.files.run_folder import new_folder
+    from radiant_app.files.run_folder import create_folder
     from radiant_core.io.export.scene import save_colmap
 
     scene = _unrepeated_scene(_run_of(request), display)
-    with new_folder(request.out):
+    with create_folder(request.out):
         save_colmap(request.out, scene)
     return {"cameras": len(scene.cameras), "points": len(scene.points), "observations": len(scene.observations)}
 
@@ -163,8 +163,8 @@ def _unrepeated_scene(run: RunView, display: ProgressDisplay) -> SfmScene:
     photographs = None if run.kind == "run" else unplanned_photographs(run.folder)
     if photographs is None or not photographs.is_dir():
         return run.scene
-    scene, told = without_repeats(run.scene, photographs)
-    for message in told:
+    scene, warnings = without_repeats(run.scene, photographs)
+    for message in warnings:
         display(Warned(stage="export", message=message))
     return scene
 

@@ -59,7 +59,7 @@ def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
     task = load_task(CloudTask, request.new / "cloud")
     old = load_ply(request.old if request.old.is_file() else _scene_of(request.old))
     move, origin, frames = _common_frame(request)
-    new, cameras = _moved(load_ply(request.new / "scene.ply"), _virtual_cameras(request.new), move)
+    new, cameras = _move_scene(load_ply(request.new / "scene.ply"), _virtual_cameras(request.new), move)
     if request.region is not None and origin is None:
         raise BadInput("a region in latitude and longitude needs scenes with GPS: leave --region out.")
     polygon = _hull(cameras.centers[:, :2]) if request.region is None or origin is None else load_region(request.region, origin)
@@ -127,7 +127,7 @@ def _virtual_cameras(run: Path) -> Cameras:
     return concatenate_cameras([moved_cameras(load_cameras(path), move) for path, move in found])
 
 
-def _moved(splats: Splats, cameras: Cameras, move: Sim3 | None) -> tuple[Splats, Cameras]:
+def _move_scene(splats: Splats, cameras: Cameras, move: Sim3 | None) -> tuple[Splats, Cameras]:
     if move is None:
         return splats, cameras
     from radiant_core.geometry.similarity import move_splats

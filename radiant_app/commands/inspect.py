@@ -121,7 +121,7 @@ def plan_setting(plan: Path, system: Path | None = None) -> PlanSetting:
 def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[System | None, str]:
     """The system that was named, else the first that stands in `places`, else None and why: `reason`, or what is wrong with the file.
 
-    Only a file that somebody named is refused where it is broken: without machines everything but the plan's editing works.
+    Only a named file raises an error if it is broken: without machines everything but editing the plan works.
     """
     if named is not None:
         return load_system(named, curves=True), ""

@@ -32,7 +32,7 @@ def feeds_of(run: Path) -> RunFeeds:
 
 
 class _Progress:
-    """How a run stands, read anew only where its files are others: a window asks once a second, also for hours after the run ended."""
+    """The progress of a run, read again only if its files changed: a window polls once a second, also long after the run."""
 
     def __init__(self, run: Path) -> None:
         self._run = run

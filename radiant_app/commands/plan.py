@@ -100,7 +100,7 @@ class PlanRequest:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _ToPlan:
+class _PlanInput:
     """What is planned: positions (C,2) m about `origin`, names (C), and how much each camera sees (C,) where that is known."""
 
     positions: FloatArray
@@ -147,8 +147,8 @@ def _plan_scene(request: PlanRequest, system: System, report: Report) -> dict[st
     scene = training_part(load_scene_of(request.source))
     origin = scene.frame.origin_lat_lon_alt if scene.frame.kind == "metric" else None
     positions = scene.cameras.centers[:, :2]
-    cameras = _ToPlan(positions=positions, origin=origin, names=scene.cameras.names, content=_points_seen(scene))
-    made = _made_plan(cameras, system, request, report)
+    cameras = _PlanInput(positions=positions, origin=origin, names=scene.cameras.names, content=_points_seen(scene))
+    made = _make_plan(cameras, system, request, report)
     content = content_of_scene(scene, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
     pictures = side_pictures(positions, scene.frame.unit, made.cloud, made.compared, made.curve)
@@ -165,7 +165,7 @@ def _plan_waypoints(request: PlanRequest, system: System, found: FoundWaypoints,
 
     waypoints = _above_ground(found.waypoints, request)
     positions = waypoints.positions_m
-    made = _made_plan(_ToPlan(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
+    made = _make_plan(_PlanInput(positions=positions[:, :2], origin=waypoints.origin, names=waypoints.names), system, request, report)
     content = content_of_waypoints(waypoints, made.cloud, made.edges, made.system, request.content)
     report(2, len(PHASES), PHASES[2])
     pictures = side_pictures(positions[:, :2], "m", made.cloud, made.compared, made.curve)
@@ -189,7 +189,7 @@ def _above_ground(waypoints: Waypoints, request: PlanRequest) -> Waypoints:
 def _write(out: Path, made: _Plan, content: PlanContent, pictures: Mapping[str, Image], waypoints: Waypoints | None = None) -> None:
     from radiant_viewer.pictures.images import save_png
 
-    with moved_when_whole(out.parent) as folder:
+    with write_folder_atomically(out.parent) as folder:
         for ending, picture in pictures.items():
             save_png(beside(folder / out.name, ending), picture)
         write_atomic(beside(folder / out.name, SYSTEM), dump_system(made.system).encode())
@@ -229,13 +229,13 @@ def _positions_of(source: Path, report: Report) -> FoundWaypoints:
 
 
 def _points_seen(scene: SfmScene) -> FloatArray | None:
-    """How many sparse points each camera sees, the content of its image; None where nobody knows."""
+    """The number of sparse points that each camera sees, the content of its image; None if unknown."""
     if not len(scene.observations):
         return None
     return np.bincount(scene.observations[:, 1], minlength=len(scene.cameras)).astype(np.float64)
 
 
-def _made_plan(cameras: _ToPlan, system: System, request: PlanRequest, report: Report) -> _Plan:
+def _make_plan(cameras: _PlanInput, system: System, request: PlanRequest, report: Report) -> _Plan:
     report(1, len(PHASES), PHASES[1])
     positions = cameras.positions
     system = place_edges_by_raster(system, positions, cameras.origin, request.raster_cell_m, request.seed)
@@ -310,7 +310,7 @@ def _require_places(out: Path) -> None:
 
 
 @contextmanager
-def moved_when_whole(target: Path) -> Iterator[Path]:
+def write_folder_atomically(target: Path) -> Iterator[Path]:
     """A hidden folder inside `target` whose content moves there when the block ends well, and vanishes when it does not."""
     folder = Path(tempfile.mkdtemp(prefix=".plan.", dir=target))
     try:

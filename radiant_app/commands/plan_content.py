@@ -107,7 +107,7 @@ def content_of_waypoints(
 def content_of_scene(scene: SfmScene, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, request: ContentRequest) -> PlanContent:
     """Forecasts and buffers of a plan of posed cameras over the median height of their sparse points."""
     if not len(scene.points):
-        return PlanContent(reason="not made, for the scene has no points to tell the ground from.")
+        return PlanContent(reason="not made, for the scene has no points to estimate the ground from.")
     ground_m = float(np.median(scene.points[:, 2])) if request.ground_m is None else request.ground_m
     views = views_of_cameras(scene.cameras, ground_m)
     return _content(views, cloud, edges, system, request, f"cameras as posed, ground at {ground_m:.3g} {scene.frame.unit}")

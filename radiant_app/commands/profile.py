@@ -91,7 +91,7 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
             listen=listen,
             clock=clock,
         )
-        measured = nodes.measured(request.time_s)
+        measured = nodes.measure(request.time_s)
         seconds = clock() - begun_s
         listen(StageDone(stage=STAGE, seconds=seconds))
     what = "the sample town" if request.source is None else f"{len(training.cameras)} photographs"

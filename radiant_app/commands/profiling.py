@@ -88,7 +88,7 @@ class Measured:
     """Count of photographs that a check leaves out of the fit."""
 
 
-def chosen_counts(num_photographs: int) -> tuple[list[int], int | None]:
+def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
     """Counts of photographs to measure, evenly in ratio from an eighth on, and one in the middle that checks the fit; None among few.
 
     Raises BadInput below `MIN_PHOTOGRAPHS`.
@@ -103,7 +103,7 @@ def chosen_counts(num_photographs: int) -> tuple[list[int], int | None]:
     return counts, None if held_out in counts else held_out
 
 
-def shortened(train: TrainConfig, num_steps: int) -> TrainConfig:
+def shorten_training(train: TrainConfig, num_steps: int) -> TrainConfig:
     """The same training in fewer steps: as many rounds of density control, so that as many Gaussians come as early."""
     density = train.density
     if not isinstance(density, NoDensification):
@@ -131,10 +131,10 @@ class Measuring:
     """Whether edges leave joining to the cloud, as they do unless the system file limits the cloud; else they retrain."""
     _begun_s: float = 0.0
 
-    def measured(self, time_s: float) -> Measured:
+    def measure(self, time_s: float) -> Measured:
         """Samples in about `time_s`; StageFailed when a node fails."""
         self._begun_s = self.clock()
-        counts, held_out = chosen_counts(len(self.scene.cameras))
+        counts, held_out = choose_counts(len(self.scene.cameras))
         check = [] if held_out is None else [held_out]
         sizes, joined = sorted(counts + check), sorted({counts[0], *check, counts[-1]})
         steps = min(PILOT_STEPS, self.train.num_steps)
@@ -176,7 +176,7 @@ class Measuring:
         folder = self._folder(f"devices/{count}-{num_steps}")
         own = self.scene.restricted_to(np.sort(self._order[:count]))
         deal_files(self.images, own.cameras.names, folder / "photos")
-        task = DeviceTask(train=shortened(self.train, num_steps), backend=self.backend, upload=UPLOAD, scene=own)
+        task = DeviceTask(train=shorten_training(self.train, num_steps), backend=self.backend, upload=UPLOAD, scene=own)
         seconds = self._run("device", folder, task)
         summary = read_json(folder / "summary.json", ("train_s", "model_bytes"))
         return DeviceSample(
@@ -235,12 +235,12 @@ class Measuring:
         expected_s = self.left_s.pop(0) if self.left_s else 0.0
         begun_s = self._elapsed_s
 
-        def tell(event: Event) -> None:
+        def listen(event: Event) -> None:
             if isinstance(event, StageProgress):
                 self._report_progress(max(0.0, expected_s - (self._elapsed_s - begun_s)))
 
         self._report_progress(expected_s)
-        seen = executor.fold(Tree(id=stage, tier="cloud"), lambda _: node, tell)[stage]
+        seen = executor.fold(Tree(id=stage, tier="cloud"), lambda _: node, listen)[stage]
         return seen.ended_s - seen.started_s
 
     def _report_progress(self, node_left_s: float) -> None:

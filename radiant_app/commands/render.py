@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from radiant_app.commands.evaluate import DEFAULT_LONG_SIDE_PX
 from radiant_app.commands.steps import require_file_to_be, require_model, require_run, stage_bar
 from radiant_app.events import Warned
-from radiant_app.files.run_folder import new_folder
+from radiant_app.files.run_folder import create_folder
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.evaluation import png_bytes
 from radiant_core.cameras import Cameras
@@ -83,7 +83,7 @@ def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
                 film.add(np.ascontiguousarray(image[: size_wh[1], : size_wh[0]]))
                 report(done, len(cameras), name)
         return {"film": str(request.out), "frames": len(cameras), "seconds": round(len(cameras) / request.fps, 2)}
-    with new_folder(request.out), stage_bar(display, "render") as report:
+    with create_folder(request.out), stage_bar(display, "render") as report:
         for done, (name, image) in enumerate(_pictures(splats, cameras), 1):
             path = request.out / f"{name}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -102,8 +102,8 @@ def _pictures(splats: Splats, cameras: Cameras) -> Iterator[tuple[str, NDArray[n
             view = next(views)
             image = view.image_bytes
         except MemoryError:
-            told = f"a picture of {width} × {height} px does not fit into the free memory"
-            raise BadInput(f"{told}: add --long-side-px 4000, or less.") from None
+            size = f"a picture of {width} × {height} px does not fit into the free memory"
+            raise BadInput(f"{size}: add --long-side-px 4000, or less.") from None
         yield view.name, image
 
 

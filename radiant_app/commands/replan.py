@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from radiant_app.commands.plan import moved_when_whole
+from radiant_app.commands.plan import write_folder_atomically
 from radiant_app.commands.plan_pictures import GANTT, LISTS, MAP, REGIONS, SYSTEM, beside
 from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
 from radiant_app.files.run_folder import Manifest, read_manifest
@@ -58,7 +58,7 @@ class ReplanRequest:
     out: Path
     """The plan file to write, .json."""
     system: Path | None = None
-    """What a plan file was planned for; a run knows its own."""
+    """The system of a plan file; a run contains its own."""
     change: FleetChange = field(default_factory=FleetChange)
     join: Path | None = None
     """System file of edges, or of devices at edges that are there, that join."""
@@ -83,7 +83,7 @@ class _Before:
     warnings: tuple[str, ...] = ()
 
 
-def parsed_values(texts: Sequence[str], option: str) -> dict[str, float]:
+def parse_values(texts: Sequence[str], option: str) -> dict[str, float]:
     """ID=NUMBER of a repeated option; BadInput says what came."""
     values: dict[str, float] = {}
     for text in texts:
@@ -96,7 +96,7 @@ def parsed_values(texts: Sequence[str], option: str) -> dict[str, float]:
 
 
 def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write the new plan and what goes beside it; returns what the command line prints.
+    """Write the new plan and the files beside it; returns the summary that the command line prints.
 
     Raises BadInput with one sentence when something cannot be used, and where the machines that are left cannot hold what is left; nothing
     stays behind.
@@ -105,11 +105,11 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
         raise BadInput(f"{request.out} is no name for a plan: choose one that ends in .json.")
     for path in (request.out, *(beside(request.out, ending) for ending in ENDINGS)):
         require_file_to_be(path)
-    before = _of_run(request) if request.source.is_dir() else _of_plan(request)
+    before = _read_run(request) if request.source.is_dir() else _read_plan(request)
     joining = None if request.join is None else load_system(request.join)
-    placed = place_edges(_grown(before, joining), before.positions[:, :2], before.origin, request.seed)
-    placed, warnings = _within_memory(placed, len(before.positions))
-    old, joined = _parted(placed, before.system)
+    placed = place_edges(_grow_system(before, joining), before.positions[:, :2], before.origin, request.seed)
+    placed, warnings = _limit_to_memory(placed, len(before.positions))
+    old, joined = _split_system(placed, before.system)
     positions = before.positions[:, :2]
     with stage_bar(display, "replan") as report:
         report(0, 2, "planning")
@@ -130,7 +130,7 @@ def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, 
     return _summary(request.out, before, new, (*warnings, *before.warnings))
 
 
-def _within_memory(system: System, num_positions: int) -> tuple[System, tuple[str, ...]]:
+def _limit_to_memory(system: System, num_positions: int) -> tuple[System, tuple[str, ...]]:
     """The system with as many positions per device as its memory holds where it says no number, for the default training, and warnings."""
     if not depends_on_training(system):
         return system, ()
@@ -138,16 +138,16 @@ def _within_memory(system: System, num_positions: int) -> tuple[System, tuple[st
     return limited, warnings
 
 
-def _grown(before: _Before, joining: System | None) -> System:
-    """The system with what joins; edges that are there stand where the plan has them."""
+def _grow_system(before: _Before, joining: System | None) -> System:
+    """The system with the joining edges and devices; existing edges are placed as in the plan."""
     sites = before.cloud.sites.tolist()
     edges = tuple(replace(edge, position=(x, y), lat_lon_deg=None) for edge, (x, y) in zip(before.system.edges, sites, strict=True))
     system = replace(before.system, edges=edges)
     return system if joining is None else extend_system(system, joining)
 
 
-def _parted(grown: System, known: System) -> tuple[System, System | None]:
-    """A grown system, edges placed, as what was known and what joins."""
+def _split_system(grown: System, known: System) -> tuple[System, System | None]:
+    """Split a grown system, edges placed, into its known part and the joining part."""
     devices = {device.id for device in known.devices}
     old, new = (
         [replace(edge, devices=own) for edge in grown.edges if (own := tuple(d for d in edge.devices if (d.id in devices) == is_old))]
@@ -156,7 +156,7 @@ def _parted(grown: System, known: System) -> tuple[System, System | None]:
     return replace(grown, edges=tuple(old)), System(edges=tuple(new)) if new else None
 
 
-def _of_plan(request: ReplanRequest) -> _Before:
+def _read_plan(request: ReplanRequest) -> _Before:
     cloud, edges = load_plan(request.source)
     waypoints = load_plan_waypoints(request.source)
     if waypoints is None:
@@ -181,7 +181,7 @@ def _of_plan(request: ReplanRequest) -> _Before:
     )
 
 
-def _of_run(request: ReplanRequest) -> _Before:
+def _read_run(request: ReplanRequest) -> _Before:
     run = request.source
     if request.system is not None or request.captured is not None:
         raise BadInput("a run knows its system and what was captured: leave out --system and --captured, or give a plan file.")
@@ -190,12 +190,12 @@ def _of_run(request: ReplanRequest) -> _Before:
         raise BadInput(f"{run} has no {SYSTEM_NAME}: it has not been planned yet, or by an earlier version; run it with --resume.")
     in_the_field = manifest.config.get("frames", "shared") != "shared"
     _, dealt = load_plan(run / "plan.json")
-    (cloud, edges), scene = _delivered(run) if in_the_field else (load_plan(run / "plan.json"), training_part(load_scene_of(run)))
+    (cloud, edges), scene = _load_delivered(run) if in_the_field else (load_plan(run / "plan.json"), training_part(load_scene_of(run)))
     require_plan_of(len(scene.cameras), cloud, edges)
     system = load_system(run / SYSTEM_NAME)
     measured = measured_seconds(run, manifest)
     system = correct_system(system, planned_stages(system, dealt), measured)
-    change = _progress_of(run, manifest, system, edges, request.change)
+    change = _add_progress(run, manifest, system, edges, request.change)
     keeps = change.done | change.closed
     captured = np.full(len(scene.cameras), in_the_field)
     for plan in edges:
@@ -213,19 +213,19 @@ def _of_run(request: ReplanRequest) -> _Before:
         origin=origin,
         waypoints=None,
         names=scene.cameras.names,
-        warnings=_undelivered(dealt, edges),
+        warnings=_warn_undelivered(dealt, edges),
     )
 
 
-def _delivered(run: Path) -> tuple[tuple[CloudPlan, tuple[EdgePlan, ...]], SfmScene]:
-    """Plan and scene of what devices that keep their photographs have delivered: nobody else knows where those were taken."""
+def _load_delivered(run: Path) -> tuple[tuple[CloudPlan, tuple[EdgePlan, ...]], SfmScene]:
+    """Load plan and scene of a run on devices: only delivered photographs have known positions."""
     folder = run / DELIVERED
     if not folder.is_dir():
         raise BadInput(f"{run} keeps photographs on their devices and has delivered no scene yet: finish it by --resume, or plan anew.")
     return load_plan(folder / "plan.json"), load_scene_of(folder)
 
 
-def _undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) -> tuple[str, ...]:
+def _warn_undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) -> tuple[str, ...]:
     """A sentence where devices have photographs in the plan of a run and none in what was delivered."""
     arrived = {device: len(plan.cameras_of(device)) for plan in delivered for device in plan.device_ids}
     lost = {device: len(plan.cameras_of(device)) for plan in dealt for device in plan.device_ids if not arrived.get(device)}
@@ -233,8 +233,8 @@ def _undelivered(dealt: Sequence[EdgePlan], delivered: Sequence[EdgePlan]) -> tu
     return (f"Not in this plan are the photographs that never arrived, of {', '.join(names)}: have them taken again.",) if names else ()
 
 
-def _progress_of(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: FleetChange) -> FleetChange:
-    """What is given, and what the run's folder says: sealed nodes are done, devices that have begun are at work until their time."""
+def _add_progress(run: Path, manifest: Manifest, system: System, edges: Sequence[EdgePlan], given: FleetChange) -> FleetChange:
+    """Add the progress of a run to the given change: sealed nodes are done, started devices work until their planned time."""
     sealed = {path.parent.name for kind in ("devices", "edges") for path in run.glob(f"{kind}/*/done.json")}
     delivered = {device.id for edge in system.edges if edge.id in sealed for device in edge.devices} | sealed
     dead = given.dead - delivered  # what a dead machine has delivered is not lost
@@ -256,7 +256,7 @@ def _write(out: Path, before: _Before, new: Replan) -> None:
     to_come = any(row.predicted for row in rows)
     title = "What is still to come, predicted" if to_come else "As it was planned: all is done"
     gantt = gantt_picture(rows if to_come else gantt_rows(new.system, new.edges), title, curves_note(new.system))
-    with moved_when_whole(out.parent) as folder:
+    with write_folder_atomically(out.parent) as folder:
         save_png(folder / beside(out, MAP).name, picture)
         save_png(folder / beside(out, GANTT).name, gantt)
         write_atomic(folder / beside(out, MOVED).name, _moved_csv(before, new).encode())
@@ -300,9 +300,9 @@ def _moved_csv(before: _Before, new: Replan) -> str:
     return text.getvalue()
 
 
-def _summary(out: Path, before: _Before, new: Replan, told: tuple[str, ...]) -> dict[str, Any]:
+def _summary(out: Path, before: _Before, new: Replan, more: tuple[str, ...]) -> dict[str, Any]:
     lost, num_devices = int(new.lost.sum()), len(new.system.devices)
-    warnings = list(told)
+    warnings = list(more)
     if lost:
         warnings.append(f"{lost} captured positions of dead devices are lost: leave them out of --captured to have them taken again.")
     if not new.fewest_proved:

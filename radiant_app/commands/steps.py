@@ -66,7 +66,7 @@ def screenshot(run: Path, view: Any, path: Path, size_wh: tuple[int, int] = (128
 
 
 def training_part(scene: SfmScene) -> SfmScene:
-    """The scene without its held-out cameras."""
+    """Return the scene without its held-out cameras."""
     return scene.restricted_to(np.flatnonzero(~held_out_mask(scene.cameras.names)))
 
 
@@ -96,26 +96,26 @@ def require_file_to_be(out: Path) -> None:
 
 @contextmanager
 def libraries_log_to(path: Path) -> Iterator[None]:
-    """While open, what libraries in C++ write to standard error goes to a file, as in the processes of a run; what Python says is shown.
+    """Redirect standard error of C++ libraries to a file, as in the processes of a run; Python's stays visible.
 
-    Nothing changes where Python's standard error is not the process's own, since a test or another program listens to it.
+    Without effect if Python's standard error is not that of the process, as in tests.
     """
-    told = sys.stderr
+    stderr = sys.stderr
     try:
-        own = told.fileno() == 2
+        own = stderr.fileno() == 2
     except (AttributeError, OSError, ValueError):
         own = False
     if not own:
         yield
         return
-    with os.fdopen(os.dup(2), "w", buffering=1, encoding=told.encoding, errors=told.errors) as shown, path.open("a") as log:
-        told.flush()
+    with os.fdopen(os.dup(2), "w", buffering=1, encoding=stderr.encoding, errors=stderr.errors) as shown, path.open("a") as log:
+        stderr.flush()
         os.dup2(log.fileno(), 2)
         sys.stderr = shown
         try:
             yield
         finally:
-            sys.stderr = told
+            sys.stderr = stderr
             os.dup2(shown.fileno(), 2)
 
 

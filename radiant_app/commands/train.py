@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from radiant_app.commands.steps import require_file_to_be
 from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
-from radiant_app.files.run_folder import Manifest, opened_folder
+from radiant_app.files.run_folder import Manifest, open_folder
 from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
@@ -111,21 +111,21 @@ def train(
     """
     if request.out.suffix.lower() == ".ply":
         return _single_ply(request, listen, resume, clock)
-    with opened_folder(request.out, request.settings, resume, KEPT) as manifest:
+    with open_folder(request.out, request.settings, resume, KEPT) as manifest:
         progress = Progress(manifest=manifest, listener=listen, clock=clock, started_s=clock() - manifest.ended_s)
         listen(Outlined(stages=(*(() if has_scene(request.source) else ("sfm",)), STAGE, "evaluation")))
         scene, photos = _scene_and_photos(request, progress)
 
-        def tell(event: Event) -> None:
-            manifest.note(event, clock() - progress.started_s)
+        def emit(event: Event) -> None:
+            manifest.record(event, clock() - progress.started_s)
             listen(event)
 
-        with _Stage(STAGE, tell, clock) as stage:
-            training = _prepared(request, scene, photos, stage)
-            model, summary = _trained(training, request, stage)
-        with _Stage("evaluation", tell, clock) as stage:
+        with _Stage(STAGE, emit, clock) as stage:
+            training = _prepare(request, scene, photos, stage)
+            model, summary = _train_model(training, request, stage)
+        with _Stage("evaluation", emit, clock) as stage:
             held_out = scene.cameras.select(np.flatnonzero(held_out_mask(scene.cameras.names))).scaled(training.config.long_side_px)
-            figures = _scored(request.out, (model, training.initial), held_out, photos, stage)
+            figures = _score_model(request.out, (model, training.initial), held_out, photos, stage)
         metrics = {**figures, "training": summary, **_totals(manifest, len(model))}
         write_json(request.out / "metrics.json", metrics)
         return metrics
@@ -134,22 +134,22 @@ def train(
 class _Stage:
     """One stage of this process: tells when it begins and ends."""
 
-    def __init__(self, name: str, tell: Listener, clock: Callable[[], float]) -> None:
-        self.name, self.tell, self._clock = name, tell, clock
+    def __init__(self, name: str, emit: Listener, clock: Callable[[], float]) -> None:
+        self.name, self.emit, self._clock = name, emit, clock
         self._begun_s = clock()
 
     def __enter__(self) -> _Stage:
-        self.tell(StageStarted(stage=self.name))
+        self.emit(StageStarted(stage=self.name))
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
-            self.tell(StageDone(stage=self.name, seconds=self._clock() - self._begun_s))
+            self.emit(StageDone(stage=self.name, seconds=self._clock() - self._begun_s))
 
     @property
     def reporter(self) -> EventReporter:
         """What its training reports to."""
-        return EventReporter(stage=self.name, emit=self.tell)
+        return EventReporter(stage=self.name, emit=self.emit)
 
 
 _Photos = tuple[Path, Path | None]
@@ -159,7 +159,7 @@ _Photos = tuple[Path, Path | None]
 def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmScene, _Photos]:
     """The scene of the source and its photographs; structure from motion in sfm/ where there is none yet."""
     if has_scene(request.source):
-        return _loaded_scene(request, progress.listen)
+        return _load_scene(request, progress.listen)
     detect_source(request.source)
     config = RunConfig(
         source=request.source,
@@ -171,7 +171,7 @@ def _scene_and_photos(request: TrainRequest, progress: Progress) -> tuple[SfmSce
     return scene, (images, masks_folder_of(request.out))
 
 
-def _loaded_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Photos]:
+def _load_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _Photos]:
     if (request.up, request.distance, request.height_m) != (None, None, None):
         raise BadInput(
             f"{request.source} is a scene, which has its frame: give --up, --distance and --height to `radiant sfm` or `radiant run` when "
@@ -182,19 +182,19 @@ def _loaded_scene(request: TrainRequest, listen: Listener) -> tuple[SfmScene, _P
             f"{request.source} is a scene, whose photographs may have been undistorted since: give --masks to `radiant sfm` or "
             "`radiant run` when it is made, or train from the photographs."
         )
-    scene, told, images = load_scored_scene(request.source)
-    for message in told:
+    scene, warnings, images = load_scored_scene(request.source)
+    for message in warnings:
         listen(Warned(stage=STAGE, message=message))
     return scene, (images, masks_folder_of(request.source))
 
 
-def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> PreparedTraining:
+def _prepare(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _Stage) -> PreparedTraining:
     """The training of all photographs that are not held out, with the decisions taken on the way."""
     base_bytes = resident_bytes()
     if len(scene.cameras) < MIN_PHOTOGRAPHS:
         raise BadInput(f"the scene has {len(scene.cameras)} photographs, expected at least {MIN_PHOTOGRAPHS}: take more that overlap.")
     backend = resolve_backend("auto")
-    config, decisions = _settings(request, backend)
+    config, decisions = _resolve_config(request, backend)
     require_size(scene, config.long_side_px)
     if request.memory_bytes is not None and request.overrides.max_num_splats is None:
         # As many as the memory holds, whatever the preset says.
@@ -206,7 +206,7 @@ def _prepared(request: TrainRequest, scene: SfmScene, photos: _Photos, stage: _S
     if validate and validated.sum() + held_out.sum() >= len(held_out):
         raise BadInput(f"of {len(held_out)} photographs none is left to train on: leave out --validate.")
     for decision in (*decisions, _validation_decision(request, num_training, int(validated.sum()))):
-        stage.tell(Decided(decision=decision))
+        stage.emit(Decided(decision=decision))
     images, masks = photos
 
     def views_of(chosen: NDArray[np.bool_]) -> TrainingViews:
@@ -234,7 +234,7 @@ def _validation_decision(request: TrainRequest, num_training: int, num_validated
     )
 
 
-def _settings(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
+def _resolve_config(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
     """The configuration that was asked for, as far as this machine can carry it."""
     config, decisions = fit_to_backend(replace(train_preset(request.preset), seed=request.seed), backend, request.overrides)
     if request.time_s is None:
@@ -253,34 +253,34 @@ def _settings(request: TrainRequest, backend: str) -> tuple[TrainConfig, tuple[D
     return config, (budget, *(decision for decision in decisions if decision.topic != "num_steps" or request.overrides.num_steps))
 
 
-def _trained(training: PreparedTraining, request: TrainRequest, stage: _Stage) -> tuple[Splats, dict[str, Any]]:
+def _train_model(training: PreparedTraining, request: TrainRequest, stage: _Stage) -> tuple[Splats, dict[str, Any]]:
     """The model and a summary of its training: those that lie in the folder where they are whole, else trained on from the checkpoint."""
     out = request.out
     if is_sealed(out, training.key):
         record = read_json(out / "training.json")
         for decision in record["decisions"]:
-            stage.tell(Decided(decision=Decision(**decision)))
+            stage.emit(Decided(decision=Decision(**decision)))
         for message in record["warnings"]:
-            stage.tell(Warned(stage=STAGE, message=message))
-        stage.tell(StageSkipped(stage=STAGE))
+            stage.emit(Warned(stage=STAGE, message=message))
+        stage.emit(StageSkipped(stage=STAGE))
         remove_checkpoints(out)
         return load_ply(out / "scene.ply"), record["summary"]
-    told: list[Event] = []
+    recorded: list[Event] = []
 
-    def tell(event: Event) -> None:
-        told.append(event)
-        stage.tell(event)
+    def emit(event: Event) -> None:
+        recorded.append(event)
+        stage.emit(event)
 
-    reporter = EventReporter(stage=STAGE, emit=tell)
-    # Those of another training are refused, where a node of a run removes them: what was reached is the user's.
+    reporter = EventReporter(stage=STAGE, emit=emit)
+    # Checkpoints of another training are refused; a node of a run removes them.
     checkpoints = CheckpointFolder(out / CHECKPOINTS, training.key, every_s=request.checkpoint_every_s, warn=stage.reporter.warn)
     result = fit_prepared(replace(training, options=replace(training.options, checkpoints=checkpoints)), reporter)
     summary = {**training_summary(result), "num_photographs": len(training.views), **_validation_figures(result)}
     save_ply(out / "scene.ply", result.splats)
     record = {
         "summary": summary,
-        "decisions": [asdict(event.decision) for event in told if isinstance(event, Decided)],
-        "warnings": [event.message for event in told if isinstance(event, Warned)],
+        "decisions": [asdict(event.decision) for event in recorded if isinstance(event, Decided)],
+        "warnings": [event.message for event in recorded if isinstance(event, Warned)],
     }
     write_json(out / "training.json", record)
     seal(out, training.key, ["scene.ply", "training.json"])
@@ -294,17 +294,17 @@ def _validation_figures(result: TrainResult) -> dict[str, Any]:
     return {"best_step": result.best_step, "validation": [{"step": step, "psnr_db": figure} for step, figure in result.validation]}
 
 
-def _scored(out: Path, models: tuple[Splats, Splats], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
+def _score_model(out: Path, models: tuple[Splats, Splats], cameras: Cameras, photos: _Photos, stage: _Stage) -> dict[str, Any]:
     """Figures of the trained and the first model on the held-out photographs; writes the pictures."""
     images, masks = photos
-    cameras, used = select_scored(cameras, masks, lambda message: stage.tell(Warned(stage=stage.name, message=message)))
+    cameras, used = select_scored(cameras, masks, lambda message: stage.emit(Warned(stage=stage.name, message=message)))
     trained, first = (render_views(model, cameras) for model in models)
     rows = []
     for view, before, (width, height), pixels in zip(trained, first, cameras.sizes_wh, used, strict=True):
         photograph = load_photograph(images / view.name, (int(width), int(height)))
         save_comparison(out / "pictures", view, photograph, pixels)
         rows.append(score_render(view, photograph, before=before, used=pixels))
-        stage.tell(StageProgress(stage=stage.name, done=len(rows), total=len(cameras), note=view.name))
+        stage.emit(StageProgress(stage=stage.name, done=len(rows), total=len(cameras), note=view.name))
     return summarize_scores(rows, lpips_network=None)
 
 
@@ -324,16 +324,16 @@ def _single_ply(request: TrainRequest, listen: Listener, resume: bool, clock: Ca
             f"{request.source} holds no scene yet, which a training into the single file {request.out.name} needs: give a folder as --out, "
             "which gets scene and model, or the folder that 'radiant sfm' made of it."
         )
-    scene, photos = _loaded_scene(request, listen)
+    scene, photos = _load_scene(request, listen)
     decisions: list[Decision] = []
 
-    def tell(event: Event) -> None:
+    def emit(event: Event) -> None:
         if isinstance(event, Decided):
             decisions.append(event.decision)
         listen(event)
 
-    with _Stage(STAGE, tell, clock) as stage:
-        training = _prepared(request, scene, photos, stage)
+    with _Stage(STAGE, emit, clock) as stage:
+        training = _prepare(request, scene, photos, stage)
         result = fit_prepared(training, stage.reporter)
     save_ply(request.out, result.splats)
     return {**training_summary(result), "decisions": [asdict(decision) for decision in decisions], "model": str(request.out)}

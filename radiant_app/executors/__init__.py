@@ -1,1 +1,1 @@
-"""Where the nodes of a tree run; what they compute is not decided here."""
+"""Executors run the nodes of a tree as processes; the nodes' work is defined in `workers`."""

@@ -1,8 +1,8 @@
-"""The emulating executor: devices and edges as slow, and as slowly connected, as the system file says, in real wall time on this machine.
+"""The emulating executor: devices and edges at the speeds and uplinks of the system file, in wall time on this machine.
 
 Every node of a device or edge runs inside `emulated_node`: one thread at `speed` of a core, and the node only ends when its
-model's last byte would have come through its own uplink, so that its parent starts no sooner. All nodes that may run at once do.
-The cloud, structure from motion and evaluation run as ever and are measured. Whatever is emulated says so in its events.
+model's last byte would have passed its uplink, so that its parent starts no sooner. All nodes that may run at once do.
+The cloud, structure from motion and evaluation run and are measured as usual. Events of emulated nodes are marked.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class EmulatedExecutor:
     local: LocalExecutor
 
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
-        """See `Executor.fold`; BadInput when this machine cannot play the system's part."""
+        """See `Executor.fold`; BadInput if this machine cannot emulate the system."""
         require_emulable(self.system)
         machines = _machines(self.system)
 
@@ -40,12 +40,12 @@ class EmulatedExecutor:
             inner = self.local.command(task)
             return _node_command(machines[task.stage], task, inner) if task.stage in machines else inner
 
-        def labelled(event: Event) -> None:
+        def listen_labelled(event: Event) -> None:
             label = isinstance(event, StageStarted | StageDone | StageSkipped) and event.stage in machines
             listen(replace(event, emulated=True) if label else event)
 
         executor = replace(self.local, num_workers=sum(1 for _ in tree), command=command)
-        return executor.fold(tree, prepare, labelled)
+        return executor.fold(tree, prepare, listen_labelled)
 
 
 def require_emulable(system: System) -> None:
@@ -64,14 +64,14 @@ def require_emulable(system: System) -> None:
 
 
 def emulated_figures(tree: Tree, emulated: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """What metrics.json says of an emulated run: seconds per stage (stage → started_s, ended_s) and until the last edge's model arrived.
+    """The figures of an emulated run for metrics.json, from stage → (started_s, ended_s): seconds per stage and the makespan.
 
-    The makespan is made from the nodes' own times, devices of an edge side by side and the edge after them, as the planner does: what
-    this machine needed to lay out files in between is no part of it. None with a reason where a node's time is not known.
+    The makespan combines the nodes' own times as the planner does, without the time this machine took to copy files.
+    None with a reason if a node's time is unknown.
     """
 
     def arrival_s(node: Tree, arrivals_s: Sequence[float]) -> float:
-        # A node whose transfer was interrupted is finished when its run is resumed, and its time is lost.
+        # A resumed run skips a node whose transfer was interrupted, so that its time is unknown.
         return max(arrivals_s, default=0.0) + (seconds.get(node.id, 0.0) or math.inf)
 
     seconds = {stage: times["ended_s"] - times["started_s"] for stage, times in emulated.items()}

@@ -7,8 +7,8 @@ Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPE
             it is small: the share is of its own CPU time, so that other work on this machine delays it but is caught up with
     link    a token bucket without burst: byte k of the product arrives at k / bytes_per_s; this process ends with the last one
 
-A stopped process notices nothing. So the kernel kills the command when this process ends, however that comes (PR_SET_PDEATHSIG), and
-this process ends when its standard input closes, which is when the executor is gone.
+A stopped process cannot react. The kernel therefore kills the command when this process ends for any reason (PR_SET_PDEATHSIG),
+and this process ends when its standard input closes, that is, with the executor.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from pathlib import Path
 from radiant_app.events import UPLINK, Event, StageDone, StageProgress, StageStarted, Warned, encode
 
 PERIOD_S = 0.1
-"""One turn of running and standing still. Shorter turns cost more wake-ups, longer ones are felt at the end of short nodes."""
+"""One period of running and pausing. Shorter ones cost more wake-ups, longer ones distort short nodes."""
 BUSY_SHARE = 0.85
-"""A node that got less than this of its share is reported: its time then says more about this machine than about the emulated one."""
+"""A node that got less than this part of its share is reported: its time depends on the load of this machine."""
 PRODUCTS = ("upload.safetensors", "model.safetensors")
-"""What a node sends: the first of these in its folder."""
+"""The file that a node sends: the first of these in its folder."""
 PROGRESS_S = 0.5
 SHORTEST_S = 1e-3
 _PR_SET_PDEATHSIG = 1
@@ -60,7 +60,7 @@ def main(arguments: list[str]) -> int:
 def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int, float]:
     """Exit code (negative: signal) and CPU seconds of the command."""
     # This process has one thread, so that code between fork and exec is safe.
-    process = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, preexec_fn=_die_with(os.getpid()))  # noqa: PLW1509
+    process = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, preexec_fn=_kill_with(os.getpid()))  # noqa: PLW1509
     ended = os.pidfd_open(process.pid)
     half_s, running, wait_s = speed * PERIOD_S / 2, True, 0.0
     while not _wait(wait_s, ended):
@@ -91,7 +91,7 @@ def _deliver(stage: str, num_bytes: int, bytes_per_s: float) -> None:
 
 
 def _wait(seconds: float, *descriptors: int) -> bool:
-    """Wait at most so long, and say whether a descriptor became readable before; ends this process when the executor is gone."""
+    """Wait for `seconds` or until a descriptor is readable; True in the latter case. Ends this process with the executor."""
     # The executor holds a pipe open as our standard input and never writes; run by hand there is none.
     pipe = [0] if stat.S_ISFIFO(os.fstat(0).st_mode) else []
     ready, _, _ = select.select([*pipe, *descriptors], [], [], max(0.0, seconds))
@@ -105,7 +105,7 @@ def _cpu_s(pid: int) -> float:
     return time.clock_gettime((~pid << 3) | 2)
 
 
-def _die_with(parent: int):  # noqa: ANN202 - a plain callable for subprocess
+def _kill_with(parent: int):  # noqa: ANN202 - a plain callable for subprocess
     def before_exec() -> None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:

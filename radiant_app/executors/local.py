@@ -1,4 +1,4 @@
-"""The local executor: one operating-system process per node, at most `num_workers` at a time. Threads are shared out evenly.
+"""The local executor: one operating-system process per node, at most `num_workers` at a time, with equal numbers of threads.
 
 Each process gets max(1, cores // workers) threads: 4 × 2 threads on 4 cores did 52 units of work where 4 × 1 did 79.
 """
@@ -28,13 +28,13 @@ STOP_GRACE_S = 3.0
 
 
 def worker_command(task: NodeTask) -> list[str]:
-    """How a node's process is started."""
+    """Return the command that starts a node's process."""
     return [sys.executable, "-m", task.module, task.kind, str(task.folder), task.stage, task.key]
 
 
 @dataclass
 class LocalExecutor:
-    """Processes on this machine. `clock` gives seconds; injected so that tests decide the time."""
+    """Runs nodes as processes on this machine. `clock` returns seconds; tests inject their own."""
 
     num_workers: int
     clock: Callable[[], float] = time.monotonic
@@ -50,7 +50,7 @@ class LocalExecutor:
 
 
 def run_task(task: NodeTask, listen: Listener, clock: Callable[[], float] = time.monotonic) -> NodeTime:
-    """Run a single task, outside of any tree, with all cores."""
+    """Run a single task outside any tree, with all cores."""
     root = Tree(id=task.stage, tier="cloud")
     return LocalExecutor(num_workers=1, clock=clock).fold(root, lambda node: task, listen)[task.stage]
 
@@ -126,7 +126,7 @@ class _Processes:
 
 
 def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
-    """How a node ended whose process said `failure` and exited with `code` (negative: killed by that signal)."""
+    """How a node ended whose process reported `failure` and exited with `code` (negative: killed by that signal)."""
     if failure is not None and failure.cannot_write:
         return NodeEnded(error=CannotWrite(f"{task.stage}: {failure.message}"))
     if failure is not None:
@@ -144,14 +144,14 @@ def outcome_of(task: NodeTask, failure: Failed | None, code: int) -> NodeEnded:
 
 
 def _width(tree: Tree) -> int:
-    """How many nodes of the tree can run at once at most: its leaves."""
+    """The most nodes of the tree that can run at once: its leaves."""
     return max(1, sum(1 for node in tree if not node.children))
 
 
 def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Popen[str]:
     # Without the last, OpenMP's threads spin after their part and take a core from the rasterizer's.
     environment = {**os.environ, "OMP_NUM_THREADS": str(num_threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
-    # A session of its own: Ctrl-C reaches only us, and we stop the workers in order.
+    # A session of its own: Ctrl-C reaches only this process, which stops the workers in order.
     with log_path(folder).open("w") as log:
         return subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=log, stdin=subprocess.PIPE, text=True, env=environment, start_new_session=True
@@ -160,7 +160,7 @@ def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Pop
 
 @contextmanager
 def defer_interrupts() -> Iterator[None]:
-    """Hold Ctrl-C and termination back while a worker is started or stopped: it would outlive the run."""
+    """Defer Ctrl-C and termination while a worker is started or stopped, which would otherwise outlive the run."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -177,7 +177,7 @@ def defer_interrupts() -> Iterator[None]:
 
 
 def log_path(folder: Path) -> Path:
-    """Where a node's process writes what is no event."""
+    """The file for all output of a node's process that is no event."""
     return folder / "log.txt"
 
 

@@ -1,4 +1,4 @@
-"""What an executor must do: fold a tree, one process and one folder per node, children before parents."""
+"""The interface of executors: fold a tree, one process and one folder per node, children before parents."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from radiant_core.aggregate.tree import Tree
 
 @dataclass(frozen=True, kw_only=True)
 class NodeTask:
-    """A node ready to run: its folder holds everything it may read. `key` says which inputs and settings it stands for."""
+    """A node ready to run: its folder holds everything it may read; `key` identifies its inputs and settings."""
 
     kind: str
     """Which worker runs it: sfm, device, teacher, edge, cloud or evaluate."""
@@ -22,7 +22,7 @@ class NodeTask:
     folder: Path
     key: str
     module: str = "radiant_app.workers.worker"
-    """What its process runs."""
+    """Module that its process runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class NodeTime:
 
 
 Prepare = Callable[[Tree], NodeTask | None]
-"""Called when all children of a node are done: lays the node's inputs into its folder. None: there is nothing to do for this node."""
+"""Called when all children of a node are done: copies the inputs into its folder. None: the node has no work."""
 
 
 class Executor(Protocol):

@@ -68,7 +68,7 @@ class RayExecutor:
 
 
 def require_cluster(address: str) -> None:
-    """Raise BadInput where Ray is not installed, `address` is none, or nobody listens there: cheap enough to ask before a run begins."""
+    """Raise BadInput if Ray is not installed, `address` is malformed, or no cluster answers; cheap, called before a run starts."""
     if find_spec("ray") is None:
         raise BadInput("Ray is not installed: pip install 'radiant-splats[cluster]', or leave out --executor ray.")
     if address == "local":
@@ -83,7 +83,7 @@ def require_cluster(address: str) -> None:
 
 
 def resource_of(node: Tree) -> str:
-    """The custom resource that the machine of a node offers, where one does: an edge renders its teachers, a device scores too."""
+    """The custom resource of the machine of a node: an edge renders its teachers, a device scores too."""
     parts = node.id.split("/")
     if len(parts) < 2:
         return node.id
@@ -92,7 +92,7 @@ def resource_of(node: Tree) -> str:
 
 @dataclass(kw_only=True)
 class _Cluster:
-    """The driver process and what runs by it; see `Runner`."""
+    """The driver process and the nodes it runs; see `Runner`."""
 
     address: str
     log: Path
@@ -137,7 +137,7 @@ class _Cluster:
                 self.process.wait()
 
     def has_room(self) -> bool:
-        """Ray lets wait what finds no room."""
+        """Ray queues tasks that find no free machine."""
         return True
 
     def start(self, node: Tree, task: NodeTask) -> bool:
@@ -205,7 +205,7 @@ class _Cluster:
             self.process.stdin.write(json.dumps(message) + "\n")
             self.process.stdin.flush()
         except BrokenPipeError:
-            return  # `wait` will say so
+            return  # `wait` reports the lost driver
 
     def _read(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
@@ -216,18 +216,17 @@ class _Cluster:
 
 
 def _environment(address: str) -> dict[str, str]:
-    """What the driver's process finds around it. A cluster of this machine alone listens on the loopback address alone, and whoever joins
-    has to know its secret, which Ray takes from here before it looks for one, or makes one, in ~/.ray."""
+    """The environment of the driver's process. A cluster of this machine alone listens on the loopback address and requires a secret,
+    which Ray takes from here before it looks for one, or creates one, in ~/.ray."""
     if address != "local":
         return dict(os.environ)
-    # Told 127.0.0.1 as its address, Ray takes that of the network; where it supports no clusters of several machines, it uses
-    # 127.0.0.1 all the same.
+    # Given 127.0.0.1 as its address, Ray uses that of the network; without support for several machines it uses 127.0.0.1.
     secret = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(SECRET_BYTES)}
     return {**os.environ, "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", **secret}
 
 
 def _wait_for_seal(folder: Path, sha256: str | None) -> None:
-    """Until done.json has the bytes that its writer saw, at most `SEEN_S`; whether it then fits is for `is_sealed` to say."""
+    """Wait until done.json has the bytes that its writer saw, at most `SEEN_S`; `is_sealed` checks its content."""
     deadline_s = time.monotonic() + SEEN_S
     seal = folder / SEAL_NAME
     while sha256 is not None and time.monotonic() < deadline_s:

@@ -1,4 +1,4 @@
-"""The process that is connected to a Ray cluster: submits tasks and passes on what they yield. Started by `RayExecutor`; see there.
+"""The process that is connected to a Ray cluster: submits tasks and forwards their output. Started by `RayExecutor`; see there.
 
     in    {"leaves": [place…]} once, {"start": node, command, folder…}, {"stop": node}; the end of the input ends the process
     out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code" and "seal_sha256"}
@@ -25,9 +25,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-# Before Ray is imported: it reports to its makers what it is used for unless told not to.
+# Before Ray is imported: it sends usage statistics by default.
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-# A task without a GPU is not to change what its process sees of the machine; without this Ray warns at every start.
+# A task without a GPU must not change the environment of its process; without this Ray warns at every start.
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 
 import ray
@@ -37,20 +37,20 @@ from radiant_app.events import Failed, encode
 from radiant_core.errors import RadiantError, StageFailed
 from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
-LOOK_S = 2.0
-"""How often tasks that wait are checked for machines that could run them: one pinned to a machine that is gone would wait for ever."""
+CHECK_INTERVAL_S = 2.0
+"""Interval at which waiting tasks are checked: one pinned to a lost machine would wait forever."""
 GONE_S = 20.0
-"""How long no living machine may be able to run a waiting task before it counts as lost: a restarted machine joins again within seconds."""
+"""A waiting task counts as lost if no living machine can run it for this long: a restarted machine rejoins within seconds."""
 LOCK_S = 120.0
-"""How long a task waits for an earlier process in its folder to end. A machine that loses its head goes down within a minute."""
+"""How long a task waits for an earlier process in its folder. A machine that loses the head node stops within a minute."""
 SEEN_S = 20.0
 LOCAL_STORE_BYTES = 100 * 2**20
 """Ray's least object store is 75 MB; no model ever lies in it."""
 LOCK_NAME = ".worker"
 PLACE_SHARE = 0.001
-"""What a task takes of its machine's name: it places, CPUs limit."""
+"""Amount of its machine's resource that a task takes: it only places the task, CPUs limit it."""
 _OUT = sys.stdout
-"""Where messages go."""
+"""The stream of messages."""
 
 
 @dataclass
@@ -58,39 +58,39 @@ class _Task:
     message: dict[str, Any]
     items: Any
     began: bool = False
-    impossible_since_s: float | None = None
+    unplaceable_since_s: float | None = None
 
 
 @dataclass
 class _Driver:
-    """All tasks of one fold."""
+    """Runs all tasks of one fold."""
 
     commands: queue.Queue[dict[str, Any] | None] = field(default_factory=queue.Queue)
     tasks: dict[str, _Task] = field(default_factory=dict)
     leaves: Sequence[str] = ()
-    looked_s: float = 0.0
+    checked_s: float = 0.0
 
     def run(self) -> None:
-        """Until the input ends; then everything that runs is cancelled."""
-        threading.Thread(target=self._listen, daemon=True).start()
+        """Serve until the input ends; then cancel all running tasks."""
+        threading.Thread(target=self._read_commands, daemon=True).start()
         while True:
             try:
                 command = self.commands.get(block=not self.tasks)
             except queue.Empty:
-                self._pass_on()
+                self._forward_items()
                 continue
             if command is None:
                 break
-            self._obey(command)
+            self._execute(command)
         for task in self.tasks.values():
             ray.cancel(task.items, force=True)
 
-    def _listen(self) -> None:
+    def _read_commands(self) -> None:
         for line in sys.stdin:
             self.commands.put(json.loads(line))
         self.commands.put(None)
 
-    def _obey(self, command: dict[str, Any]) -> None:
+    def _execute(self, command: dict[str, Any]) -> None:
         if "leaves" in command:
             self.leaves = command["leaves"]
         elif "start" in command:
@@ -99,19 +99,19 @@ class _Driver:
             ray.cancel(self.tasks[command["stop"]].items, force=True)
 
     def _start(self, message: dict[str, Any]) -> None:
-        fit = _fitting(message["place"], message["gpu"])
+        fit = _find_machines(message["place"], message["gpu"])
         if not fit:
             kind = "a GPU and a free CPU" if message["gpu"] else "a CPU"
-            _say(node=message["start"], lost=f"no living machine of the cluster has {kind}.")
+            _send(node=message["start"], lost=f"no living machine of the cluster has {kind}.")
             return
         pinned = message["place"] in fit[0]["Resources"]
-        message["threads"] = threads = _threads(fit, self.leaves)
+        message["threads"] = threads = _num_threads(fit, self.leaves)
         message["resources"] = {message["place"]: PLACE_SHARE} if pinned else {}
         task = _run_node.options(num_cpus=threads, num_gpus=int(message["gpu"]), resources=message["resources"])
         items = task.remote(message["command"], message["folder"], message["stage"], message["task_sha256"], threads)
         self.tasks[message["start"]] = _Task(message=message, items=items)
 
-    def _pass_on(self) -> None:
+    def _forward_items(self) -> None:
         ready, _ = ray.wait([task.items for task in self.tasks.values()], timeout=0.1)
         for node in [node for node, task in self.tasks.items() if any(task.items is items for items in ready)]:
             task = self.tasks[node]
@@ -119,29 +119,29 @@ class _Driver:
                 item: Any = ray.get(next(task.items))
             except (StopIteration, RayError) as error:
                 del self.tasks[node]
-                _say(node=node, lost=f"its machine or Ray's worker is gone ({type(error).__name__}).")
+                _send(node=node, lost=f"its machine or Ray's worker is gone ({type(error).__name__}).")
                 continue
             task.began = True
-            _say(node=node, **item)
+            _send(node=node, **item)
             if "code" in item:
                 del self.tasks[node]
-        if time.monotonic() - self.looked_s > LOOK_S:
-            self.looked_s = time.monotonic()
-            self._look_for_impossible()
+        if time.monotonic() - self.checked_s > CHECK_INTERVAL_S:
+            self.checked_s = time.monotonic()
+            self._drop_unplaceable()
 
-    def _look_for_impossible(self) -> None:
+    def _drop_unplaceable(self) -> None:
         waiting = {node: task for node, task in self.tasks.items() if not task.began}
         machines = _machines() if waiting else []
         for node, task in waiting.items():
             wanted = {"CPU": task.message["threads"], "GPU": int(task.message["gpu"]), **task.message["resources"]}
-            if any(_has(machine, wanted) for machine in machines):
-                task.impossible_since_s = None
-            elif task.impossible_since_s is None:
-                task.impossible_since_s = time.monotonic()
-            elif time.monotonic() - task.impossible_since_s > GONE_S:
+            if any(_offers(machine, wanted) for machine in machines):
+                task.unplaceable_since_s = None
+            elif task.unplaceable_since_s is None:
+                task.unplaceable_since_s = time.monotonic()
+            elif time.monotonic() - task.unplaceable_since_s > GONE_S:
                 ray.cancel(task.items, force=True)
                 del self.tasks[node]
-                _say(node=node, lost="the machine that it waited for is gone.")
+                _send(node=node, lost="the machine that it waited for is gone.")
 
 
 @ray.remote(max_retries=0, num_returns="streaming")
@@ -151,14 +151,14 @@ def _run_node(command: list[str], folder: str, stage: str, task_sha256: str | No
     place = Path(folder)
     try:
         _require_same_files(place, task_sha256)
-        lock = _locked(place)
+        lock = _lock_folder(place)
     except (RadiantError, OSError) as error:
         yield {"line": encode(Failed(stage=stage, message=str(error), exit_code=StageFailed.exit_code))}
         yield {"code": StageFailed.exit_code, "seal_sha256": None}
         return
     environment = {**os.environ, "OMP_NUM_THREADS": str(threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
-    # The first word is the Python of the machine that started the run. The child keeps the lock for as long as it lives, whatever
-    # becomes of this process, and ends when its standard input closes.
+    # The first word is the Python of the machine that started the run. The child keeps the lock while it lives, even without this
+    # process, and ends when its standard input closes.
     with (place / "log.txt").open("w") as log:
         process = subprocess.Popen(
             [sys.executable, *command[1:]],
@@ -193,7 +193,7 @@ def _require_same_files(folder: Path, task_sha256: str | None) -> None:
         time.sleep(0.5)
 
 
-def _locked(folder: Path) -> int:
+def _lock_folder(folder: Path) -> int:
     """A file descriptor that holds the lock of a node's folder; StageFailed when an earlier process keeps it for too long."""
     descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o644)
     deadline_s = time.monotonic() + LOCK_S
@@ -214,17 +214,17 @@ def _machines() -> list[dict[str, Any]]:
     return [machine for machine in ray.nodes() if machine["Alive"]]
 
 
-def _fitting(place: str, gpu: bool) -> list[dict[str, Any]]:
+def _find_machines(place: str, gpu: bool) -> list[dict[str, Any]]:
     """Living machines that can run a node: those that are named as its place, or all where none is."""
-    able = [machine for machine in _machines() if _has(machine, {"CPU": 1, "GPU": int(gpu)})]
-    return [machine for machine in able if _has(machine, {place: PLACE_SHARE})] or able
+    able = [machine for machine in _machines() if _offers(machine, {"CPU": 1, "GPU": int(gpu)})]
+    return [machine for machine in able if _offers(machine, {place: PLACE_SHARE})] or able
 
 
-def _has(machine: dict[str, Any], wanted: dict[str, float]) -> bool:
+def _offers(machine: dict[str, Any], wanted: dict[str, float]) -> bool:
     return all(machine["Resources"].get(name, 0) >= amount for name, amount in wanted.items())
 
 
-def _threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
+def _num_threads(fit: Sequence[dict[str, Any]], leaves: Sequence[str]) -> int:
     """Threads of a node on any of these machines: its CPUs over the leaves of the tree that may run there at once, never fewer than one."""
     machines = _machines()
     named = {name for machine in machines for name in machine["Resources"]}
@@ -251,7 +251,7 @@ def _connect(address: str, temporary: Path) -> str | None:
     return None
 
 
-def _say(**message: Any) -> None:
+def _send(**message: Any) -> None:
     _OUT.write(json.dumps(message) + "\n")
 
 
@@ -265,9 +265,9 @@ def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True) as temporary:
         refused = _connect(arguments[0], Path(temporary))
         if refused is not None:
-            _say(refused=refused)
+            _send(refused=refused)
             return 2
-        _say(ready=True)
+        _send(ready=True)
         _Driver().run()
         ray.shutdown()
     return 0

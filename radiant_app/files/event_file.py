@@ -1,7 +1,7 @@
-"""The event stream of a run as events.jsonl in its folder, for whoever watches from another process: written as it goes, read anew.
+"""The event stream of a run as events.jsonl in its folder, for other processes that show its progress.
 
 One event per line, as `events.encode` writes it. Of progress, at most two lines a second and stage, and the first of every phase, which
-begins anew: else a long phase would show the end of the one before. A run that is resumed begins anew.
+restarts the count: else a long phase would show the end of the previous one. A resumed run starts a new file.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ if TYPE_CHECKING:
 
 EVENTS_NAME = "events.jsonl"
 SECONDS_BETWEEN = 0.5
-SECONDS_TO_A_PHASE = 0.05
-"""A phase that begins sooner after a line than this is not told of at once: totals that change with every event are no phases."""
+MIN_PHASE_S = 0.05
+"""A phase that starts sooner after a line is not written at once: totals that change with every event are no phases."""
 
 
 class EventFile:
-    """A listener that writes and passes on, used as a context manager. A full disk ends the file, never the run."""
+    """A listener that writes and forwards events, used as a context manager. A full disk ends the file, never the run."""
 
     def __init__(self, run: Path, listen: Listener, clock: Callable[[], float] = time.monotonic) -> None:
         self._path, self._listen, self._clock = run / EVENTS_NAME, listen, clock
         self._file: IO[str] | None = None
-        self._told_s: dict[str, float] = {}
+        self._written_s: dict[str, float] = {}
         self._seen: dict[str, StageProgress] = {}
 
     def __enter__(self) -> Self:
@@ -76,14 +76,14 @@ class EventFile:
         last, now_s = self._seen.get(event.stage), self._clock()
         self._seen[event.stage] = event
         begins = last is not None and (event.phase != last.phase or event.done < last.done or event.total != last.total)
-        if now_s - self._told_s.get(event.stage, float("-inf")) < (SECONDS_TO_A_PHASE if begins else SECONDS_BETWEEN):
+        if now_s - self._written_s.get(event.stage, float("-inf")) < (MIN_PHASE_S if begins else SECONDS_BETWEEN):
             return True
-        self._told_s[event.stage] = now_s
+        self._written_s[event.stage] = now_s
         return False
 
 
 def read_progress(run: Path) -> RunProgress:
-    """How a run stands by its events and its manifest; BadInput for a file that is no stream of events."""
+    """Read the progress of a run from its events and manifest; BadInput for a file that is no stream of events."""
     from radiant_viewer.runs.run_feeds import RunProgress
 
     path = run / EVENTS_NAME
@@ -97,14 +97,14 @@ def read_progress(run: Path) -> RunProgress:
             seconds_left = event.seconds
         elif isinstance(event, Outlined):
             outline = event
-        elif (state := _after(event, stages)) is not None:
+        elif (state := _next_state(event, stages)) is not None:
             stages[state.stage] = state
     status = _status(run)
     is_running = status == "running" and _is_locked(run)
     if status == "running" and not is_running:
         status = "interrupted"
     if not is_running:
-        # Whoever was at work then is not any more: stopped with the run, or at fault.
+        # Stages that were running were stopped with the run or failed.
         ended: State = "interrupted" if status == "interrupted" else "failed"
         stages = {name: replace(state, state=ended) if state.state == "running" else state for name, state in stages.items()}
     return RunProgress(
@@ -118,7 +118,7 @@ def read_progress(run: Path) -> RunProgress:
 
 
 def progress_stamps(run: Path) -> tuple[object, ...]:
-    """What tells whether `read_progress` would read something new, without reading the events."""
+    """Return values that change whenever `read_progress` would read something new."""
     stamps: list[object] = [_is_locked(run)]
     for name in (EVENTS_NAME, "manifest.json"):
         with suppress(OSError):
@@ -127,7 +127,7 @@ def progress_stamps(run: Path) -> tuple[object, ...]:
     return tuple(stamps)
 
 
-def _after(event: Event, stages: dict[str, StageState]) -> StageState | None:
+def _next_state(event: Event, stages: dict[str, StageState]) -> StageState | None:
     from radiant_viewer.runs.run_feeds import StageState
 
     if isinstance(event, StageStarted):
@@ -149,7 +149,7 @@ def _events(path: Path) -> list[Event]:
         return []
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
-        # The last line may be half written.
+        # The last line may be incomplete.
         return [decode(line) for line in text[: text.rfind("\n") + 1].splitlines()]
     except (OSError, StageFailed) as error:
         raise BadInput(f"{path} cannot be read as a stream of events ({error}): the run itself is not touched by that.") from error
@@ -165,7 +165,7 @@ def _status(run: Path) -> str:
 
 
 def _is_locked(run: Path) -> bool:
-    """Whether a process holds the run's lock; the kernel frees it when that ends, however it ends."""
+    """Whether a process holds the run's lock; the kernel frees it when that process ends for any reason."""
     try:
         with (run / LOCK_NAME).open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -193,7 +193,7 @@ def _present(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _toml(record: dict[str, Any]) -> str:
-    """Tables of text, numbers and lists, which JSON writes as TOML does; TOML knows 1e-05 but no bare control characters."""
+    """Tables of text, numbers and lists, which JSON writes as TOML does; TOML allows 1e-05 but no bare control characters."""
     lines = ["# Cost curves of one machine, for `profile` in a system file; written by `radiant profile`."]
     lines += [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in record.items() if not isinstance(value, dict)]
     for name, table in record.items():

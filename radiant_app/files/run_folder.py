@@ -1,4 +1,4 @@
-"""The folder of one run and its manifest.json: what was asked, which stages ran when, what was decided and warned.
+"""The folder of one run and its manifest.json: configuration, times of stages, decisions and warnings.
 
     manifest.json plan.json scene.ply metrics.json report.html pictures/
     sfm/ devices/<id>/ edges/<id>/ cloud/ evaluation/        one folder per process
@@ -73,10 +73,10 @@ class Manifest:
     warnings: list[str] = field(default_factory=list)
     access_log: list[dict[str, Any]] = field(default_factory=list)
 
-    def note(self, event: Event, now_s: float) -> None:
-        """Take from the stream what the record keeps."""
+    def record(self, event: Event, now_s: float) -> None:
+        """Update the record by an event."""
         if isinstance(event, StageStarted):
-            self.forget(event.stage)
+            self.drop_notes(event.stage)
             self._times(event)[event.stage] = {"started_s": now_s, "ended_s": now_s}
             if event.machine:
                 self.machines[event.stage] = event.machine
@@ -99,22 +99,22 @@ class Manifest:
     def _times(self, event: StageStarted | StageDone | StageSkipped) -> dict[str, dict[str, float]]:
         return self.emulated if event.emulated else self.stages
 
-    def forget(self, stage: str) -> None:
-        """What an earlier try of this stage decided and warned of."""
+    def drop_notes(self, stage: str) -> None:
+        """Remove the decisions and warnings of an earlier attempt of this stage."""
         self.decisions = [decision for decision in self.decisions if decision["stage"] != stage]
         self.warnings = [warning for warning in self.warnings if not warning.startswith(f"{stage}: ")]
 
     def keep_stages(self, stages: Collection[str]) -> None:
-        """Forget all other stages: those of devices and edges that an earlier plan had."""
+        """Remove all other stages: those of devices and edges in an earlier plan."""
         for times in (self.stages, self.emulated):
             for stage in [stage for stage in times if stage.removesuffix(UPLINK) not in stages]:
-                self.forget(stage)
+                self.drop_notes(stage)
                 del times[stage]
                 self.peak_bytes.pop(stage, None)
 
     @property
     def ended_s(self) -> float:
-        """When the last stage so far ended; 0 at first. A resumed run goes on from there."""
+        """Time at which the last stage ended, 0 at first; the clock of a resumed run continues from it."""
         return max((times["ended_s"] for times in (*self.stages.values(), *self.emulated.values())), default=0.0)
 
     def save(self) -> None:
@@ -125,42 +125,42 @@ class Manifest:
 
 
 @contextmanager
-def opened_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
-    """Make or reopen the run's folder and hold its lock.
+def open_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
+    """Create or reopen the run's folder and hold its lock.
 
     Raises BadInput when the folder exists and is not empty (without `resume`), was made by other settings, or cannot be made. When
     the input turns out to be unusable, a folder made here goes away again: nothing half-written stays behind.
     """
-    with opened_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
+    with open_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
         yield manifest
 
 
 @contextmanager
-def opened_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
-    """As `opened_run`, of any work with such settings; a file that fits a pattern of `keep` is worth keeping after bad input."""
-    if resume and out.is_dir() and _is_begun(out):
-        with RunLock(out), _ending(_reopened(out, settings)) as manifest:
+def open_folder(out: Path, settings: dict[str, Any], resume: bool, keep: Sequence[str]) -> Iterator[Manifest]:
+    """As `open_run`, for any work with these settings; after bad input the folder stays if a file matches a pattern of `keep`."""
+    if resume and out.is_dir() and _has_content(out):
+        with RunLock(out), _record_outcome(_reopen(out, settings)) as manifest:
             yield manifest
         return
-    made = _made_folders(out)
-    # A lock that somebody else holds is no reason to clean up: what lies there is that run's work.
+    made = _create_folders(out)
+    # A lock held by another process is no reason to clean up: the folder is the work of that run.
     with RunLock(out):
         require_empty(out)
         fresh = Manifest(folder=out, config=settings)
-        with _undone_after_bad_input(out, made, keep=keep), _ending(fresh) as manifest:
+        with _remove_after_bad_input(out, made, keep=keep), _record_outcome(fresh) as manifest:
             yield manifest
 
 
 @contextmanager
-def _ending(manifest: Manifest) -> Iterator[Manifest]:
-    """Save the record before and after the work, with how that ended."""
+def _record_outcome(manifest: Manifest) -> Iterator[Manifest]:
+    """Save the record before and after the work, with its outcome."""
     manifest.status = "running"
     manifest.save()
     try:
         yield manifest
     except BaseException as error:
         manifest.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
-        # The disk may be what failed; the error that brought us here is the one to tell.
+        # The disk may be what failed; the original error is the one to report.
         with suppress(BadInput):
             manifest.save()
         raise
@@ -173,17 +173,17 @@ def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[Non
     """The folder of `radiant sfm` for a `task`, which it keeps in task.json: new, or with `resume` what an interrupted one left, whose
     features and matches are used. Held by one process at a time.
 
-    Raises BadInput as `new_folder`, and with `resume` where the folder is of something else, of another task, or finished.
+    Raises BadInput as `create_folder`, and with `resume` where the folder is of something else, of another task, or finished.
     """
-    if resume and out.is_dir() and _is_begun(out):
+    if resume and out.is_dir() and _has_content(out):
         with RunLock(out):
             _require_unfinished(out, task)
             yield
         return
-    made = _made_folders(out)
+    made = _create_folders(out)
     with RunLock(out):
         require_empty(out)
-        with _undone_after_bad_input(out, made):
+        with _remove_after_bad_input(out, made):
             write_json(out / SFM_TASK, task)
             yield
 
@@ -200,17 +200,17 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
 
 
 @contextmanager
-def new_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
+def create_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
     """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot be made.
 
     After a BadInput within, everything that was made here goes again; where it is `resumable`, not after a full disk.
     """
-    made = _made_folders(out, resumable=resumable)
-    with _undone_after_bad_input(out, made, resumable=resumable):
+    made = _create_folders(out, resumable=resumable)
+    with _remove_after_bad_input(out, made, resumable=resumable):
         yield
 
 
-def _made_folders(out: Path, *, resumable: bool = True) -> list[Path]:
+def _create_folders(out: Path, *, resumable: bool = True) -> list[Path]:
     """`out`, which afterwards is an empty folder, and its parents, as far as they had to be made; innermost first."""
     if out.is_symlink() and not out.exists():
         raise BadInput(f"{out} is a link to {out.readlink()}, which does not exist: make that folder or choose another name.")
@@ -224,30 +224,30 @@ def _made_folders(out: Path, *, resumable: bool = True) -> list[Path]:
 
 
 def require_empty(out: Path, *, resumable: bool = True) -> None:
-    """Raise BadInput when the folder holds anything but what a kill leaves before anything was begun."""
-    if _is_begun(out):
+    """Raise BadInput if the folder has content beyond what a run killed at its start leaves."""
+    if _has_content(out):
         way_on = ", or go on with what was begun there by --resume" if resumable else ""
         raise BadInput(f"{out} exists and is not empty: choose another folder{way_on}.")
 
 
-def _is_begun(out: Path) -> bool:
+def _has_content(out: Path) -> bool:
     """Whether a folder holds more than a lock and a half-written manifest."""
     return any(path.name != LOCK_NAME and not path.match(".manifest.json.*.part") for path in out.iterdir())
 
 
 @contextmanager
-def _undone_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
+def _remove_after_bad_input(out: Path, made: list[Path], keep: Sequence[str] = (), *, resumable: bool = True) -> Iterator[None]:
     """After a BadInput within, `out` is emptied and the folders `made` go, unless a file that fits a pattern of `keep` stands by then."""
     try:
         yield
     except BadInput as error:
-        # What was computed and stored is no input, nor is a disk: whatever else lies there is worth looking at, or going on with.
-        worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _is_begun(out)
+        # A damaged store or a full disk is no bad input: the other results are worth keeping.
+        worth_it = isinstance(error, StoreDamaged | CannotWrite if resumable else StoreDamaged) and _has_content(out)
         if not worth_it and not any(found for pattern in keep for found in out.glob(pattern)):
             for inner in list(out.iterdir()):
                 shutil.rmtree(inner) if inner.is_dir() else inner.unlink()
             for folder in made:
-                # Somebody may have begun another run here in the meantime.
+                # Another run may have started here in the meantime.
                 with suppress(OSError):
                     folder.rmdir()
         raise
@@ -259,7 +259,7 @@ def recorded_config(config: RunConfig) -> dict[str, Any]:
 
 
 def differing_options(asked: Mapping[str, Any], before: Mapping[str, Any]) -> str:
-    """What was asked for otherwise before, as the command line calls it; empty where nothing was."""
+    """The options that differ from those of before, as the command line names them; empty if none."""
     return ", ".join(sorted(set(_differing_options(asked, before))))
 
 
@@ -273,7 +273,7 @@ def _differing_options(asked: Mapping[str, Any], before: Mapping[str, Any], pref
 
 
 def _option_name(path: str, name: str) -> str:
-    """What the command line calls a field of a run by its path, or a setting of another command by its name."""
+    """The option of a run's field by its path, or of another command's setting by its name."""
     fields = config_fields()
     if path in OPTIONS or path in fields:
         return OPTIONS.get(path) or fields[path].option_name
@@ -282,7 +282,7 @@ def _option_name(path: str, name: str) -> str:
 
 
 def software_versions() -> dict[str, str]:
-    """Versions of what decides a result."""
+    """Versions of the software that results depend on."""
     packages = ("torch", "numpy", "scipy", "pycolmap", "open3d", "opencv-contrib-python-headless")
     found = {"radiant": __version__, "python": platform.python_version(), "machine": platform.machine()}
     for package in packages:
@@ -326,7 +326,7 @@ def _digest(record: dict[str, Any]) -> str:
 
 
 def _require_unchanged(record: Any) -> None:
-    """Raise BadInput where a manifest is not what was written; older ones say no hash and are taken as they are."""
+    """Raise BadInput if a manifest was changed; older ones have no hash and are accepted."""
     known = {"version", "software", "sha256", "ledger", *RECORDED}
     if not isinstance(record, dict) or not record.keys() <= known:
         raise BadInput("it has keys that no manifest has")
@@ -347,7 +347,7 @@ def _record(path: Path) -> _Record:
         raise BadInput(f"{path} is damaged ({error}): run again into another folder.") from error
 
 
-def _reopened(out: Path, settings: dict[str, Any]) -> Manifest:
+def _reopen(out: Path, settings: dict[str, Any]) -> Manifest:
     if not (out / "manifest.json").is_file():
         raise BadInput(f"{out} holds no manifest.json, so it is no run to resume: choose another folder.")
     require_current(out)

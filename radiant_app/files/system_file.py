@@ -196,7 +196,7 @@ class _File(Strict):
 def load_system(path: Path, *, curves: bool = False) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
 
-    Edges that are known by their curve alone are refused unless `curves`: nobody could train there.
+    Edges described by their curve alone are refused unless `curves`: they have no device to train on.
     """
     tables = load_toml(path, "system file")
     try:

@@ -38,7 +38,7 @@ GIVEN = {
         "device": "beside its own photographs, the finished scene and its borders",
         "edge": "its devices' models and poses, under numbers",
         "cloud": "edges' models, virtual cameras and borders; where it plans, counts in cells",
-        "owner": "what devices told for the plan",
+        "owner": "what devices sent for the plan",
     },
 }
 """What the nodes of a tier were given, by whether one owner ran structure from motion (frames "shared")."""
@@ -65,7 +65,7 @@ def write_report(run: Path, manifest: Manifest, metrics: dict[str, Any]) -> Path
         planned_by_raster=(run / STAGE / "task.json").is_file(),
         access_tiers=access_by_tier(manifest.access_log, shared="leakage" not in metrics),
         pictures={name: _embedded(path) for name, path in pictures.items()},
-        comparisons=[_comparison(run, row) for row in shown_images(metrics["images"]) if _has_pictures(run, row)],
+        comparisons=[_comparison(run, row) for row in select_images(metrics["images"]) if _has_pictures(run, row)],
         nodes=_node_rows(run, manifest, cloud_plan, edge_plans),
         plan=cloud_plan,
         versions=software_versions(),
@@ -87,7 +87,7 @@ def access_by_tier(access_log: Sequence[Mapping[str, Any]], *, shared: bool) -> 
     return rows
 
 
-def shown_images(images: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def select_images(images: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """At most `MAX_COMPARISONS` rows, worst first, evenly over the range of PSNR."""
     ordered = sorted(images, key=lambda row: row["psnr_db"])
     if len(ordered) <= MAX_COMPARISONS:

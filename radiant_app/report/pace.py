@@ -1,10 +1,9 @@
-"""How long what runs will still take, by its own pace: the time that it took for what is done, times what is left. Asked at every redraw.
+"""Remaining time of a running stage, extrapolated from its own pace. Runs at every redraw.
 
     left_s = (total − done) · (now − begun) / (done − done at the beginning)
 
-A stage of several steps (structure from motion) is timed step by step: how long a later one takes nobody knows from an earlier one. While
-nothing is heard the figure grows, so that it never counts down to 0 s over work that is not done; before anything was measured there is
-none.
+A stage of several steps (structure from motion) is timed step by step, since an earlier step predicts nothing about a later one.
+Without events the estimate grows, so that it never reaches 0 s before the work is done; before the first measurement there is none.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from radiant_app.events import StageProgress
 
 LEAST_S, SURE_S = 1.0, 10.0
 LEAST_SHARE = 0.01
-"""Nothing is said of the first second, nor of the first 10 s where less than this share of a step is done: what begins is no pace."""
+"""No estimate in the first second, nor in the first 10 s while less than this share of a step is done."""
 
 
 @dataclass(kw_only=True)
@@ -34,8 +33,8 @@ class Pace:
     def __post_init__(self) -> None:
         self._begun_s = self.clock()
 
-    def hear(self, event: StageProgress) -> None:
-        """Take how far the stage is; another phase or fewer done begin anew."""
+    def update(self, event: StageProgress) -> None:
+        """Update the progress of the stage; a new phase or a lower `done` restarts the measurement."""
         last = self._last
         if last is None or event.phase != last.phase or event.done < last.done:
             self._first, self._step_s = event, self.clock()
@@ -48,7 +47,7 @@ class Pace:
 
     @property
     def left_s(self) -> float | None:
-        """Seconds that the stage, or its step where it has several, will still take; None while nothing says so."""
+        """Remaining seconds of the stage, or of its step if it has several; None without an estimate."""
         if self._first is None or self._last is None:
             return None
         done, left = self._last.done - self._first.done, self._last.total - self._last.done

@@ -22,7 +22,7 @@ from radiant_app.report.pace import Pace
 
 _Item = TypeVar("_Item")
 SECONDS_BETWEEN_LINES = 10.0
-"""How often a stage tells a log file where it stands."""
+"""Interval between progress lines of a stage in a log file."""
 MAX_BAR_WIDTH = 30
 
 
@@ -40,7 +40,7 @@ class _Times(ProgressColumn):
 
 
 class _Share(ProgressColumn):
-    """Per cent, where something says how much there is."""
+    """Per cent, if the total is known."""
 
     def render(self, task: Task) -> Text:
         return Text("" if not task.total else f"{task.percentage:>3.0f} %")
@@ -84,7 +84,7 @@ class ProgressDisplay:
         elif isinstance(event, StageStarted):
             self._begin(event.stage)
         elif isinstance(event, StageProgress) and event.stage in self._tasks:
-            self._paces[event.stage].hear(event)
+            self._paces[event.stage].update(event)
             title = f"{event.stage}: {event.doing}" if event.doing else event.stage
             self._progress.update(
                 self._tasks[event.stage], description=title, completed=event.done, total=event.total or None, note=event.note
@@ -108,7 +108,7 @@ class ProgressDisplay:
         self._console.print(line, style=style, highlight=False, markup=False, emoji=False, soft_wrap=not self._console.is_terminal)
 
     def _begin(self, stage: str) -> None:
-        # A stage that is tried again begins anew.
+        # A stage that is started again starts from 0.
         self._remove(stage)
         self._paces[stage] = pace = Pace(clock=self._clock)
         self._tasks[stage] = self._progress.add_task(stage, total=None, note="", pace=pace)
@@ -133,8 +133,8 @@ class ProgressDisplay:
             return
         self._line_due_s[event.stage] = now_s + SECONDS_BETWEEN_LINES
         share = f"{100 * event.done / event.total:.0f} %" if event.total else ""
-        told = [event.doing, share, self._paces[event.stage].text, event.note]
-        self._print(f"{event.stage}: {', '.join(text for text in told if text)}")
+        texts = [event.doing, share, self._paces[event.stage].text, event.note]
+        self._print(f"{event.stage}: {', '.join(text for text in texts if text)}")
 
     def _end(self, stage: str, line: Text) -> None:
         self._remove(stage)
@@ -148,5 +148,5 @@ class ProgressDisplay:
 
 
 def terminal_display() -> ProgressDisplay:
-    """A display on standard error: standard output is for what a command gives."""
+    """Return a display on standard error: standard output is for the results of a command."""
     return ProgressDisplay(Console(stderr=True))

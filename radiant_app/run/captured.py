@@ -1,4 +1,4 @@
-"""Where photographs were taken and whose they are, before anything is planned (`--frames gps` or `known`). Once per run.
+"""Locates photographs and their devices before planning (`--frames gps` or `known`). Once per run.
 
 The source is a folder of photographs that the plan deals to devices, each of which fetches its own; or one subfolder per
 device, named by its id: the photographs it took, which no other process opens.
@@ -38,18 +38,18 @@ MAX_NAMED = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Captured:
-    """P photographs by name, where each was taken, and on which device it is."""
+    """Names, positions and devices of P photographs."""
 
     names: tuple[str, ...]
     """File names, with frames by poses those of the poses."""
     owners: tuple[str | None, ...]
     """Device that holds the photograph; None where one folder holds all."""
     positions: FloatArray
-    """(P,3) metres about `origin`, or in the unit of the poses; NaN where nothing says where."""
+    """(P,3) metres about `origin`, or in the unit of the poses; NaN if unknown."""
     origin: FloatArray | None
     """(3,) latitude, longitude, altitude; None for given poses."""
     cell_middles: dict[str, FloatArray] | None = None
-    """Where devices send a raster alone: by device the middles (K,2) m of the cells of its training photographs; no position is known."""
+    """If devices send rasters alone: device → the centres (K,2) m of the cells of its training photographs; positions are NaN."""
 
     @property
     def placed(self) -> Any:
@@ -63,7 +63,7 @@ class Captured:
 
     @property
     def held_out(self) -> Any:
-        """(P,) which photographs are held out of everything, by device and name."""
+        """(P,) which photographs are held out, by device and name."""
         return held_out_mask([name if owner is None else f"{owner}/{name}" for name, owner in zip(self.names, self.owners, strict=True)])
 
 
@@ -104,7 +104,7 @@ def locate_photographs(config: RunConfig, poses: GivenPoses | None, folders: dic
 
 
 def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progress) -> Captured:
-    """Every device counts its own training photographs in a raster; neither a name nor a position of one leaves it."""
+    """Let every device count its training photographs in a raster; no name or position of one leaves the device."""
     owned = [
         (device, path.name)
         for device, folder in folders.items()
@@ -116,15 +116,15 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
     for device, folder in folders.items():
         held_out = [name for (owner, name), out in zip(owned, held, strict=True) if owner == device and out]
         try:
-            told = _positions_in(folder, f"positions/{device}", progress, cell_m, held_out)
+            raster = _positions_in(folder, f"positions/{device}", progress, cell_m, held_out)
         except (BadInput, StageFailed, OSError) as error:
             progress.listen(Warned(stage="plan", message=f"device {device} takes no part: {_reason(error)}"))
             continue
-        if told["num_unplaced"]:
-            message = f"{told['num_unplaced']} of {told['num_photographs']} photographs of device {device} have no usable position."
+        if raster["num_unplaced"]:
+            message = f"{raster['num_unplaced']} of {raster['num_photographs']} photographs of device {device} have no usable position."
             progress.listen(Warned(stage="plan", message=message))
-        cells = np.array(told["cells"], np.float64).reshape(-1, 3)
-        middles = np.column_stack([cells[:, :2], np.full(len(cells), told["altitude_m"] or 0.0)])
+        cells = np.array(raster["cells"], np.float64).reshape(-1, 3)
+        middles = np.column_stack([cells[:, :2], np.full(len(cells), raster["altitude_m"] or 0.0)])
         places[device] = np.repeat(middles, cells[:, 2].astype(np.int64), axis=0)
     known = np.concatenate([*places.values(), np.zeros((0, 3))])
     origin = _origin_of(known)
@@ -143,7 +143,7 @@ def _count_by_devices(cell_m: float, folders: dict[str, Path], progress: Progres
 
 
 def _origin_of(known: FloatArray) -> FloatArray:
-    """Middle of positions (P,3), rounded to some ten metres: it is told to everybody, and a median is somebody's position."""
+    """The median of positions (P,3), rounded to about ten metres: it is sent to all devices, and a median is one's position."""
     if not len(known):
         raise BadInput(
             "no photograph has a GPS position with an altitude, which --frames gps needs: give poses with --frames known, or pool them "
@@ -174,18 +174,18 @@ def _locate_by_gps(config: RunConfig, folders: dict[str, Path] | None, progress:
     origin = _origin_of(known)
     positions = np.full((len(names), 3), np.nan)
     positions[[place is not None for place in geodetic]] = enu_from_geodetic(known, origin)
-    told = [name if owner is None else f"one of {owner}" for name, owner in zip(names, owners, strict=True)]
-    _leave_out_other_sites(told, positions, progress)
+    labels = [name if owner is None else f"one of {owner}" for name, owner in zip(names, owners, strict=True)]
+    _leave_out_other_sites(labels, positions, progress)
     return Captured(names=tuple(names), owners=tuple(owners), positions=positions, origin=origin)
 
 
 def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | None = None, held_out: Sequence[str] = ()) -> dict[str, Any]:
-    """What `run_positions` finds out of the photographs in `place`, in a process of its own."""
+    """Run `run_positions` on the photographs in `place`, in a process of its own, and return its record."""
     folder = progress.manifest.folder / stage
     folder.mkdir(parents=True, exist_ok=True)
     task = PositionsTask(source=str(place.resolve()), cell_m=cell_m, held_out=tuple(held_out), owned=stage != "positions")
     save_task(folder, task)
-    # Another process may not open them. Reading their heads again is cheap, and where those say the same nothing follows from it.
+    # No other process may open them. Reading their heads again is cheap, and equal heads change no plan.
     photographs = [path for path in sorted(place.iterdir()) if path.suffix.lower() in SUFFIXES and path.is_file()]
     key = content_key(__version__, task_key(task), [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in photographs])
     run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)
@@ -193,7 +193,7 @@ def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | N
 
 
 def _reason(error: BadInput | StageFailed | OSError) -> str:
-    """Why a device takes no part; an error of the operating system names a file, and those of a device stay with it."""
+    """Why a device takes no part; without the file that an error of the operating system names."""
     return (error.strerror or type(error).__name__) if isinstance(error, OSError) else str(error)
 
 
@@ -207,13 +207,13 @@ def _middle(lat_lon_alt: FloatArray) -> FloatArray:
 
 
 def _leave_out_other_sites(names: Sequence[str], positions: FloatArray, progress: Progress) -> None:
-    """Forget, in place, the positions (P,3) m that belong to no site around the origin, the median of all: one run makes one scene."""
+    """Set positions (P,3) m far from the origin, the median of all, to NaN in place: one run makes one scene."""
     away_m = np.linalg.norm(positions[:, :2], axis=1)
     far = np.flatnonzero(away_m > MAX_REACH_M)
     if len(far):
-        told = f"{len(far)} of {len(names)} photographs lie more than {MAX_REACH_M / 1e3:.0f} km from the middle of all"
+        distant = f"{len(far)} of {len(names)} photographs lie more than {MAX_REACH_M / 1e3:.0f} km from the middle of all"
         first = f"{names[far[0]]} first with {away_m[far[0]] / 1e3:,.0f} km"
-        progress.listen(Warned(stage="plan", message=f"{told}, {first}, and are left out: give another site a run of its own."))
+        progress.listen(Warned(stage="plan", message=f"{distant}, {first}, and are left out: give another site a run of its own."))
         positions[far] = np.nan
 
 
@@ -227,8 +227,8 @@ def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source:
     names = poses.cameras.names
     if folders is None:
         copies = file_copies({name: poses.photos / name for name in names})
-        for told in copies_warning(copies, len(names)):
-            progress.listen(Warned(stage="plan", message=told))
+        for message in copies_warning(copies, len(names)):
+            progress.listen(Warned(stage="plan", message=message))
         names = tuple(name for name in names if name not in copies)
         absent = [name for name in names if not (poses.photos / name).is_file()]
         owners: list[str | None] = [None] * len(names)
@@ -251,7 +251,7 @@ def _locate_by_poses(poses: GivenPoses, folders: dict[str, Path] | None, source:
 
 
 def _warn_of_unplaced(captured: Captured, progress: Progress) -> None:
-    """Names of photographs in one folder of all; of a device's own their number."""
+    """Warn about photographs without a position: by name in one folder of all, by number in devices' own folders."""
     lost = np.flatnonzero(~captured.placed)
     named = [captured.names[index] for index in lost if captured.owners[index] is None]
     if named:

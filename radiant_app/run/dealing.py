@@ -109,7 +109,7 @@ class Dealer:
     def _fill_teacher(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         """Copy the upload of the teacher's device."""
         (device,) = node.children
-        if not self.has_delivered(device):
+        if not self.has_model(device.id):
             return None
         shutil.rmtree(folder / "inbox", ignore_errors=True)
         self._deliver(device.id, folder, folder / "inbox")
@@ -135,7 +135,7 @@ class Dealer:
 
     def _fill_cloud(self, node: Tree, folder: Path) -> tuple[Any, list[Path]] | None:
         """Copy the uploads of the edges."""
-        edges = [edge for edge in node.children if self.has_delivered(edge)]
+        edges = [edge for edge in node.children if self.has_model(edge.id)]
         self._empty_inbox(folder)
         if not edges:
             return None
@@ -160,14 +160,10 @@ class Dealer:
     def _delivered_devices(self, edge: Tree) -> list[str]:
         """The devices of an edge that are done and have a model."""
         leaves = [next(iter(child)) for child in edge.children]
-        return [device.name for device in leaves if self.has_delivered(device)]
-
-    def has_delivered(self, node: Tree) -> bool:
-        """Whether a node is done in this run and has a model; it has none if it refused all it received."""
-        return self.has_model(node.id)
+        return [device.name for device in leaves if self.has_model(device.id)]
 
     def has_model(self, node_id: str) -> bool:
-        """As `has_delivered`, by the node's id."""
+        """Whether the node with this id is done in this run and has a model; it has none if it refused all it received."""
         frame = self.run / node_id / FRAME_NAME
         return self.is_done(node_id) and (not frame.is_file() or read_json(frame, ("status",))["status"] == "placed")
 

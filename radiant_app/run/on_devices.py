@@ -37,7 +37,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.plan.counts.count_raster import middles_of_cells
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.revision.assigned import assigned_plan, device_indices
-from radiant_core.plan.revision.captured import captured_for_other_edges, plan_of_owners
+from radiant_core.plan.revision.captured import find_captured_elsewhere, plan_of_owners
 from radiant_core.plan.system import System
 from radiant_core.sfm.given_poses import GivenPoses, read_given_poses
 from radiant_core.train.config import TrainConfig
@@ -70,7 +70,7 @@ class DevicePhotographs:
     def locate(cls, config: RunConfig, system: System, progress: Progress) -> DevicePhotographs:
         """Locate the photographs by EXIF, given poses, or counts that devices send."""
         # A resumed run plans again, from the photographs it finds.
-        progress.manifest.forget("plan")
+        progress.manifest.drop_notes("plan")
         folders = device_folders(config.source, system)
         poses = read_given_poses(config.source, config.sfm.poses) if config.frames == "known" else None
         return cls(config=config, captured=locate_photographs(config, poses, folders, progress), folders=folders, poses=poses)
@@ -112,7 +112,7 @@ class DevicePhotographs:
         regions, strips, planned = load_plan_in_frame(self.config.plan.file, self.captured.origin)
         devices = device_indices(owners, system)
         plan = plan_of_owners(regions, strips, devices, positions, system=system)
-        strange = np.array(captured_for_other_edges(strips, planned, devices, positions), bool)
+        strange = np.array(find_captured_elsewhere(strips, planned, devices, positions), bool)
         for device in sorted({owner for owner, is_strange in zip(owners, strange, strict=True) if is_strange}):
             own = strange[[owner == device for owner in owners]]
             message = f"{own.sum()} of {len(own)} photographs of device {device} lie where the plan has devices of another edge"

@@ -1,4 +1,4 @@
-"""The main job: photographs in, one Gaussian model out. What passes between the stages; nothing is computed here.
+"""The main job, from photographs to one Gaussian model: connects the stages and computes nothing itself.
 
     photographs ─ plan ─ Tree(cloud(edge(device …))) ─ score ─ report
 
@@ -18,7 +18,7 @@ from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
-from radiant_app.files.run_folder import Manifest, opened_run
+from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.files.system_file import even_system, load_system
 from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, deal_files
@@ -61,7 +61,7 @@ NO_MODES = (
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult:
-    """What a finished run left behind."""
+    """The results of a finished run."""
 
     folder: Path
     metrics: dict[str, Any]
@@ -90,7 +90,7 @@ def run(
 
     system = _checked_system(config)
     lpips = None if config.evaluate.lpips_weights is None else load_lpips(config.evaluate.lpips_weights, config.evaluate.lpips_network)
-    with opened_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
+    with open_run(config, resume) as manifest, EventFile(config.out, listen) as heard:
         if lpips is not None:
             (config.out / "evaluation").mkdir(exist_ok=True)
             save_lpips(config.out / "evaluation" / LPIPS_NAME, lpips)
@@ -110,7 +110,7 @@ def run(
 
 
 def _checked_system(config: RunConfig) -> System:
-    """The system of a run whose settings fit to it; asked before anything runs."""
+    """Load the system and check the settings against it, before any stage runs."""
     if config.frames == "shared":
         detect_source(config.source)
     system = even_system(2, 2) if config.system_file is None else load_system(config.system_file)
@@ -124,7 +124,7 @@ def _checked_system(config: RunConfig) -> System:
 
 
 def _photographs(config: RunConfig, system: System, progress: Progress) -> Source:
-    """Where the photographs are, and what is known of their places."""
+    """Return the source of the photographs, located."""
     if config.frames != "shared":
         return DevicePhotographs.locate(config, system, progress)
     progress.listen(Outlined(stages=("sfm", *list_nodes(system), "evaluation")))

@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -107,10 +106,6 @@ class PooledPhotographs:
         """None: photographs are dealt."""
         return []
 
-    def pooled_access_log(self) -> list[dict[str, Any]]:
-        """The access log of the owner's structure from motion."""
-        return [{"node": "sfm", "tier": "owner", **count_received([self.images / name for name in self.scene.cameras.names])}]
-
     def stages(self, tree: Tree) -> tuple[Sequence[str], Sequence[str]]:
         """Structure from motion; the evaluation."""
         return ["sfm"], ["evaluation"]
@@ -142,7 +137,8 @@ class PooledPhotographs:
         run_task(NodeTask(kind="evaluate", stage="evaluation", folder=folder, key=key), progress.listen, progress.clock)
         for kind in PICTURE_KINDS:
             shutil.copytree(folder / kind, config.out / "pictures" / kind, dirs_exist_ok=True)
-        progress.manifest.access_log = [*dealer.access_log, *self.pooled_access_log()]
+        owner = {"node": "sfm", "tier": "owner", **count_received([self.images / name for name in scene.cameras.names])}
+        progress.manifest.access_log = [*dealer.access_log, owner]
 
 
 def _lpips_network(config: RunConfig) -> LpipsNetwork | None:

@@ -31,18 +31,18 @@ from radiant_core.plan.timeline.prediction import (
 )
 
 MAX_NAMES = 6
-"""How many machines a sentence names."""
+"""The most machines that a sentence names."""
 SYSTEM_NAME = "system.toml"
 """The system a run or plan was planned for, edges placed: in a run's folder."""
 
 
 def save_system(run: Path, system: System) -> None:
-    """Keep the system that the plan is for, so that its times can be compared and replanned."""
+    """Write the system of the plan to the run's folder, for comparisons and re-plans."""
     write_atomic(run / SYSTEM_NAME, dump_system(system).encode())
 
 
 def prediction_of(run: Path, manifest: Manifest, edge_plans: Sequence[EdgePlan]) -> dict[str, Any]:
-    """What metrics.json says: every stage that was predicted and measured, the makespan, how correcting on the way would have done."""
+    """The predictions for metrics.json: predicted and measured stages, the makespan, the error with corrections on the way."""
     system = load_system(run / SYSTEM_NAME)
     planned = planned_stages(system, edge_plans)
     measured = measured_seconds(run, manifest)
@@ -79,7 +79,7 @@ def measured_seconds(run: Path, manifest: Manifest) -> dict[tuple[str, str], flo
 
 
 def curves_note(system: System) -> str:
-    """What the predictions rest on: a sentence for each kind of curves."""
+    """Describe the curves of the predictions, in a sentence for each kind."""
     standard = even_system(1, 1)
     shape = curve_shape((standard.devices[0].init_s, standard.devices[0].train_s))
     groups: dict[str, list[str]] = {"default": [], "own": []}

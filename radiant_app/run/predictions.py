@@ -1,4 +1,4 @@
-"""What the planner may believe: the training that curves must be of, how many photographs a device's memory holds, and what to warn of.
+"""Inputs and warnings of the plan's predictions: the training of the curves, and how many photographs a device's memory holds.
 
 Once per plan. The limits come from the trainer's own model of memory (`train.memory`), which `plan` must not import.
 """
@@ -21,14 +21,14 @@ from radiant_core.train.needs import Overrides, fit_to_backend
 
 
 def planned_training(preset: Preset, overrides: Overrides) -> TrainConfig:
-    """How devices will train on a machine like this one; without the decisions, which the training itself tells."""
+    """The training of devices on a machine like this one; the training itself reports its decisions."""
     from radiant_core.render.rasterize import resolve_backend
 
     return fit_to_backend(train_preset(preset), resolve_backend("auto"), overrides)[0]
 
 
 def training_key_of(train: TrainConfig, preset: Preset, aggregate: AggregatePreset = "default") -> ProfileKey:
-    """What curves must have been measured with to hold for this training."""
+    """The key of profiles whose curves hold for this training."""
     return ProfileKey(
         preset=preset,
         num_steps=train.num_steps,
@@ -39,7 +39,7 @@ def training_key_of(train: TrainConfig, preset: Preset, aggregate: AggregatePres
 
 
 def depends_on_training(system: System) -> bool:
-    """Whether a plan of this system needs to know what will be trained: it names profiles, or memory without a count of cameras."""
+    """Whether a plan of this system depends on the training: it names profiles, or memory without a count of cameras."""
     machines: Sequence[Device | Edge] = (*system.devices, *system.edges)
     return any(machine.profile is not None for machine in machines) or any(map(_is_limited_by_memory, system.devices))
 

@@ -21,7 +21,7 @@ class Progress:
 
     def listen(self, event: Event) -> None:
         """Record an event and forward it; of a skipped stage also its notes."""
-        self.manifest.note(event, self.clock() - self.started_s)
+        self.manifest.record(event, self.clock() - self.started_s)
         self.listener(event)
         if isinstance(event, StageSkipped):
             for noted in read_notes(self.manifest.folder / event.stage, event.stage):

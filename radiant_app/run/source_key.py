@@ -1,9 +1,9 @@
-"""The key of a scene made by structure from motion: what of its source is used, by content. Once per run and resumed run.
+"""The key of structure from motion: the used files of its source, by content. Once per run and resumed run.
 
     sfm/source.json     file by name: size in bytes, time of change in ns, SHA-256
 
 A file whose size and time are those of the record keeps its hash; any other is read again. So a note beside the photographs, a copy without
-times or a `touch` changes nothing, and where something did change it is said before what was made from it is made anew.
+times or a `touch` changes nothing, and a warning about changed files precedes the new reconstruction.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ MAX_NAMED = 5
 """Files named in one warning."""
 OLDER = "an older version made this scene"
 UNREADABLE = ""
-"""In place of a hash: structure from motion itself says what it cannot read."""
+"""In place of a hash: structure from motion itself reports files it cannot read."""
 Files = dict[str, list[Any]]
-"""As source.json has them: name → size, time of change, SHA-256."""
+"""The content of source.json: name → size, modification time, SHA-256."""
 
 
 def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener) -> str:
-    """The key of structure from motion by a task in `folder`; warns where what is finished there does not fit any more."""
+    """Return the key of structure from motion by a task in `folder`; warns if the finished result there is outdated."""
     known = _recorded(folder)
     files = _described(used_files(config.source, config.sfm.masks), known or {})
     settings = [message_record(task.sfm), message_record(task.placement)]
@@ -55,7 +55,7 @@ def source_key(config: RunConfig, task: SfmTask, folder: Path, listen: Listener)
 
 
 def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
-    """The files that structure from motion uses, by names that say what they are; of a COLMAP project its model, and the images in that."""
+    """Name → file that structure from motion uses; of a COLMAP project its model and the images in it."""
     kind, images, model = detect_source(source)
     if kind == "mill19":
         poses = [path for split in ("train", "val") for path in sorted((source / split / "metadata").glob("*.pt"))]
@@ -70,14 +70,14 @@ def used_files(source: Path, masks: Path | None) -> dict[str, Path]:
     names = [name for name in names if is_image_name(name)]
     found = {name: images / name for name in names} | {str(path.relative_to(source)): path for path in others}
     if masks is not None:
-        # Where none fits, structure from motion says so.
+        # Structure from motion itself reports masks that fit no photograph.
         with suppress(BadInput):
             found |= {f"mask of {name}": path for name, path in find_masks(masks, names).items()}
     return {os.fsencode(name).decode(errors="backslashreplace"): path for name, path in found.items() if path.is_file()}
 
 
 def _recorded(folder: Path) -> Files | None:
-    """What source.json says; None where there is none, or one that somebody damaged."""
+    """Read source.json; None if it is missing or damaged."""
     try:
         record = read_json(folder / RECORD_NAME)
     except StoreDamaged:
@@ -87,7 +87,7 @@ def _recorded(folder: Path) -> Files | None:
 
 
 def _described(paths: Mapping[str, Path], known: Files) -> Files:
-    """Size, time and hash of each file; the hash that is known where size and time are."""
+    """Size, time and hash of each file; a known hash is kept if size and time are unchanged."""
 
     def described(name: str) -> list[Any]:
         status = paths[name].stat()
@@ -104,14 +104,14 @@ def _described(paths: Mapping[str, Path], known: Files) -> Files:
 
 
 def _change(known: Files, files: Files) -> str | None:
-    """Which photographs changed, in words; None where none did."""
+    """Describe which photographs changed; None if none did."""
     changes = {
         "new": [name for name in files if name not in known],
         "gone": [name for name in known if name not in files],
         "with other content": [name for name, row in files.items() if name in known and known[name][2] != row[2]],
     }
-    told = [f"{len(names)} {how} ({_named(names)})" for how, names in changes.items() if names]
-    return f"photographs changed: {', '.join(told)}" if told else None
+    changed = [f"{len(names)} {how} ({_named(names)})" for how, names in changes.items() if names]
+    return f"photographs changed: {', '.join(changed)}" if changed else None
 
 
 def _named(names: Sequence[str]) -> str:

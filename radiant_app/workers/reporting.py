@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,14 +38,7 @@ class EventReporter:
 
     def sfm_progress(self, progress: SfmProgress) -> None:
         """Emit the progress of structure from motion."""
-        self.emit(sfm_progress(self.stage, progress))
-
-
-def sfm_progress(stage: str, progress: SfmProgress) -> StageProgress:
-    """Return the progress of structure from motion as an event."""
-    return StageProgress(
-        stage=stage, done=progress.done, total=progress.total, phase=progress.phase, step=progress.step, num_steps=progress.num_steps
-    )
+        self.emit(StageProgress(stage=self.stage, **asdict(progress)))
 
 
 def read_notes(folder: Path, stage: str) -> list[Event]:

@@ -36,7 +36,7 @@ def main(arguments: list[str], work: Work | None = None) -> int:
     kind, folder, stage, key = arguments
     if stat.S_ISFIFO(os.fstat(0).st_mode):
         threading.Thread(target=_exit_with_executor, daemon=True).start()
-    # Libraries print to file descriptor 1 too (C++ logs): events keep the real one, everybody else gets the log.
+    # Libraries print to file descriptor 1 too (C++ logs): events keep the real one, other output goes to the log.
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
 

@@ -101,7 +101,7 @@ def test_a_model_arrives_when_its_last_byte_would_and_the_edge_waits_for_it(tmp_
 
 def test_what_is_emulated_says_so_and_the_cloud_is_measured(tmp_path: Path) -> None:
     manifest = Manifest(folder=tmp_path, config={})
-    executor(system(tmp_path, (0.5, 0.5)), {}).fold(TREE, preparer(tmp_path), lambda event: manifest.note(event, time.monotonic()))
+    executor(system(tmp_path, (0.5, 0.5)), {}).fold(TREE, preparer(tmp_path), lambda event: manifest.record(event, time.monotonic()))
     assert set(manifest.stages) == {"cloud"}
     assert set(manifest.emulated) == {f"{node}{end}" for node in ("devices/a", "devices/b", "edges/e") for end in ("", "/uplink")}
     figures = emulated_figures(TREE, manifest.emulated)

@@ -15,7 +15,7 @@ from rich.console import Console
 from radiant_app.cli.profile import profile as profile_cli
 from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.commands.profile import ProfileRequest, check_table, profile, profile_of_run
-from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, chosen_counts, shortened
+from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, choose_counts, shorten_training
 from radiant_app.commands.steps import training_part
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted
 from radiant_app.files.profile_file import load_profile
@@ -114,7 +114,7 @@ def test_edges_are_timed_at_what_a_run_would_have_them_do(
     measuring = measuring_in(tmp_path, scene)
     assert measuring.edges_pool
     measuring.edges_pool = pools
-    measured = measuring.measured(1.0)
+    measured = measuring.measure(1.0)
     summaries = {path.parent.name: read_json(path) for path in (tmp_path / "edges").glob("*/summary.json")}
     pictures = {path.parent.name: path.stat().st_size for path in (tmp_path / "edges").glob("*/virtual_views.safetensors")}
     joined = [name for name in summaries if name.endswith("-2")]
@@ -202,13 +202,13 @@ def test_a_run_whose_times_are_played_or_missing_is_refused(tmp_path: Path) -> N
     ("num_photographs", "counts", "held_out"), [(4, [2, 3, 4], None), (10, [2, 3, 6, 10], 4), (52, [6, 13, 26, 52], 18)]
 )
 def test_counts_are_even_in_ratio_and_one_in_the_middle_is_held_out(num_photographs: int, counts: list[int], held_out: int | None) -> None:
-    assert chosen_counts(num_photographs) == (counts, held_out)
+    assert choose_counts(num_photographs) == (counts, held_out)
 
 
 def test_huge_sets_are_profiled_on_a_part_and_tiny_ones_refused() -> None:
-    assert chosen_counts(10**6)[0][-1] == 200
+    assert choose_counts(10**6)[0][-1] == 200
     with pytest.raises(BadInput, match=f"expected {MIN_PHOTOGRAPHS} or more"):
-        chosen_counts(3)
+        choose_counts(3)
 
 
 def rounds_every(train: TrainConfig) -> int:
@@ -219,11 +219,11 @@ def rounds_every(train: TrainConfig) -> int:
 def test_a_shortened_training_has_as_many_rounds_of_density_control() -> None:
     train = train_preset("default")
     for num_steps in (700, 1_400, 3_500):
-        short = shortened(train, num_steps)
+        short = shorten_training(train, num_steps)
         assert short.num_steps == num_steps
         assert num_steps / rounds_every(short) == pytest.approx(train.num_steps / rounds_every(train), rel=0.05)
-    assert rounds_every(shortened(train, 1)) == 1
-    assert shortened(train, train.num_steps) == train
+    assert rounds_every(shorten_training(train, 1)) == 1
+    assert shorten_training(train, train.num_steps) == train
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,6 @@ from radiant_app.files.event_file import EventFile, read_progress
 from radiant_app.report.pace import Pace, clock_text
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.report.tables import print_figures
-from radiant_app.workers.reporting import sfm_progress
 from radiant_core.decisions import Decision
 from radiant_core.io.run_store import write_json
 from radiant_core.sfm.config import SfmProgress, number_phases
@@ -83,10 +82,10 @@ def steps_of_sfm(clock: Clock, mapping_s: float) -> Iterator[StageProgress]:
     ):
         for done in range(total + 1):
             report(SfmProgress(phase=phase, done=done, total=total))
-            yield sfm_progress("sfm", heard[-1])
+            yield StageProgress(stage="sfm", **asdict(heard[-1]))
             clock.now_s += mapping_s / total if step_s is None else step_s
     report(SfmProgress(phase="refining", done=0, total=60))
-    yield sfm_progress("sfm", heard[-1])
+    yield StageProgress(stage="sfm", **asdict(heard[-1]))
 
 
 @pytest.mark.parametrize("mapping_s", [15.0, 900.0])
@@ -95,7 +94,7 @@ def test_a_long_step_after_short_ones_has_its_own_time_left(mapping_s: float) ->
     pace = Pace(clock=clock)
     errors = []
     for event in steps_of_sfm(clock, mapping_s):
-        pace.hear(event)
+        pace.update(event)
         if event.phase == "mapping":
             left_s = pace.left_s
             assert left_s is None or left_s > 0
@@ -114,10 +113,10 @@ def test_time_left_converges_at_a_pace_that_changes() -> None:
     total = 100
     ends_s = np.cumsum(np.arange(1, total + 1) * 0.1)
     off_s = []
-    pace.hear(StageProgress(stage="s", done=0, total=total))
+    pace.update(StageProgress(stage="s", done=0, total=total))
     for done in range(1, total):
         clock.now_s = float(ends_s[done - 1])
-        pace.hear(StageProgress(stage="s", done=done, total=total))
+        pace.update(StageProgress(stage="s", done=done, total=total))
         if pace.left_s is not None:
             off_s.append(abs(pace.left_s - (ends_s[-1] - clock.now_s)))
     assert off_s[-1] < 0.06 * off_s[0] and off_s[-1] < 0.015 * ends_s[-1]
@@ -127,7 +126,7 @@ def test_time_left_grows_while_nothing_is_heard() -> None:
     clock = Clock()
     pace = Pace(clock=clock)
     for done in (0, 50, 90):
-        pace.hear(StageProgress(stage="s", done=done, total=100))
+        pace.update(StageProgress(stage="s", done=done, total=100))
         clock.now_s += 5.0
     before_s, clock.now_s = pace.left_s, clock.now_s + 600.0
     assert before_s is not None and pace.left_s is not None and pace.left_s > before_s > 0
@@ -138,7 +137,7 @@ def test_numbers_that_say_nothing_give_no_time(counts: tuple[float, float]) -> N
     clock = Clock()
     pace = Pace(clock=clock)
     for _ in range(3):
-        pace.hear(StageProgress(stage="s", done=counts[0], total=counts[1]))
+        pace.update(StageProgress(stage="s", done=counts[0], total=counts[1]))
         clock.now_s += 20.0
     assert pace.left_s is None and pace.text == "elapsed 1:00"
 

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from radiant_app.commands.plan import PlanRequest, plan
-from radiant_app.commands.replan import ReplanRequest, parsed_values, replan_files, replan_table
+from radiant_app.commands.replan import ReplanRequest, parse_values, replan_files, replan_table
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_core.errors import BadInput
@@ -118,5 +118,5 @@ def test_bad_requests_are_one_sentence_and_leave_nothing(planned: Path) -> None:
         assert sorted(planned.rglob("*")) == files, told
     for text in ("n1", "n1=fast", ""):
         with pytest.raises(BadInput, match="is no ID=NUMBER"):
-            parsed_values([text], "--slow")
-    assert parsed_values(["n1=2.5", "s1=1e1"], "--slow") == {"n1": 2.5, "s1": 10.0}
+            parse_values([text], "--slow")
+    assert parse_values(["n1=2.5", "s1=1e1"], "--slow") == {"n1": 2.5, "s1": 10.0}

@@ -17,10 +17,10 @@ from radiant_app.events import StageDone, StageStarted, Warned
 from radiant_app.files import run_folder
 from radiant_app.files.run_folder import (
     Manifest,
+    create_folder,
     differing_options,
-    new_folder,
-    opened_folder,
-    opened_run,
+    open_folder,
+    open_run,
     read_manifest,
     recorded_config,
     require_current,
@@ -38,7 +38,7 @@ def config(out: Path) -> RunConfig:
 
 
 def begin_and_fail(out: Path, reason: str, left: str) -> None:
-    with opened_run(config(out), resume=False):
+    with open_run(config(out), resume=False):
         (out / "sfm").mkdir()
         (out / "sfm" / left).write_text("{}")
         raise BadInput(reason)
@@ -59,7 +59,7 @@ def test_a_run_that_loses_the_race_for_the_lock_leaves_the_winners_work(tmp_path
 
     monkeypatch.setattr(run_folder, "RunLock", Late)
     try:
-        with pytest.raises(BadInput, match="another process"), opened_run(config(out), resume=False):
+        with pytest.raises(BadInput, match="another process"), open_run(config(out), resume=False):
             pass
     finally:
         winner.__exit__()
@@ -75,7 +75,7 @@ def test_a_run_that_finds_work_after_the_lock_leaves_it(tmp_path: Path, monkeypa
             return super().__enter__()
 
     monkeypatch.setattr(run_folder, "RunLock", Late)
-    with pytest.raises(BadInput, match="not empty"), opened_run(config(out), resume=False):
+    with pytest.raises(BadInput, match="not empty"), open_run(config(out), resume=False):
         pass
     assert (out / "scene.ply").read_text() == "done"
 
@@ -100,7 +100,7 @@ def test_a_link_to_nowhere_and_a_file_are_no_folders(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "gone")
     (tmp_path / "file").write_text("")
     for name, told in (("link", "which does not exist"), ("file", "is a file")):
-        with pytest.raises(BadInput, match=told), new_folder(tmp_path / name):
+        with pytest.raises(BadInput, match=told), create_folder(tmp_path / name):
             pass
     assert not (tmp_path / "gone").exists()
 
@@ -108,9 +108,9 @@ def test_a_link_to_nowhere_and_a_file_are_no_folders(tmp_path: Path) -> None:
 def test_stages_of_an_earlier_plan_are_forgotten_with_what_they_said(tmp_path: Path) -> None:
     manifest = Manifest(folder=tmp_path, config={})
     for stage in ("sfm", "devices/a", "devices/b"):
-        manifest.note(StageStarted(stage=stage), 0.0)
-        manifest.note(Warned(stage=stage, message="dark"), 1.0)
-        manifest.note(StageDone(stage=stage, seconds=2.0), 2.0)
+        manifest.record(StageStarted(stage=stage), 0.0)
+        manifest.record(Warned(stage=stage, message="dark"), 1.0)
+        manifest.record(StageDone(stage=stage, seconds=2.0), 2.0)
     manifest.keep_stages(["sfm", "devices/b"])
     assert list(manifest.stages) == ["sfm", "devices/b"]
     assert manifest.warnings == ["sfm: dark", "devices/b: dark"]
@@ -130,7 +130,7 @@ def test_a_disk_that_is_full_empties_no_folder_and_leaves_none_that_holds_nothin
     out = tmp_path / "run"
 
     def compute() -> None:
-        with opened_run(config(out), resume=False):
+        with open_run(config(out), resume=False):
             (out / "sfm").mkdir()
             write_atomic(out / "sfm" / "database.db", b"features of an hour")
             with atomic_path(out / "sfm" / "scene"):
@@ -139,10 +139,10 @@ def test_a_disk_that_is_full_empties_no_folder_and_leaves_none_that_holds_nothin
     with pytest.raises(CannotWrite, match="No space left"):
         compute()
     assert (out / "sfm" / "database.db").read_bytes() == b"features of an hour"
-    with pytest.raises(BadInput, match="--resume"), opened_run(config(out), resume=False):
+    with pytest.raises(BadInput, match="--resume"), open_run(config(out), resume=False):
         pass
     monkeypatch.setattr(Manifest, "save", lambda manifest: write_atomic(tmp_path / "missing" / "manifest.json", b""))
-    with pytest.raises(CannotWrite), opened_run(config(tmp_path / "second"), resume=False):
+    with pytest.raises(CannotWrite), open_run(config(tmp_path / "second"), resume=False):
         pass
     assert not (tmp_path / "second").exists()
 
@@ -228,7 +228,7 @@ def test_structure_from_motion_keeps_its_work_after_a_full_disk_and_not_after_ba
 
 def test_pictures_that_fill_the_disk_go_away_again_and_nobody_is_told_to_resume_them(tmp_path: Path) -> None:
     def render() -> None:
-        with new_folder(tmp_path / "frames"):
+        with create_folder(tmp_path / "frames"):
             (tmp_path / "frames" / "1.png").touch()
             raise CannotWrite("the disk is full")
 
@@ -236,7 +236,7 @@ def test_pictures_that_fill_the_disk_go_away_again_and_nobody_is_told_to_resume_
         render()
     assert not (tmp_path / "frames").exists()
     (tmp_path / "mine").touch()
-    with pytest.raises(BadInput) as refused, new_folder(tmp_path):
+    with pytest.raises(BadInput) as refused, create_folder(tmp_path):
         pass
     assert "--resume" not in str(refused.value)
 
@@ -248,7 +248,7 @@ def test_a_run_of_an_earlier_version_is_not_resumed_over_what_it_holds(tmp_path:
     before = (tmp_path / "manifest.json").read_bytes()
     assert read_manifest(tmp_path).config == {}, "it can be looked at"
     told = "was made by an earlier version of radiant.*begin again in another folder"
-    with pytest.raises(BadInput, match=told), opened_folder(tmp_path, {}, True, ()):
+    with pytest.raises(BadInput, match=told), open_folder(tmp_path, {}, True, ()):
         pass
     with pytest.raises(BadInput, match=told):
         require_current(tmp_path)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from radiant_app.files.run_folder import Manifest, opened_run, read_manifest
+from radiant_app.files.run_folder import Manifest, open_run, read_manifest
 from radiant_app.run.config import RunConfig
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import RunLock, file_sha256, seal_problem
@@ -90,10 +90,10 @@ def flip(path: Path, place: int, bit: int) -> None:
 
 def test_a_second_run_into_the_same_folder_gets_one_sentence_and_changes_nothing(tmp_path: Path) -> None:
     config = RunConfig(source=tmp_path / "photos", out=tmp_path / "run")
-    with opened_run(config, resume=False):
+    with open_run(config, resume=False):
         before = {path.name: file_sha256(path) for path in config.out.iterdir()}
         for resume, sentence in [(True, r"another process \(\d+\) is writing"), (False, "exists and is not empty")]:
-            with pytest.raises(BadInput, match=sentence) as caught, opened_run(config, resume=resume):
+            with pytest.raises(BadInput, match=sentence) as caught, open_run(config, resume=resume):
                 pytest.fail("it was let in")
             assert str(caught.value).count("\n") == 0
         assert {path.name: file_sha256(path) for path in config.out.iterdir()} == before

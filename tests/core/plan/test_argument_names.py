@@ -26,7 +26,7 @@ from radiant_core.plan.regions.power_diagram import cell_polygons
 from radiant_core.plan.regions.region_plan import plan_regions, regions_around, regions_with_counts
 from radiant_core.plan.regions.transport import deal_with_counts
 from radiant_core.plan.revision.assigned import assigned_plan
-from radiant_core.plan.revision.captured import captured_for_other_edges, plan_captured, plan_of_owners
+from radiant_core.plan.revision.captured import find_captured_elsewhere, plan_captured, plan_of_owners
 from radiant_core.plan.revision.replan import FleetChange, replan
 from radiant_core.plan.timeline.simulate import BandwidthTrace, fleet_of, simulate
 from radiant_core.plan.waypoints import Waypoints
@@ -62,8 +62,8 @@ CALLS: list[tuple[str, Callable[[], object]]] = [
     ("planned_xy", lambda: plan_captured(CLOUD, EDGES, WRONG, PLACES, system=SYSTEM)),
     ("captured_xy", lambda: plan_captured(CLOUD, EDGES, PLACES, WRONG, system=SYSTEM)),
     ("captured_xy", lambda: plan_of_owners(CLOUD, EDGES, np.zeros(4, np.int64), WRONG, system=SYSTEM)),
-    ("planned_xy", lambda: captured_for_other_edges(EDGES, WRONG, np.zeros(4, np.int64), PLACES)),
-    ("captured_xy", lambda: captured_for_other_edges(EDGES, PLACES, np.zeros(4, np.int64), WRONG)),
+    ("planned_xy", lambda: find_captured_elsewhere(EDGES, WRONG, np.zeros(4, np.int64), PLACES)),
+    ("captured_xy", lambda: find_captured_elsewhere(EDGES, PLACES, np.zeros(4, np.int64), WRONG)),
     ("counts", lambda: deal_with_counts(PLACES, PLACES[:2], WRONG)),  # type: ignore[arg-type]
     ("multiplicities", lambda: deal_with_counts(PLACES, PLACES[:2], np.array([2, 2]), multiplicities=WRONG)),
     ("capacities", lambda: deal_within(PLACES, PLACES[:2], WRONG)),  # type: ignore[arg-type]

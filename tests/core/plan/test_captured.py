@@ -13,7 +13,7 @@ from radiant_core.plan.devices.device_split import split_edges
 from radiant_core.plan.plans import CloudPlan, EdgePlan
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.regions.region_plan import plan_regions
-from radiant_core.plan.revision.captured import captured_for_other_edges, nearest_planned, plan_captured
+from radiant_core.plan.revision.captured import find_captured_elsewhere, nearest_planned, plan_captured
 from radiant_core.plan.system import System
 from tests.core.plan.instances import linear_system, random_system
 
@@ -124,12 +124,12 @@ def test_photographs_in_the_folder_of_another_edge_are_told() -> None:
     cloud, edges = planned(positions, system)
     first = np.cumsum([0, *(len(plan.device_ids) for plan in edges)])
     own = first[cloud.edge_of_camera]  # the first device of each edge took all of its edge
-    assert not captured_for_other_edges(edges, positions, own, positions).any()
+    assert not find_captured_elsewhere(edges, positions, own, positions).any()
     exchanged = own.copy()
     exchanged[cloud.edge_of_camera == 0] = first[1]
-    np.testing.assert_array_equal(captured_for_other_edges(edges, positions, exchanged, positions), cloud.edge_of_camera == 0)
+    np.testing.assert_array_equal(find_captured_elsewhere(edges, positions, exchanged, positions), cloud.edge_of_camera == 0)
     with pytest.raises(BadInput, match="use the plan of this site"):
-        captured_for_other_edges(edges, positions, own, positions + 5000.0)
+        find_captured_elsewhere(edges, positions, own, positions + 5000.0)
 
 
 def test_where_one_device_captured_all_of_an_edge_nothing_is_joined() -> None:

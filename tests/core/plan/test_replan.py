@@ -168,7 +168,7 @@ def test_what_cannot_be_done_is_said_with_the_capacity() -> None:
         ({"slow": {"w1": 0.0}}, "slow by 0.0"),
         ({"slow": {"w1": -2.0}}, "slow by -2.0"),
         ({"busy_s": {"w1": np.inf}}, "busy for inf s"),
-        ({"dead": frozenset({"w1"}), "done": frozenset({"w1"})}, "dead and to be done"),
+        ({"dead": frozenset({"w1"}), "done": frozenset({"w1"})}, "dead and as done"),
     ],
 )
 def test_impossible_situations_are_refused(about: Mapping[str, object], told: str) -> None:
@@ -411,7 +411,7 @@ def test_a_slow_edge_slows_its_devices_and_what_it_joins_and_both_factors_multip
     [([3, 0, 1], 4, [3, 0, 1]), ([3, 0, 1], 2, [2, 0, 0]), ([1, 1, 1], 2, [1, 1, 0]), ([0, 0, 0], 0, [0, 0, 0]), ([5, 3, 2], 5, [3, 1, 1])],
 )
 def test_a_part_of_what_is_gained_is_shared_in_proportion(gains: list[int], total: int, parts: list[int]) -> None:
-    shared = replan_module._share(np.array(gains), total)
+    shared = replan_module._share_gains(np.array(gains), total)
     assert shared.sum() == total and (shared <= gains).all()
     exact = np.array(gains) * total / max(1, sum(gains))
     assert (np.abs(shared - exact) < 1).all() and np.abs(shared - exact).sum() <= np.abs(np.array(parts) - exact).sum() + 1e-9
@@ -438,8 +438,8 @@ def test_the_linear_program_is_the_best_of_all_choices_and_so_is_the_native_way(
         and all((np.array(after)[owners == index] != index).sum() == losses[index] for index in (0, 1))
     ]
     best = min(map(cost, choices))
-    assert cost(replan_module._linear_program(points, owners, centres, gains, losses)) == pytest.approx(best, abs=1e-9)
-    assert cost(replan_module._transported(points, owners, centres, gains, losses)) == pytest.approx(best, abs=1e-9)
+    assert cost(replan_module._solve_linear_program(points, owners, centres, gains, losses)) == pytest.approx(best, abs=1e-9)
+    assert cost(replan_module._transport(points, owners, centres, gains, losses)) == pytest.approx(best, abs=1e-9)
 
 
 def test_beyond_the_arcs_of_the_program_devices_are_emptied_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:

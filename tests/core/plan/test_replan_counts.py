@@ -10,7 +10,7 @@ import pytest
 
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.revision import replan_counts
-from radiant_core.plan.revision.replan_counts import EdgeLoad, MachineLoad, new_counts
+from radiant_core.plan.revision.replan_counts import EdgeLoad, MachineLoad, solve_counts
 from radiant_core.plan.system import Device, Edge
 from tests.seeds import for_seeds
 
@@ -90,7 +90,7 @@ def random_loads(rng: np.random.Generator) -> tuple[list[EdgeLoad], int]:
 @for_seeds(60)
 def test_no_other_quotas_are_faster_or_make_fewer_leave(seed: int, tolerance: float) -> None:
     loads, total = random_loads(np.random.default_rng(seed))
-    found, choices = new_counts(loads, total, tolerance), all_choices(loads, total)
+    found, choices = solve_counts(loads, total, tolerance), all_choices(loads, total)
     if found is None:
         assert not choices
         return
@@ -107,7 +107,7 @@ def test_of_equally_good_edges_the_nearer_one_takes_more() -> None:
     slow = edge("slow", machine("s", 9.0, 2, fixed=2))
     for near, quotas in ((0, ((2,), (4,), (1,))), (1, ((2,), (1,), (4,)))):
         others = [edge(f"e{index}", machine(f"d{index}", 1.0, 1), distance_m=50.0 - 40 * (index == near)) for index in range(2)]
-        found = new_counts([slow, *others], 7)
+        found = solve_counts([slow, *others], 7)
         assert found is not None and found.quotas == quotas and found.deadline_s == 21.5
 
 
@@ -119,23 +119,27 @@ def forced(distances: tuple[float, float]) -> list[EdgeLoad]:
 
 
 def test_the_dynamic_programme_takes_the_nearer_edge_and_is_left_out_where_it_is_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    near = new_counts(forced((10.0, 90.0)), 10)
-    far = new_counts(forced((90.0, 10.0)), 10)
+    near = solve_counts(forced((10.0, 90.0)), 10)
+    far = solve_counts(forced((90.0, 10.0)), 10)
     assert near is not None and far is not None and near.proved and far.proved
     assert [sum(own) for own in near.quotas[1:]] == [sum(own) for own in far.quotas[1:]][::-1]
     calls = []
-    cheapest = replan_counts._cheapest
-    monkeypatch.setattr(replan_counts, "_cheapest", lambda choices, left: calls.append((len(choices), left)) or cheapest(choices, left))
+    cheapest = replan_counts._distribute_cheapest
+    monkeypatch.setattr(
+        replan_counts, "_distribute_cheapest", lambda choices, left: calls.append((len(choices), left)) or cheapest(choices, left)
+    )
     loads, total = next(
-        (loads, total) for loads, total in map(random_loads, map(np.random.default_rng, range(400))) if (new_counts(loads, total), calls)[1]
+        (loads, total)
+        for loads, total in map(random_loads, map(np.random.default_rng, range(400)))
+        if (solve_counts(loads, total), calls)[1]
     )
     count, left = calls[0]
-    exact = new_counts(loads, total)
+    exact = solve_counts(loads, total)
     monkeypatch.setattr(replan_counts, "MAX_STEPS", count * left * left)
-    same = new_counts(loads, total)
+    same = solve_counts(loads, total)
     assert exact is not None and same is not None and same.proved and same.quotas == exact.quotas
     monkeypatch.setattr(replan_counts, "MAX_STEPS", count * left * left - 1)
-    fastest = new_counts(loads, total)
+    fastest = solve_counts(loads, total)
     assert fastest is not None and not fastest.proved and fastest.deadline_s == exact.deadline_s
     makespan = max(time_s(load, own) for load, own in zip(loads, fastest.quotas, strict=True))
     assert makespan <= exact.deadline_s * (1 + 1e-9) and sum(map(sum, fastest.quotas)) == total
@@ -144,15 +148,15 @@ def test_the_dynamic_programme_takes_the_nearer_edge_and_is_left_out_where_it_is
 def test_a_finished_edge_costs_nothing_and_takes_nothing_and_too_little_room_is_none() -> None:
     done = edge("done", machine("a", 5.0, 3, fixed=3), finished=True)
     work = edge("work", machine("b", 1.0, 2))
-    found = new_counts([done, work], 6)
+    found = solve_counts([done, work], 6)
     assert found is not None and found.quotas == ((3,), (3,)) and found.deadline_s == 3 * 2.75
     assert done.time_s([3]) == 0.0 and work.time_s([0]) == 0.0 and work.time_s([2]) == 5.5
     tight = edge("work", machine("b", 1.0, 2, most=2))
-    assert new_counts([done, tight], 6) is None and new_counts([done, tight], 5) is not None
-    assert new_counts([done, work], 2) is None, "three stay where they are"
+    assert solve_counts([done, tight], 6) is None and solve_counts([done, tight], 5) is not None
+    assert solve_counts([done, work], 2) is None, "three stay where they are"
     assert (done.now, done.fixed) == (3, 3)
     empty = edge("empty")
-    found = new_counts([empty, work], 2)
+    found = solve_counts([empty, work], 2)
     assert found is not None and found.quotas == ((), (2,))
 
 
@@ -179,7 +183,7 @@ def test_where_devices_send_unequally_quotas_keep_the_fastest_deadline_and_what_
             machines.append(replace(one, device=sent))
         loads.append(edge(f"e{index}", *machines))
     total = sum(load.now for load in loads) + 2
-    found = new_counts(loads, total)
+    found = solve_counts(loads, total)
     assert found is not None and not found.proved and sum(map(sum, found.quotas)) == total
     for load, own in zip(loads, found.quotas, strict=True):
         assert load.time_s(own) <= found.deadline_s * (1 + 1e-9)

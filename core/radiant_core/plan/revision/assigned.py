@@ -1,6 +1,6 @@
-"""A plan read off from who captured what: every camera already belongs to a device. Runs once per run.
+"""The plan of photographs that already belong to devices. Runs once per run.
 
-Regions are the power diagram of the edges' mean positions without weights, strips the hulls of what each device took.
+Regions are the power diagram of the edges' mean positions without weights, strips the hulls of each device's positions.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def assigned_plan(positions: ArrayLike, owners: Sequence[str], system: System) -
 
 
 def _strips_of(edge: Edge, positions: FloatArray, device_of_camera: NDArray[np.int64]) -> EdgePlan:
-    """The edge's devices with the hull of what each took, no cameras yet."""
+    """The edge's devices with the hull of each one's positions, without cameras."""
     return EdgePlan(
         edge_id=edge.id,
         device_ids=tuple(device.id for device in edge.devices),

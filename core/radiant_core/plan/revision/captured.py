@@ -1,4 +1,4 @@
-"""A plan carried over to the photographs that were taken: each belongs to the device of the nearest planned waypoint.
+"""Applies a plan to the captured photographs: each belongs to the device of the nearest planned waypoint.
 
 P planned, C captured. Once per run, after capture, O((P + C) log P). Photographs never move between devices, so nothing is
 balanced again: borders and strips stay, counts and times are those of what was captured,
@@ -25,7 +25,7 @@ from radiant_core.plan.regions.region_plan import is_certified
 from radiant_core.plan.system import Edge, System
 
 MIN_SITE_M = 100.0
-"""A plan of few or one waypoints still stands for a site of this size."""
+"""Least width in metres of the site of a plan with few waypoints."""
 
 
 def plan_captured(
@@ -81,10 +81,10 @@ def plan_of_owners(
         )
         first = last
     edge_time_s = np.array([_edge_time_s(edge, plan) for edge, plan in zip(system.edges, new_edge_plans, strict=True)])
-    return _with_bound(cloud_plan, captured, edge_of_camera, edge_time_s, system), tuple(new_edge_plans)
+    return _add_bound(cloud_plan, captured, edge_of_camera, edge_time_s, system), tuple(new_edge_plans)
 
 
-def captured_for_other_edges(
+def find_captured_elsewhere(
     edge_plans: Sequence[EdgePlan], planned_xy: ArrayLike, device_of_captured: NDArray[np.int64], captured_xy: ArrayLike
 ) -> NDArray[np.bool_]:
     """Which photographs (C,) of the devices (C,) lie nearest to a waypoint of another edge's devices, whose region is not theirs.
@@ -153,7 +153,7 @@ def _edge_time_s(edge: Edge, plan: EdgePlan) -> float:
     return float(plan.device_time_s.max() + joining_s + model_bytes / edge.uplink_bytes_per_s)
 
 
-def _with_bound(
+def _add_bound(
     cloud_plan: CloudPlan, captured: FloatArray, edge_of_camera: NDArray[np.int64], edge_time_s: FloatArray, system: System
 ) -> CloudPlan:
     lower_bound_s = float(fastest_edge_counts(system, len(captured)).edge_time_s.max())

@@ -29,7 +29,7 @@ from radiant_core.plan.regions.region_plan import is_certified, regions_with_cou
 from radiant_core.plan.regions.transport import deal_with_counts
 from radiant_core.plan.revision.assigned import hull_of
 from radiant_core.plan.revision.captured import device_of_planned, require_same_system
-from radiant_core.plan.revision.replan_counts import ROUNDING, EdgeLoad, MachineLoad, NewCounts, new_counts
+from radiant_core.plan.revision.replan_counts import ROUNDING, EdgeLoad, MachineLoad, SolvedCounts, solve_counts
 from radiant_core.plan.system import Edge, System
 
 Indices = NDArray[np.int64]
@@ -133,12 +133,12 @@ def replan(  # noqa: PLR0913
         raise BadInput(f"tolerance is {tolerance}, expected a finite share of at least 0.")
     require_plan_of(len(positions), cloud_plan, edge_plans)
     require_same_system(edge_plans, system)
-    before = _in_grown_system(device_of_planned(edge_plans, len(positions)), system, joining)
+    before = _renumber_devices(device_of_planned(edge_plans, len(positions)), system, joining)
     grown = system if joining is None else extend_system(system, joining)
     if unplaced := [edge.id for edge in grown.edges if edge.position is None]:
         raise BadInput(f"edge {unplaced[0]!r} has no position in metres: call place_edges first.")
-    change = _of_devices(change, grown)
-    slowed = _slowed(grown, change)
+    change = _expand_edges(change, grown)
+    slowed = _slow_down(grown, change)
     dead = np.array([device.id in change.dead for device in slowed.devices])
     closed = np.array([device.id in (change.closed | change.done) for device in slowed.devices])
     lost = dead[before] & fixed
@@ -149,15 +149,15 @@ def replan(  # noqa: PLR0913
     if not num_positions:
         reason = f"all {len(lost)} positions were captured by devices that are dead: plan them anew."
         return ReplanInfeasible(num_positions=len(lost), capacity=0, reason=reason)
-    found = new_counts(loads, num_positions, tolerance)
+    found = solve_counts(loads, num_positions, tolerance)
     if found is None:
         return _infeasible(loads, num_positions)
     quotas = _per_device(slowed, change, found)
-    after = _dealt(positions, before, must_stay, quotas, slowed)
+    after = _deal(positions, before, must_stay, quotas, slowed)
     return _result(cloud_plan, edge_plans, positions, slowed, change, (before, after, lost), (loads, found))
 
 
-def _of_devices(change: FleetChange, system: System) -> FleetChange:
+def _expand_edges(change: FleetChange, system: System) -> FleetChange:
     """The change with every edge id replaced by its devices (done edges stay listed too); BadInput for an unknown id."""
     members = {edge.id: {device.id for device in edge.devices} for edge in system.edges}
     devices = {device.id for device in system.devices}
@@ -173,7 +173,7 @@ def _of_devices(change: FleetChange, system: System) -> FleetChange:
     return replace(change, busy_s=busy_s, **made)
 
 
-def _slowed(system: System, change: FleetChange) -> System:
+def _slow_down(system: System, change: FleetChange) -> System:
     def slower(edge: Edge) -> Edge:
         whole = change.slow.get(edge.id, 1.0)
         factors = [whole * change.slow.get(device.id, 1.0) if device.id != edge.id else whole for device in edge.devices]
@@ -186,7 +186,7 @@ def _slowed(system: System, change: FleetChange) -> System:
     return replace(system, edges=tuple(slower(edge) for edge in system.edges))
 
 
-def _in_grown_system(device_of_position: Indices, system: System, joining: System | None) -> Indices:
+def _renumber_devices(device_of_position: Indices, system: System, joining: System | None) -> Indices:
     """Device (P,) counted in the system with what joins."""
     if joining is None:
         return device_of_position
@@ -202,7 +202,7 @@ def _loads(
     positions: FloatArray,
     leaving: FloatArray,
 ) -> list[EdgeLoad]:
-    """What every living device holds, keeps and may take."""
+    """The positions that every living device holds, keeps and may take."""
     must_stay, lost = marks
     now = np.bincount(before[~lost], minlength=len(system.devices))
     fixed = np.bincount(before[must_stay & ~lost], minlength=len(system.devices))
@@ -238,7 +238,7 @@ def _infeasible(loads: Sequence[EdgeLoad], num_positions: int) -> ReplanInfeasib
     return ReplanInfeasible(num_positions=num_positions, capacity=capacity, reason=reason)
 
 
-def _per_device(system: System, change: FleetChange, found: NewCounts) -> Indices:
+def _per_device(system: System, change: FleetChange, found: SolvedCounts) -> Indices:
     """Quotas (D,) of all devices, 0 for the dead."""
     quotas: list[int] = []
     for edge, living in zip(system.edges, found.quotas, strict=True):
@@ -247,7 +247,7 @@ def _per_device(system: System, change: FleetChange, found: NewCounts) -> Indice
     return np.array(quotas)
 
 
-def _dealt(positions: FloatArray, before: Indices, must_stay: NDArray[np.bool_], quotas: Indices, system: System) -> Indices:
+def _deal(positions: FloatArray, before: Indices, must_stay: NDArray[np.bool_], quotas: Indices, system: System) -> Indices:
     """Device (P,) of every position: quotas (D,) kept, as few moves as they allow, those as near as possible."""
     held = np.bincount(before, minlength=len(quotas))
     lost = np.bincount(before[must_stay], minlength=len(quotas)) * (quotas == 0)
@@ -257,55 +257,56 @@ def _dealt(positions: FloatArray, before: Indices, must_stay: NDArray[np.bool_],
         return after
     centres = _centres(positions, before, system)
     candidates = np.flatnonzero((losses[before] > 0) & ~must_stay)
-    after[candidates] = _transported(positions[candidates], before[candidates], centres, gains, losses)
-    return _in_strips(positions, before, after, held, system)
+    after[candidates] = _transport(positions[candidates], before[candidates], centres, gains, losses)
+    return _deal_new_in_strips(positions, before, after, held, system)
 
 
 def _centres(positions: FloatArray, before: Indices, system: System) -> FloatArray:
-    """Mean position (D,2) of what each device has, the edge's own where it has nothing."""
+    """Mean position (D,2) of each device's positions, the edge's own where it has none."""
     of_edge = np.array([edge.position for edge in system.edges for _ in edge.devices], np.float64)
     counts = np.bincount(before, minlength=len(of_edge))
     sums = np.stack([np.bincount(before, weights=axis, minlength=len(of_edge)) for axis in positions.T], axis=1)
     return np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], of_edge)
 
 
-def _transported(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
+def _transport(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
     """New owners (K,) of points (K,2): losses[n] of those of device n leave, gains[n] arrive, at the least squared distance."""
     receivers = np.flatnonzero(gains)
     losers = np.unique(owners)
     all_leave = len(points) == losses[losers].sum()
     if all_leave or len(losers) == 1:
         stay = np.zeros(0, np.int64) if all_leave else losers
-        return _native(points, np.concatenate([receivers, stay]), centres, np.concatenate([gains[receivers], len(points) - losses[stay]]))
+        counts = np.concatenate([gains[receivers], len(points) - losses[stay]])
+        return _transport_natively(points, np.concatenate([receivers, stay]), centres, counts)
     if len(points) * (len(receivers) + 1) <= MAX_ARCS:
-        return _linear_program(points, owners, centres, gains, losses)
+        return _solve_linear_program(points, owners, centres, gains, losses)
     after, open_gains = owners.copy(), gains.copy()
     movable = np.bincount(owners, minlength=len(losses))
     emptied = losers[movable[losers] == losses[losers]]
     for group in [group for group in (emptied, *(losers[losers == n] for n in losers if n not in emptied)) if len(group)]:
         own = np.flatnonzero(np.isin(owners, group))
-        part = _share(open_gains, int(losses[group].sum()))
-        after[own] = _transported(points[own], owners[own], centres, part, losses * np.isin(np.arange(len(losses)), group))
+        part = _share_gains(open_gains, int(losses[group].sum()))
+        after[own] = _transport(points[own], owners[own], centres, part, losses * np.isin(np.arange(len(losses)), group))
         open_gains = open_gains - part
     return after
 
 
-def _share(gains: Indices, total: int) -> Indices:
-    """`total` of the gains (D,), in proportion, remainders to the largest."""
+def _share_gains(gains: Indices, total: int) -> Indices:
+    """Distribute `total` over the gains (D,) in proportion; remainders go to the largest."""
     exact = gains * (total / max(1, int(gains.sum())))
     part = np.floor(exact).astype(np.int64)
     part[np.argsort(part - exact, kind="stable")[: total - int(part.sum())]] += 1
     return part
 
 
-def _native(points: FloatArray, devices: Indices, centres: FloatArray, counts: Indices) -> Indices:
+def _transport_natively(points: FloatArray, devices: Indices, centres: FloatArray, counts: Indices) -> Indices:
     middle = points.mean(axis=0)
     extent_m = float(np.ptp(points, axis=0).max()) or 1.0
     sites = separate_sites(centres[devices] - middle, extent_m)
     return devices[deal_with_counts(points - middle, sites, counts).edge_of_position]
 
 
-def _linear_program(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
+def _solve_linear_program(points: FloatArray, owners: Indices, centres: FloatArray, gains: Indices, losses: Indices) -> Indices:
     """Arcs point → receiver with the change of squared distance; every point at most one, receivers and losers exactly."""
     receivers, losers = np.flatnonzero(gains), np.unique(owners)
     num_points, num_receivers = len(points), len(receivers)
@@ -331,8 +332,8 @@ def _linear_program(points: FloatArray, owners: Indices, centres: FloatArray, ga
     return np.where(taken.max(axis=1) > 0.5, receivers[taken.argmax(axis=1)], owners)
 
 
-def _in_strips(positions: FloatArray, before: Indices, after: Indices, held: Indices, system: System) -> Indices:
-    """New devices of one edge stand at one spot: what they got together is dealt to them in strips along its long side."""
+def _deal_new_in_strips(positions: FloatArray, before: Indices, after: Indices, held: Indices, system: System) -> Indices:
+    """Deal the positions that new devices of one edge received together to them in strips along the long side."""
     first = 0
     for edge in system.edges:
         new = [index for index in range(first, first + len(edge.devices)) if not held[index]]
@@ -352,7 +353,7 @@ def _result(  # noqa: PLR0913
     system: System,
     change: FleetChange,
     dealt: tuple[Indices, Indices, NDArray[np.bool_]],
-    counted: tuple[list[EdgeLoad], NewCounts],
+    counted: tuple[list[EdgeLoad], SolvedCounts],
 ) -> Replan:
     before, after, lost = dealt
     loads, found = counted
@@ -392,7 +393,7 @@ def _result(  # noqa: PLR0913
 
 
 def _times_s(system: System, loads: Sequence[EdgeLoad], owners: Indices, lost: NDArray[np.bool_]) -> FloatArray:
-    """When each device (D,) has sent its model; inf for a dead one that still has something to do, 0 for one without positions."""
+    """Time at which each device (D,) has sent its model; inf for a dead one with positions, 0 for one without."""
     counts = dict(zip((d.id for d in system.devices), np.bincount(owners[~lost], minlength=len(system.devices)).tolist(), strict=True))
     alive = {machine.device.id: machine for load in loads for machine in load.machines}
     return np.array([alive[name].time_s(count) if name in alive else (np.inf if count else 0.0) for name, count in counts.items()])
@@ -408,7 +409,7 @@ def _makespan_s(loads: Sequence[EdgeLoad], system: System, owners: Indices, chan
 def _edge_plans(
     old_plans: Sequence[EdgePlan], positions: FloatArray, system: System, owners: tuple[Indices, Indices], time_s: FloatArray
 ) -> tuple[EdgePlan, ...]:
-    """The devices of each edge with what they have now; strips stay where nothing of the edge changed, else they are hulls."""
+    """The new plan of each edge; strips stay if nothing of the edge changed, else they are hulls."""
     before, after = owners
     old_of = {plan.edge_id: plan for plan in old_plans}
     plans: list[EdgePlan] = []

@@ -1,4 +1,4 @@
-"""How many positions each machine should hold once a fleet has changed: the least makespan, then the fewest positions that move.
+"""Quotas of positions per device after a fleet change: the least makespan, then the fewest positions that move.
 
 A device n holds f_n positions that stay (captured), may take up to u_n, and is busy until r_n with what it already does:
     τ_n(q) = r_n + G(q) + F_n(q) + H(q) / B^n  for q > 0, else 0        a closed device keeps what it has and is ready at r_n
@@ -35,7 +35,7 @@ MAX_STEPS = 2_000_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MachineLoad:
-    """One device as it stands: `now` positions of which `fixed` stay, room for `most`; busy until `busy_s`; closed: takes no more."""
+    """One device: `now` positions of which `fixed` stay, capacity `most`; busy until `busy_s`; closed: accepts no more."""
 
     device: Device
     now: int
@@ -45,7 +45,7 @@ class MachineLoad:
     closed: bool = False
 
     def time_s(self, quota: int) -> float:
-        """When it has sent its model with `quota` positions."""
+        """Time at which it has sent its model of `quota` positions."""
         if not quota:
             return 0.0
         return self.busy_s if self.closed else self.busy_s + float(device_time_s(self.device, quota))
@@ -58,7 +58,7 @@ class EdgeLoad:
     edge: Edge
     machines: tuple[MachineLoad, ...]
     distance_m: float = 0.0
-    """How far it is from what has to move; only breaks ties."""
+    """Distance to the positions that must move; only breaks ties."""
     finished: bool = False
 
     @property
@@ -82,7 +82,7 @@ class EdgeLoad:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class NewCounts:
+class SolvedCounts:
     """quotas: per edge its devices' positions; deadline_s: the least makespan; proved: that no fewer positions could move."""
 
     quotas: tuple[tuple[int, ...], ...]
@@ -90,7 +90,7 @@ class NewCounts:
     proved: bool
 
 
-def new_counts(loads: Sequence[EdgeLoad], num_positions: int, tolerance: float = 0.0) -> NewCounts | None:
+def solve_counts(loads: Sequence[EdgeLoad], num_positions: int, tolerance: float = 0.0) -> SolvedCounts | None:
     """Quotas for all positions, within `tolerance` of the least makespan; None where the machines cannot hold them."""
     tables = [_Table(load, num_positions) for load in loads]
     num_free = num_positions - sum(load.fixed for load in loads)
@@ -101,10 +101,10 @@ def new_counts(loads: Sequence[EdgeLoad], num_positions: int, tolerance: float =
     allowed_s = least_s * (1 + tolerance) * (1 + ROUNDING)
     extra = np.bincount(owners, minlength=len(tables))
     choices = [_Choices(table, allowed_s) for table in tables]
-    taken, fewest = _dealt(choices, num_positions, extra)
+    taken, fewest = _distribute(choices, num_positions, extra)
     quotas = [choice.quotas(count) for choice, count in zip(choices, taken, strict=True)]
     proved = fewest and all(table.uniform for table in tables)
-    return NewCounts(quotas=tuple(tuple(row) for row in quotas), deadline_s=least_s, proved=proved)
+    return SolvedCounts(quotas=tuple(tuple(row) for row in quotas), deadline_s=least_s, proved=proved)
 
 
 class _Table:
@@ -122,7 +122,7 @@ class _Table:
                 self.slot_s.append(machine.busy_s + np.maximum.accumulate(device_time_s(machine.device, counts[1:])))
                 growth.append(np.diff(machine.device.model_bytes(counts)))
             require_finite(f"the time of device {machine.device.id!r} against positions", self.slot_s[-1])
-        self.uniform = _alike([m.device.model_bytes for m, room in zip(load.machines, self.rooms, strict=True) if room])
+        self.uniform = _send_alike([m.device.model_bytes for m, room in zip(load.machines, self.rooms, strict=True) if room])
         if load.edge.aggregate_alone_s is not None and len(load.machines) > 1:
             # Where nothing is retrained for one device alone, time also depends on which device has the positions.
             self.uniform &= sum(m.fixed > 0 for m in load.machines) > 1
@@ -205,7 +205,7 @@ class _Choices:
         return quotas
 
 
-def _dealt(choices: Sequence[_Choices], num_positions: int, fastest: Indices) -> tuple[list[int], bool]:
+def _distribute(choices: Sequence[_Choices], num_positions: int, fastest: Indices) -> tuple[list[int], bool]:
     """Positions of each edge with the fewest moves, nearer edges first among equals; and whether that is proved."""
     firsts = [int(choice.counts[choice.first]) for choice in choices]
     left = num_positions - sum(firsts)
@@ -219,11 +219,11 @@ def _dealt(choices: Sequence[_Choices], num_positions: int, fastest: Indices) ->
         return firsts, True
     if len(choices) * left * left > MAX_STEPS:
         return [int(c.table.load.fixed + more) for c, more in zip(choices, fastest.tolist(), strict=True)], False
-    return [first + more for first, more in zip(firsts, _cheapest(choices, left), strict=True)], True
+    return [first + more for first, more in zip(firsts, _distribute_cheapest(choices, left), strict=True)], True
 
 
-def _cheapest(choices: Sequence[_Choices], total: int) -> list[int]:
-    """How many of `total` positions each edge takes at the least cost: min-plus convolutions, walked back."""
+def _distribute_cheapest(choices: Sequence[_Choices], total: int) -> list[int]:
+    """Distribute `total` positions over the edges at the least cost: min-plus convolutions and backtracking."""
     farthest_m = max(choice.table.load.distance_m for choice in choices) or 1.0
     best = np.full(total + 1, np.inf)
     best[0] = 0.0
@@ -248,7 +248,7 @@ def _cheapest(choices: Sequence[_Choices], total: int) -> list[int]:
     return counts[::-1]
 
 
-def _alike(curves: Sequence[CostCurve]) -> bool:
-    """Whether what is sent depends on the sum of the positions alone."""
+def _send_alike(curves: Sequence[CostCurve]) -> bool:
+    """Whether the bytes sent depend on the sum of the positions alone."""
     slopes = {curve.linear + (curve.power_coefficient if curve.exponent == 1 else 0.0) for curve in curves}
     return len(slopes) <= 1 and all(not curve.constant and (not curve.power_coefficient or curve.exponent == 1) for curve in curves)
