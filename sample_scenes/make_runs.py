@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from radiant_app.run.config import RunConfig, TrainOptions
+from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 from radiant_core.io.ply import load_ply, save_ply
 from radiant_core.io.records import load_plan

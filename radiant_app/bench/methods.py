@@ -43,7 +43,7 @@ from radiant_core.hierarchy.messages import DeviceModel
 from radiant_core.hierarchy.recipe import Recipe
 from radiant_core.io.messages import passed_on
 from radiant_core.splats import Splats, concatenate_splats
-from radiant_core.train.densification import NoDensification
+from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.training_pixels import training_pixels
 from radiant_viewer.charts.curve_chart import CurvePoint

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from radiant_app.run.config import RUN_PRESETS
-from radiant_app.run.config_fields import ConfigField, config_fields
+from radiant_app.config.fields import ConfigField, config_fields
+from radiant_app.config.run_config import RUN_PRESETS
 
 
 def option(path: str, *names: str, help: str | None = None) -> Any:  # noqa: A002

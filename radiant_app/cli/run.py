@@ -13,12 +13,12 @@ import typer
 
 from radiant_app.cli.config_options import given_values, typed_options, with_config_options
 from radiant_app.cli.option_types import AsJson
+from radiant_app.config.fields import config_of, with_settings
 from radiant_app.report.tables import print_summary
-from radiant_app.run.config_fields import config_of, with_settings
 from radiant_core.errors import BadInput
 
 if TYPE_CHECKING:
-    from radiant_app.run.config import RunConfig
+    from radiant_app.config.run_config import RunConfig
 
 _SET_HELP = "Any field of a run's configuration: PATH=VALUE, such as plan.method=even or train.sky=false; repeatable."
 

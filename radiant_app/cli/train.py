@@ -9,9 +9,9 @@ import typer
 
 from radiant_app.cli.config_options import option
 from radiant_app.cli.option_types import AsJson, DistanceOption, HeightOption, LongSide, MaskFolder, Seed, TrainPresetOption, UpOption
+from radiant_app.config.fields import train_options, with_settings
 from radiant_app.quantities import bytes_of, seconds_of
 from radiant_app.report.tables import finish
-from radiant_app.run.config_fields import train_options, with_settings
 
 
 def train(

@@ -21,13 +21,13 @@ from typing import Any, Literal
 
 import jinja2
 
+from radiant_app.config.fields import tables_of
 from radiant_app.events import Event, Listener, StageSkipped
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.job_file import RECORDS, Job, load_jobs
 from radiant_app.files.run_folder import create_folder, require_empty
 from radiant_app.interrupts import INTERRUPTED, stop_repeating_interrupt
-from radiant_app.run.config_fields import tables_of
 from radiant_app.workers.sources import list_files
 from radiant_app.workers.tasks import JobTask
 from radiant_core import __version__

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import radiant_app
-from radiant_app.run.config import RunConfig, TrainOptions
+from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_core.errors import BadInput
 
 DEMO_TRAINING = TrainOptions(preset="draft", long_side_px=400, num_steps=800, max_num_splats=20_000)

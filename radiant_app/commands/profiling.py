@@ -38,7 +38,7 @@ from radiant_core.plan.devices.device_split import long_axis
 from radiant_core.plan.system import Cloud
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.densification import NoDensification
+from radiant_core.train.densify.policies import NoDensification
 
 STAGE = "profile"
 MIN_PHOTOGRAPHS = 4

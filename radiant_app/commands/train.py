@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from radiant_app.commands.steps import require_file_to_be
+from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Decided, Event, Listener, Outlined, StageDone, StageProgress, StageSkipped, StageStarted, Warned
 from radiant_app.files.run_folder import Manifest, open_folder
-from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.pooled import require_size, sfm_stage
 from radiant_app.run.progress import Progress
 from radiant_app.workers.evaluation import save_comparison, score_render, select_scored, summarize_scores

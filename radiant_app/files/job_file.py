@@ -42,9 +42,9 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, create_model
 
+from radiant_app.config.fields import ConfigField, config_fields, config_of, values_of, with_settings
+from radiant_app.config.run_config import RunConfig
 from radiant_app.files.toml_file import Strict, load_toml, sentence
-from radiant_app.run.config import RunConfig
-from radiant_app.run.config_fields import ConfigField, config_fields, config_of, values_of, with_settings
 from radiant_app.workers.sources import detect_source
 from radiant_core.errors import BadInput
 

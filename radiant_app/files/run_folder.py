@@ -21,9 +21,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from radiant_app.config.fields import config_fields, tables_of
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import UPLINK, Decided, Event, MemoryPeaked, StageDone, StageSkipped, StageStarted, Warned
-from radiant_app.run.config import RunConfig
-from radiant_app.run.config_fields import config_fields, tables_of
 from radiant_core import __version__
 from radiant_core.errors import BadInput, CannotWrite, StoreDamaged
 from radiant_core.io.run_store import LOCK_NAME, MAX_JSON_BYTES, RunLock, parse_json, read_bounded, read_json, write_json

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Warned
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.run.config import RunConfig
 from radiant_app.run.progress import Progress
 from radiant_app.workers.tasks import PositionsTask
 from radiant_core import __version__

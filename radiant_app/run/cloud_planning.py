@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import NodeTask
-from radiant_app.run.config import RunConfig
 from radiant_app.run.progress import Progress
 from radiant_app.workers.regions import regions_task
 from radiant_core import __version__

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from radiant_app.config.fields import config_of, values_of
 from radiant_app.interrupts import INTERRUPTED, interrupt_on_signals
-from radiant_app.run.config_fields import config_of, values_of
 from radiant_app.run.pipeline import run
 from radiant_app.workers.reporting import EventReporter
 from radiant_app.workers.tasks import JobTask

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Warned
 from radiant_app.executors.protocol import Executor
 from radiant_app.run.captured import Captured, device_folders, locate_photographs, photo_folder
 from radiant_app.run.cloud_planning import STAGE
-from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, count_received
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.progress import Progress

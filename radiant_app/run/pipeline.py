@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Listener, Outlined, Warned
 from radiant_app.executors.emulated import emulated_figures, require_emulable
 from radiant_app.executors.fold import RetryPolicy
@@ -20,7 +21,6 @@ from radiant_app.executors.ray_cluster import require_cluster
 from radiant_app.files.event_file import EventFile
 from radiant_app.files.run_folder import Manifest, open_run
 from radiant_app.files.system_file import even_system, load_system
-from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, deal_files
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs

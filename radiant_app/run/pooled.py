@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Warned
 from radiant_app.executors.local import run_task
 from radiant_app.executors.protocol import Executor, NodeTask
-from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, count_received, deal_files, deal_masks
 from radiant_app.run.progress import Progress
 from radiant_app.run.source import Plan

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from radiant_app.run.config import RunConfig
+from radiant_app.config.run_config import RunConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.executors.protocol import Executor, NodeTask
-from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer, count_received, deal_files
 from radiant_app.run.progress import Progress
 from radiant_app.workers.delivering import identify_scoring, sign_task

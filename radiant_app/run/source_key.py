@@ -15,8 +15,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Listener, Warned
-from radiant_app.run.config import RunConfig
 from radiant_app.workers.sources import detect_source
 from radiant_app.workers.tasks import SfmTask
 from radiant_core import __version__

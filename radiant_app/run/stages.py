@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Warned
 from radiant_app.executors.emulated import EmulatedExecutor
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor
 from radiant_app.run.cloud_planning import place_edges_by_raster, plan_at_cloud
-from radiant_app.run.config import RunConfig
 from radiant_app.run.prediction_error import save_system
 from radiant_app.run.predictions import planned_training, prediction_warnings, training_key_of, with_camera_limits
 from radiant_app.run.progress import Progress

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from radiant_app.config.run_config import ExecutionOptions, PlanOptions, RunConfig
 from radiant_app.events import Event, StageDone, StageStarted, Warned
 from radiant_app.executors.fold import RetryPolicy
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
 from radiant_app.run.captured import Captured
-from radiant_app.run.config import ExecutionOptions, PlanOptions, RunConfig
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.on_devices import DevicePhotographs
 from radiant_app.run.pooled import PooledPhotographs

@@ -21,11 +21,11 @@ from rich.console import Console
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.extend import ExtendRequest, extend
 from radiant_app.commands.replan import ReplanRequest, replan_files
+from radiant_app.config.run_config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import Decided, Event, Failed, StageDone, StageProgress, StageSkipped, Warned, encode
 from radiant_app.report.html import access_by_tier
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.captured import Captured, _locate_by_poses, _middle, _warn_of_unplaced
-from radiant_app.run.config import EvaluateOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.run.progress import Progress
 from radiant_app.workers.field_nodes import _place, _place_once, run_field, run_positions

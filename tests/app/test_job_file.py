@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
+from radiant_app.config.run_config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.files.job_file import Job, load_jobs
-from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
 from radiant_core.errors import BadInput
 
 TWO = """

@@ -11,9 +11,9 @@ from rich.console import Console
 
 from radiant_app.commands.aggregate import aggregate
 from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.config.run_config import RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 from radiant_app.workers import nodes, training
 from radiant_core.aggregate.ownership import claims_of_polygons

@@ -22,11 +22,11 @@ from radiant_app.bench.cells import ModelCache, run_cell
 from radiant_app.bench.methods import MethodBench, bench_methods
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.extend import ExtendRequest, extend
+from radiant_app.config.run_config import EvaluateOptions, RunConfig, TrainOptions
 from radiant_app.events import Decided, Event, StageDone, StageSkipped, Warned
 from radiant_app.files.event_file import read_progress
 from radiant_app.report.html import TIERS
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import EvaluateOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import RunResult, run
 from radiant_app.workers.delivering import IDENTITY
 from radiant_app.workers.memory import resident_bytes

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from radiant_app.cli.app import app
 from radiant_app.commands.train import TrainRequest, train
-from radiant_app.run.config import RunConfig, SfmOptions
+from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.workers.sources import reconstruct_source, sfm_task
 from radiant_app.workers.tasks import SfmTask
 from radiant_core.errors import BadInput

@@ -17,11 +17,11 @@ from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.commands.profile import ProfileRequest, check_table, profile, profile_of_run
 from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, choose_counts, shorten_training
 from radiant_app.commands.steps import training_part
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted
 from radiant_app.files.profile_file import load_profile
 from radiant_app.files.run_folder import Manifest, recorded_config
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig
 from radiant_app.run.predictions import planned_training
 from radiant_app.workers.nodes import run_node
 from radiant_core.errors import BadInput
@@ -36,7 +36,7 @@ from radiant_core.plan.regions.region_plan import plan_regions
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.densification import Adc
+from radiant_core.train.densify.policies import Adc
 from radiant_core.train.needs import Overrides
 from radiant_viewer.pictures.images import save_png
 from tests.core.plan.test_profiles import system as system_of

@@ -11,10 +11,10 @@ import pytest
 from rich.console import Console
 
 from radiant_app.commands.plan import PlanRequest, plan
+from radiant_app.config.run_config import PlanOptions, RunConfig
 from radiant_app.files.system_file import even_system
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.cloud_planning import place_edges_by_raster
-from radiant_app.run.config import PlanOptions, RunConfig
 from radiant_app.workers.field_nodes import raster_record
 from radiant_app.workers.regions import plan_from_raster, plan_regions_of_task, regions_task, run_regions
 from radiant_app.workers.reporting import EventReporter

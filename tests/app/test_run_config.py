@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 
 import radiant_app.cli.run
 from radiant_app.cli.app import app
-from radiant_app.run.config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
-from radiant_app.run.config_fields import config_of, tables_of, train_options, values_of, with_settings
+from radiant_app.config.fields import config_of, tables_of, train_options, values_of, with_settings
+from radiant_app.config.run_config import AggregateOptions, ExecutionOptions, PlanOptions, RunConfig, SfmOptions, TrainOptions
 from radiant_core.errors import BadInput
 from radiant_core.train.config import train_preset
-from radiant_core.train.densification import Mcmc
+from radiant_core.train.densify.policies import Mcmc
 from radiant_core.train.needs import Overrides, fit_to_backend
 
 FILE = """
@@ -180,5 +180,5 @@ def test_a_plan_made_before_capture_and_a_method_exclude_each_other() -> None:
 
 
 def test_the_configuration_imports_nothing_heavy() -> None:
-    code = "import sys, radiant_app.run.config_fields; print([name for name in ('numpy', 'torch', 'scipy', 'cv2') if name in sys.modules])"
+    code = "import sys, radiant_app.config.fields; print([name for name in ('numpy', 'torch', 'scipy', 'cv2') if name in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"

@@ -13,6 +13,8 @@ from typer.main import get_command
 
 from radiant_app.cli.app import app
 from radiant_app.commands.train import TrainRequest
+from radiant_app.config.fields import config_fields
+from radiant_app.config.run_config import RunConfig, SfmOptions, TrainOptions
 from radiant_app.events import StageDone, StageStarted, Warned
 from radiant_app.files import run_folder
 from radiant_app.files.run_folder import (
@@ -26,8 +28,6 @@ from radiant_app.files.run_folder import (
     require_current,
     sfm_folder,
 )
-from radiant_app.run.config import RunConfig, SfmOptions, TrainOptions
-from radiant_app.run.config_fields import config_fields
 from radiant_core.errors import BadInput, CannotWrite
 from radiant_core.io.run_store import RunLock, atomic_path, read_json, write_atomic, write_json
 from radiant_core.train.needs import Overrides

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Event, Warned
-from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.source_key import source_key, used_files
 from radiant_app.workers.sources import sfm_task
 from radiant_core.io.run_store import seal, write_json

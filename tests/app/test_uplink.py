@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Decided, Event, StageProgress, Warned
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.system_file import even_system
-from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.workers.nodes import run_node

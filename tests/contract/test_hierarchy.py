@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.config.run_config import RunConfig
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import Executor, NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor
 from radiant_app.files.system_file import even_system
-from radiant_app.run.config import RunConfig
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_app.workers.sources import sfm_record

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import radiant_app.run.pipeline
+from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.executors.local import LocalExecutor, worker_command
 from radiant_app.executors.protocol import NodeTask
 from radiant_app.executors.ray_cluster import RayExecutor
-from radiant_app.run.config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_core.aggregate.tree import Tree, tree_of_plan
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import SEAL_NAME, read_json

@@ -13,7 +13,7 @@ import pytest
 from PIL import ExifTags, Image
 
 from radiant_app.commands.demo import DEMO_TRAINING, sample_scenes_folder
-from radiant_app.run.config import RunConfig
+from radiant_app.config.run_config import RunConfig
 from radiant_app.run.pipeline import run
 from radiant_core.cameras import Cameras
 from radiant_core.errors import StageFailed

@@ -25,8 +25,8 @@ import radiant_app.report.html
 import radiant_app.run.pipeline
 import radiant_app.run.stages
 from radiant_app.commands.demo import sample_scenes_folder
+from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.events import Event, StageDone, StageStarted, Warned
-from radiant_app.run.config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_core.io.records import load_plan
 from radiant_core.io.run_store import read_json
 from tests.stress.kill_harness import differing_files, random_moments, run_killed

@@ -11,9 +11,9 @@ from rich.console import Console
 
 from radiant_app.commands.evaluate import EvaluateRequest, evaluate
 from radiant_app.commands.train import TrainRequest, train
+from radiant_app.config.run_config import RunConfig, SfmOptions
 from radiant_app.events import Event, StageSkipped
 from radiant_app.report.progress import ProgressDisplay
-from radiant_app.run.config import RunConfig, SfmOptions
 from radiant_app.run.dealing import count_received
 from radiant_app.run.pipeline import RunResult, run
 from radiant_core.errors import BadInput

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.run.config import RunConfig
+from radiant_app.config.run_config import RunConfig
 from radiant_app.run.dealing import Dealer
 from radiant_app.run.pooled import PooledPhotographs
 from radiant_core.aggregate.config import AggregateConfig

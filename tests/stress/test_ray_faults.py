@@ -17,8 +17,8 @@ import pytest
 
 import radiant_app.report.html
 import radiant_app.run.pipeline
+from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted, Warned
-from radiant_app.run.config import RunConfig
 from radiant_core.errors import StageFailed
 from tests.contract.ray_machines import Cluster, ray_cluster
 from tests.stress.kill_harness import differing_files

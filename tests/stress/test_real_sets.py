@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from radiant_app.run.config import RunConfig
+from radiant_app.config.run_config import RunConfig
 from radiant_app.run.pipeline import run
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.io.ply import load_ply

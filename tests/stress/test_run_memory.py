@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from radiant_app.commands.demo import sample_scenes_folder
-from radiant_app.run.config import ExecutionOptions, RunConfig, TrainOptions
+from radiant_app.config.run_config import ExecutionOptions, RunConfig, TrainOptions
 from radiant_app.run.pipeline import run
 
 pytestmark = pytest.mark.stress

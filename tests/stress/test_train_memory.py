@@ -21,7 +21,7 @@ import radiant_app.commands.train as command
 from radiant_app.workers.memory import peak_bytes
 from radiant_core.io.run_store import read_json
 from pathlib import Path
-from radiant_core.train.densification import Adc, densification_of
+from radiant_core.train.densify.policies import Adc, densification_of
 source, out, memory, kind = sys.argv[1:]
 chosen = command.fit_to_backend
 def growing(*arguments):

@@ -25,7 +25,7 @@ from radiant_core.render.contract import Backend
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.densification import NoDensification
+from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.results import TrainResult
 from radiant_core.train.shapes import without_dead
 from radiant_core.train.trainer import FitOptions, Steps, fit_splats

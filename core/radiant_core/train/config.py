@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from radiant_core.errors import BadInput
-from radiant_core.train.densification import (
+from radiant_core.train.densify.policies import (
     POLICIES,
     Adc,
     Densification,

@@ -16,7 +16,7 @@ import numpy as np
 from radiant_core.decisions import Decision
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, with_settings
-from radiant_core.train.densification import NoDensification
+from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.views import TrainingViews
 
 MIN_EXPOSURE_SPREAD = 0.05

@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from radiant_core.splats import Splats
-from radiant_core.train.densification import DensityCounts
+from radiant_core.train.densify.policies import DensityCounts
 from radiant_core.train.shapes import ShapeCounts
 
 

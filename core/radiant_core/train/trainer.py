@@ -23,12 +23,12 @@ from radiant_core.render.contract import Backend, SplatTensors
 from radiant_core.render.rasterize import device_of, rasterize, resolve_backend
 from radiant_core.splats import SH_BASES, Splats
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.densification import Mcmc, NoDensification
-from radiant_core.train.density import AdaptiveDensity
+from radiant_core.train.densify.density import AdaptiveDensity
+from radiant_core.train.densify.mcmc import RelocatedDensity
+from radiant_core.train.densify.policies import Mcmc, NoDensification
 from radiant_core.train.exposure import Exposures
 from radiant_core.train.held import HeldRows
 from radiant_core.train.initialize import camera_extent
-from radiant_core.train.mcmc import RelocatedDensity
 from radiant_core.train.native_loss import STATISTICS_BUDGET_BYTES, StatisticsCache, target_loss
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment, Part

@@ -17,7 +17,7 @@ from radiant_core.cameras import Cameras, concatenate_cameras
 from radiant_core.errors import BadInput
 from radiant_core.plan.system import Cloud
 from radiant_core.train.config import train_preset
-from radiant_core.train.densification import Adc, NoDensification
+from radiant_core.train.densify.policies import Adc, NoDensification
 from radiant_core.train.trainer import FitOptions
 from tests.core.scenes import cameras_above, ground_splats
 

@@ -15,7 +15,7 @@ from radiant_core.evaluate.image_error import psnr_db
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats
 from radiant_core.train.config import train_preset
-from radiant_core.train.densification import Adc, NoDensification
+from radiant_core.train.densify.policies import Adc, NoDensification
 from radiant_core.train.trainer import FitOptions, fit_splats
 from tests.core.scenes import cameras_above, ground_splats
 

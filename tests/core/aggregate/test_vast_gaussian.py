@@ -19,7 +19,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.scene import SfmScene
 from radiant_core.train import trainer
 from radiant_core.train.config import train_preset
-from radiant_core.train.densification import NoDensification
+from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.trainer import FitOptions, fit_splats
 from radiant_core.train.training_pixels import training_pixels
 from radiant_core.train.views import TrainingViews

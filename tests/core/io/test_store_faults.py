@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from radiant_app.config.run_config import RunConfig
 from radiant_app.files.run_folder import Manifest, open_run, read_manifest
-from radiant_app.run.config import RunConfig
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import RunLock, file_sha256, seal_problem
 from tests.core.io.store_faults import STAGES, Job, every_failing_call

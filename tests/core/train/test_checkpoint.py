@@ -15,7 +15,7 @@ from radiant_core.errors import BadInput
 from radiant_core.io.run_store import read_json
 from radiant_core.train.checkpoint import MAX_SHARE, CheckpointFolder, training_key
 from radiant_core.train.config import TrainConfig, with_settings
-from radiant_core.train.densification import Adc
+from radiant_core.train.densify.policies import Adc
 from radiant_core.train.results import TrainResult, TrainState
 from radiant_core.train.trainer import FitOptions, Training, fit_splats
 from tests.core.train.test_trainer import CONFIG, grey_start, photographs

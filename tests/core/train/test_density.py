@@ -15,10 +15,10 @@ from radiant_core.errors import BadInput
 from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rasterize import rasterize
 from radiant_core.splats import Splats, morton_order
-from radiant_core.train import density
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.densification import Adc, DensityCounts, NoDensification
-from radiant_core.train.density import AdaptiveDensity, DensityRules, density_edit, reset_opacities, select_growing, split_offsets
+from radiant_core.train.densify import density
+from radiant_core.train.densify.density import AdaptiveDensity, DensityRules, density_edit, reset_opacities, select_growing, split_offsets
+from radiant_core.train.densify.policies import Adc, DensityCounts, NoDensification
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment
 from radiant_core.train.trainer import fit_splats

@@ -13,7 +13,7 @@ from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.errors import StageFailed
 from radiant_core.render.contract import SplatTensors
 from radiant_core.train.config import train_preset
-from radiant_core.train.densification import NoDensification
+from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.exposure import Exposures
 from radiant_core.train.needs import MIN_EXPOSURE_SPREAD, exposure_spread
 from radiant_core.train.optimizer import SelectiveAdam

@@ -16,7 +16,7 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
 from radiant_core.splats import SH_C0
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.densification import Adc, Mcmc, NoDensification
+from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
 from radiant_core.train.initialize import first_splats
 from radiant_core.train.results import TrainResult
 from radiant_core.train.trainer import FitOptions, fit_splats

@@ -15,7 +15,7 @@ from radiant_core.scene import SfmScene
 from radiant_core.splats import Splats
 from radiant_core.train.checkpoint import training_key
 from radiant_core.train.config import train_preset
-from radiant_core.train.densification import Adc, NoDensification
+from radiant_core.train.densify.policies import Adc, NoDensification
 from radiant_core.train.fill_in import fill_in_points
 from radiant_core.train.initialize import first_splats
 from radiant_core.train.native_loss import TargetStatistics, target_loss

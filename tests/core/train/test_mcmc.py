@@ -13,9 +13,9 @@ from scipy.integrate import quad
 from radiant_core.render.contract import SplatTensors
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.densification import Mcmc
-from radiant_core.train.density import MIN_OPACITY
-from radiant_core.train.mcmc import RelocatedDensity, share_place, wander
+from radiant_core.train.densify.density import MIN_OPACITY
+from radiant_core.train.densify.mcmc import RelocatedDensity, share_place, wander
+from radiant_core.train.densify.policies import Mcmc
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment
 from tests.core.scenes import ground_splats

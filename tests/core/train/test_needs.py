@@ -11,7 +11,7 @@ from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
 from radiant_core.scene import SfmScene
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.densification import Adc, Mcmc, NoDensification
+from radiant_core.train.densify.policies import Adc, Mcmc, NoDensification
 from radiant_core.train.needs import MIN_PLANNED, MIN_STEPS, Overrides, exposure_spread, fit_to_backend, fit_to_scene
 from radiant_core.train.views import TrainingViews
 from tests.core.scenes import cameras_above

@@ -19,7 +19,7 @@ from radiant_core.render.contract import SplatTensors
 from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import Splats, concatenate_splats
 from radiant_core.train.config import TrainConfig, train_preset
-from radiant_core.train.densification import NoDensification
+from radiant_core.train.densify.policies import NoDensification
 from radiant_core.train.shapes import limit_shapes, without_dead
 from radiant_core.train.trainer import FitOptions, Training, fit_splats
 from tests.core.scenes import ground_splats

@@ -12,7 +12,7 @@ from radiant_core.aggregate.synthetic_views import synthetic_views
 from radiant_core.errors import BadInput, StageFailed
 from radiant_core.splats import Splats
 from radiant_core.train.config import TrainConfig, train_preset, with_settings
-from radiant_core.train.densification import Adc, DensityCounts, NoDensification
+from radiant_core.train.densify.policies import Adc, DensityCounts, NoDensification
 from radiant_core.train.results import TrainState
 from radiant_core.train.trainer import (
     MAX_FAILURES,

@@ -16,8 +16,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from radiant_app.run import config as config_module
-from radiant_app.run.config import RUN_PRESETS, Option, RunConfig, RunPreset, SettingsOf, TrainOptions
+from radiant_app.config import run_config as config_module
+from radiant_app.config.run_config import RUN_PRESETS, Option, RunConfig, RunPreset, SettingsOf, TrainOptions
 from radiant_core.errors import BadInput
 
 PRESET = "preset"
@@ -113,7 +113,7 @@ def _fields_of(config: type, prefix: str = "") -> Iterator[ConfigField]:
 
 @cache
 def _sentences_under_fields() -> dict[str, str]:
-    """Class.field of `radiant_app.run.config` → the text that stands under it in the source, on one line."""
+    """Class.field of `radiant_app.config.run_config` → the text that stands under it in the source, on one line."""
     classes = [node for node in ast.parse(inspect.getsource(config_module)).body if isinstance(node, ast.ClassDef)]
     return {
         f"{defined.name}.{field.target.id}": " ".join(text.value.value.split())

@@ -3,7 +3,7 @@
     RunConfig(source=photos, out=folder, train=TrainOptions(num_steps=300), plan=PlanOptions(method="voronoi"))
 
 The options of `radiant run`, the keys of a run file, `--set PATH=VALUE` and a run's manifest are made from these fields
-(`radiant_app.run.config_fields`). Pure: nothing heavy is imported.
+(`radiant_app.config.fields`). Pure: nothing heavy is imported.
 """
 
 from __future__ import annotations

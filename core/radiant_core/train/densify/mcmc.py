@@ -22,8 +22,8 @@ from scipy.special import comb
 from radiant_core.render.contract import SplatTensors
 from radiant_core.splats import morton_order
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.densification import DensityCounts, Mcmc
-from radiant_core.train.density import MIN_OPACITY, finish_density, rotate
+from radiant_core.train.densify.density import MIN_OPACITY, finish_density, rotate
+from radiant_core.train.densify.policies import DensityCounts, Mcmc
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult

@@ -27,7 +27,7 @@ from radiant_core.numerics import FloatArray
 from radiant_core.render.contract import RenderOutput, SplatTensors
 from radiant_core.splats import morton_order
 from radiant_core.train.config import TrainConfig
-from radiant_core.train.densification import Adc, DensityCounts
+from radiant_core.train.densify.policies import Adc, DensityCounts
 from radiant_core.train.optimizer import SelectiveAdam
 from radiant_core.train.parts import Moment, Part
 from radiant_core.train.results import TrainResult

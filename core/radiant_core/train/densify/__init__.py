@@ -1,0 +1,1 @@
+"""Density control: its policies, the edits of Gaussians, and relocation by sampling."""
