@@ -79,7 +79,9 @@ def extend(
     margin_m: Annotated[
         float | None, typer.Option("--margin-m", help="Half width of the strip that is fitted, else 5 % of the region's side.")
     ] = None,
-    epochs: Annotated[int | None, typer.Option(min=1, help="How often each view of the strip is shown, else twice.")] = None,
+    epochs: Annotated[
+        int | None, typer.Option(min=1, help="How often each view of the strip is shown, else as often as a run does.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Join a new region to a finished scene, which keeps its bits beyond a margin."""

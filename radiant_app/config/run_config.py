@@ -262,7 +262,7 @@ class RunConfig:
     def early_teachers(self) -> bool:
         """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own speed, and one that leaves joining to
         the cloud needs other views."""
-        pools = self.frames == "shared" and self.aggregate.config.edges_pool
+        pools = self.frames != "gps" and self.aggregate.config.edges_pool
         return self.execution.teachers == "early" and not (self.emulated or pools)
 
     @property

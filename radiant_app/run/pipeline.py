@@ -2,7 +2,7 @@
 
     photographs ─ plan ─ Tree(cloud(edge(device …))) ─ score ─ report
 
-`--frames` decides where structure from motion happens (`source.py`), and nothing else.
+`--frames` decides where structure from motion happens (`source.py`); plan, tree and joining are the same.
 """
 
 from __future__ import annotations

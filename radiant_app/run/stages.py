@@ -40,7 +40,7 @@ from radiant_core.train.needs import fit_to_backend
 ATTEMPTS = 3
 """Starts of a node whose process was killed or whose machine was lost; more failures are no chance."""
 REFERENCE_RETRAIN_STEPS = 100
-"""Limit of an edge's retraining on the plain PyTorch backend."""
+"""Limit of a retraining on the plain PyTorch backend."""
 
 
 def list_nodes(system: System) -> tuple[str, ...]:
@@ -179,7 +179,7 @@ def scale_for_uploads(system: System, upload: UploadFormat, progress: Progress) 
 
 
 def resolve_training(config: RunConfig, progress: Progress) -> tuple[TrainConfig, AggregateConfig, Renderer]:
-    """Return how devices train, how edges join, and the backend of this machine; emits the decisions."""
+    """Return how devices train, how edges and the cloud join, and the backend of this machine; emits the decisions."""
     backend = resolve_backend("auto")
     preset = replace(train_preset(config.train.preset), seed=config.seed)
     train, decisions = fit_to_backend(preset, backend, config.train.overrides)

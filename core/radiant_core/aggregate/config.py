@@ -19,7 +19,7 @@ class AggregateConfig:
     preset: AggregatePreset = "default"
     """default: models fade where others own the place and are fitted together; paper: they are concatenated and retrained."""
     num_epochs: int = 5
-    """How often each synthetic view is shown (paper Sec. IV-B: 10)."""
+    """How often each synthetic view is shown where models are retrained, at edges and at the cloud (paper Sec. IV-B: 10)."""
     edges: Literal["pool", "retrain"] = "pool"
     """pool: an edge whose cloud retrains sends its devices' models as one, each fainter where another owns the place, with their
     pictures at its virtual cameras, so that the cloud learns from devices at first hand; retrain: it joins them itself. default only."""

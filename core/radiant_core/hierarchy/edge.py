@@ -4,7 +4,7 @@
           ├→ retrain on what each model shows at its own cameras
           └→ cut     at the borders of the strips, where the edge's memory forbids retraining; a warning says so
 
-A device's model is joined to its neighbour's here.
+A device's model meets its neighbour's here; where the edge pools, the two are retrained together in `join_cloud`.
 """
 
 from __future__ import annotations
