@@ -19,6 +19,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -40,6 +41,7 @@ class ForkedProcess:
         server = _server(tuple((name, environment[name]) for name in READ_WHEN_LOADED if name in environment))
         socket.send_fds(server, [json.dumps(request).encode()], [*fds, tell])
         os.close(tell)
+        self._waiting = threading.Lock()
         self.pid = int(self._line())
         self.returncode: int | None = None
         self.stdin: IO[str] | None = None
@@ -57,9 +59,14 @@ class ForkedProcess:
         return code
 
     def _waited(self, timeout_s: float | None) -> int | None:
-        if self.returncode is None and select.select([self._ended], [], [], timeout_s)[0]:
-            self.returncode = int(self._line() or -signal.SIGKILL)
-            os.close(self._ended)
+        # The executor waits in a thread of its own and, when it stops, in the main one.
+        if self._waiting.acquire(timeout=-1 if timeout_s is None else timeout_s):
+            try:
+                if self.returncode is None and select.select([self._ended], [], [], timeout_s)[0]:
+                    self.returncode = int(self._line() or -signal.SIGKILL)
+                    os.close(self._ended)
+            finally:
+                self._waiting.release()
         return self.returncode
 
     def _line(self) -> bytes:

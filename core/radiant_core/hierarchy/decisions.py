@@ -82,14 +82,17 @@ def density_decision(stage: str, counts: Any, num_before: int, num_after: int) -
 def shapes_decision(stage: str, config: TrainConfig, counts: ShapeCounts) -> Decision:
     """Gaussians held at the limits of size and elongation, and those that no pixel shows."""
     held = f"{counts.num_needles:,} needles and {counts.num_screen_filling:,} screen-filling Gaussians are held at their limits"
-    limits = f"{config.max_elongation:.3g} times the second axis, {config.max_scale_per_distance:.3g} of the distance to the nearest camera"
+    # The presets that follow 3DGS limit no shape.
+    given = [(config.max_elongation, "times the second axis"), (config.max_scale_per_distance, "of the distance to the nearest camera")]
+    limits = ", ".join(f"{limit:.3g} {unit}" for limit, unit in given if limit is not None)
     return Decision(
         stage=stage,
         topic="shapes",
         choice=f"{held}; {counts.num_dead:,} that no pixel shows are left out",
         figure=float(counts.num_needles + counts.num_screen_filling + counts.num_dead),
         unit="Gaussians",
-        reason=f"beyond {limits}, a shape shows in views it was not fitted to; an opacity below 1/255 is never drawn",
+        reason=(f"beyond {limits}, a shape shows in views it was not fitted to; " if limits else "")
+        + "an opacity below 1/255 is never drawn",
     )
 
 

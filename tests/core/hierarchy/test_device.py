@@ -9,12 +9,15 @@ import pytest
 
 from radiant_core.errors import BadInput
 from radiant_core.frames import Frame
+from radiant_core.hierarchy.decisions import shapes_decision
 from radiant_core.hierarchy.device import prepare_training, train_device
 from radiant_core.hierarchy.messages import DeviceTask
 from radiant_core.hierarchy.reporter import Machine, Recorder
 from radiant_core.render.rendered_view import render_views
 from radiant_core.scene import SfmScene
+from radiant_core.train.config import train_preset
 from radiant_core.train.memory import MIN_SPLATS
+from radiant_core.train.shapes import ShapeCounts
 from radiant_core.train.views import TrainingViews
 from tests.core.hierarchy.grounds import TRAIN
 from tests.core.scenes import cameras_above, ground_splats
@@ -97,3 +100,11 @@ def test_the_key_follows_what_decides_the_bits(given: tuple[DeviceTask, Training
     assert key != prepare_training(replace(task, train=replace(TRAIN, num_steps=21)), views, Recorder()).key
     darker = TrainingViews(cameras=views.cameras, images=(views.images[0] // 2, *views.images[1:]))
     assert key != prepare_training(task, darker, Recorder()).key
+
+
+def test_a_preset_without_limits_of_shape_says_what_it_left_out() -> None:
+    # 3DGS limits no shape: an f-string of None ended every such training that left a Gaussian out.
+    decision = shapes_decision("train", train_preset("standard"), ShapeCounts(num_dead=7))
+    assert decision.choice.endswith("7 that no pixel shows are left out")
+    assert decision.reason == "an opacity below 1/255 is never drawn"
+    assert "10 times the second axis, 0.333 of the distance" in shapes_decision("train", train_preset("default"), ShapeCounts()).reason
