@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from radiant_app.commands.steps import require_file_to_be, require_run, stage_bar
+from radiant_app.events import Warned
 from radiant_app.files.run_folder import require_current
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.workers.inbox import receive_device_models
@@ -47,6 +48,9 @@ def join_run(run: Path, config: AggregateConfig, display: ProgressDisplay) -> tu
     tasks = {folder.name: load_task(EdgeTask, folder) for folder in folders if (folder / "inbox").is_dir()}
     if not tasks:
         raise BadInput(f"{run} has no edge that received models: give a run whose devices have trained.")
+    for folder in folders:
+        if folder.name not in tasks:
+            display(Warned(stage=f"edges/{folder.name}", message="it received no model, so that its region is left out."))
     # A lone edge joins its models as the cloud would.
     outlook = CloudOutlook(limits=Cloud(), share=1.0) if config.edges_pool and len(tasks) > 1 else None
     models: dict[str, EdgeModel | str] = {}

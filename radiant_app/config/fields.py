@@ -77,7 +77,7 @@ class ConfigField:
 
         if isinstance(value, str) and value.strip().lower() == "none" and type(None) in get_args(self.kind):
             return None
-        adapter = TypeAdapter(self.checked_kind, config=ConfigDict(strict=True, allow_inf_nan=kind is None))
+        adapter = TypeAdapter(self.checked_kind, config=ConfigDict(strict=True, allow_inf_nan=False))
         try:
             checked = adapter.validate_strings(value.strip(), strict=False) if kind is None else adapter.validate_python(value)
         except ValidationError as error:
@@ -189,7 +189,7 @@ def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[st
             values |= values_of(value, kind, f"{path}.")
             continue
         if field is None:
-            raise BadInput(f"{path} is not a key of a {kind}: {_instead(path)}.")
+            raise BadInput(_unknown_key(path, value, kind))
         values[path] = field.read(value, kind)
     return values
 
@@ -212,7 +212,13 @@ def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: st
     return values
 
 
-def _instead(path: str, section: str = "") -> str:
+def _unknown_key(path: str, value: Any, kind: str) -> str:
+    if any(known.startswith(f"{path}.") for known in config_fields()):
+        return f"{path} is {value!r}, expected a section, [{path}]."
+    return f"{path} is not a key of a {kind}: {_instead(path, expected='expected')}."
+
+
+def _instead(path: str, section: str = "", expected: str = "expected PATH=VALUE with") -> str:
     """What to write in place of an unknown path: the whole path where a bare name is meant, else what there is."""
     paths = [known for known in config_fields() if known.startswith(section)]
     if path in paths:
@@ -222,4 +228,4 @@ def _instead(path: str, section: str = "") -> str:
         return f"use {' or '.join(meant)}"
     own = [known for known in paths if known.startswith(f"{path.partition('.')[0]}.")]
     sections = dict.fromkeys(known if "." not in known else f"{known.partition('.')[0]}.…" for known in paths)
-    return f"expected PATH=VALUE with one of {', '.join(own or sections)}"
+    return f"{expected} one of {', '.join(own or sections)}"

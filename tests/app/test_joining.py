@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -93,3 +94,13 @@ def test_what_a_warning_of_a_cut_advises_does_join(trained: Path, tmp_path: Path
     assert not (folder / "cloud" / nodes.CUT_NAME).exists()
     aggregate(folder, tmp_path / "joined.ply", "default", None, ProgressDisplay(Console(quiet=True)))
     assert held_out_db(trained, load_ply(tmp_path / "joined.ply")) > held_out_db(trained, cut_off.splats) + 0.3
+
+
+def test_joining_again_names_an_edge_whose_models_are_lost(trained: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(trained, folder)
+    lost = load_plan(folder / "plan.json")[1][0].edge_id
+    shutil.rmtree(folder / "edges" / lost / "inbox")
+    said = Console(record=True, width=300, file=StringIO())
+    aggregate(folder, tmp_path / "joined.ply", "default", None, ProgressDisplay(said))
+    assert f"edges/{lost}: it received no model, so that its region is left out" in said.export_text()

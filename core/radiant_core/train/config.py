@@ -105,7 +105,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         require_at_least(self, 1, ("num_steps", "long_side_px", "max_num_splats", "schedule_steps", "num_looks"))
         require_at_least(self, 1, ("max_epochs", "settle_epochs"), or_none=True)
-        require_at_least(self, 0, ("sh_degree_every",))
+        require_at_least(self, 0, ("sh_degree_every", "means_lr", "scales_lr", "quats_lr", "opacities_lr", "sh0_lr"))
         require_positive_or_none(self, ("max_scale_per_distance", "max_elongation", "budget_s"))
         if not 0 < self.means_lr_end <= 1:
             raise BadInput(f"means_lr_end is {self.means_lr_end}, expected above 0 and at most 1.")

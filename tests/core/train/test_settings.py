@@ -62,6 +62,9 @@ def test_another_policy_keeps_the_knobs_that_both_have() -> None:
         ({"density.kind": "mcmc", "density.min_gradient": "1"}, "density.min_gradient is no setting of 'mcmc'"),
         ({"density.every": "0"}, "every is 0"),
         ({"density.every": "often"}, "density.every is 'often': .*valid integer"),
+        ({"density.min_gradient": "inf"}, "min_gradient is inf"),
+        ({"means_lr": "nan"}, "means_lr is nan"),
+        ({"scales_lr": "-1"}, "scales_lr is -1"),
         ({"sh_degree": "none"}, "sh_degree is 'none': .*valid integer"),
     ],
 )

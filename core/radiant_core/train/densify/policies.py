@@ -113,10 +113,10 @@ class DensityCounts:
 
 
 def require_at_least(config: Any, least: int, names: tuple[str, ...], *, or_none: bool = False) -> None:
-    """Raise BadInput where a field of a configuration is below `least`, or NaN."""
+    """Raise BadInput where a field of a configuration is below `least`, or not finite."""
     for name in names:
         value = getattr(config, name)
-        if not (or_none and value is None) and not value >= least:
+        if not (or_none and value is None) and not least <= value < math.inf:
             raise BadInput(f"{name} is {value}, expected at least {least}{', or None for no limit' if or_none else ''}.")
 
 
