@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from radiant_app.events import Event, StageDone, StageProgress, Warned
-from radiant_app.executors import emulated_node
+from radiant_app.executors import emulated_node, local
 from radiant_app.executors.emulated import EmulatedExecutor, emulated_figures, require_emulable
 from radiant_app.executors.local import LocalExecutor
 from radiant_app.executors.protocol import NodeTask
@@ -41,6 +41,12 @@ while time.process_time() < end: pass
 """
 FINISH = "import os; os.rename('sealed', 'done.json')"
 """A stub is no Python project: the test seals its product beforehand and the stub only says so."""
+
+
+@pytest.fixture(autouse=True)
+def real_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    # What is played here is the CPU time of whole processes, their start among it.
+    monkeypatch.setattr(local, "subprocess", subprocess)
 
 
 def system(folder: Path, speeds: tuple[float, float], mbit_per_s: tuple[float, float] = (FAST_LINK, FAST_LINK)) -> System:
