@@ -27,13 +27,16 @@ from radiant_app.executors.protocol import NodeTask
 from radiant_app.files.profile_file import KIND, SUFFIXES, library_profiles, load_profile, save_profile
 from radiant_app.files.run_folder import read_manifest, require_current
 from radiant_app.run.predictions import planned_training, training_key_of
-from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of
+from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of, sfm_task
 from radiant_core.errors import BadInput
+from radiant_core.io.messages import save_task
 from radiant_core.io.records import load_plan, load_scene
-from radiant_core.io.run_store import read_json, write_json
+from radiant_core.io.run_store import read_json
 from radiant_core.plan.profiles.curve_fit import FittedCurve, falls, fit_curve
 from radiant_core.plan.profiles.profile import Profile, ProfileKey
 from radiant_core.scene import SfmScene
+from radiant_core.sfm.config import SfmConfig
+from radiant_core.sfm.world_frame.placement import Placement
 from radiant_core.train.config import Preset
 from radiant_core.train.needs import Overrides
 
@@ -199,7 +202,7 @@ def _scene(source: Path | None, work: Path, listen: Listener) -> tuple[SfmScene,
     detect_source(source)
     folder = work / "sfm"
     folder.mkdir()
-    write_json(folder / "task.json", {"source": str(source.resolve()), "sfm": {"matching": "auto"}, "masks": None})
+    save_task(folder, sfm_task(source, SfmConfig(), None, Placement()))
     run_task(NodeTask(kind="sfm", stage="sfm", folder=folder, key="sfm"), listen)
     return load_scene(folder / "scene.safetensors"), folder / read_json(folder / "result.json", ("images",))["images"]
 

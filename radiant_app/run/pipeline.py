@@ -82,6 +82,15 @@ def run(
 ) -> RunResult:
     """Run everything in `config.out`; finished stages are skipped with `resume`.
 
+    Args:
+        config: what is asked for.
+        listen: hears every event of the run, as it happens.
+        resume: go on with the run that is in the folder, by the same settings.
+        clock: seconds; the times of stages are its differences.
+
+    Returns:
+        The folder and the metrics; `load_splats` reads the scene.
+
     Raises:
         BadInput: unusable input, with one sentence; nothing stays behind.
         StageFailed: a stage ends without its result; what is finished stays and can be resumed.

@@ -7,6 +7,7 @@ import shutil
 import time
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,14 +18,20 @@ from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.commands.profile import ProfileRequest, check_table, profile, profile_of_run
 from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, choose_counts, shorten_training
 from radiant_app.commands.steps import training_part
+<<<<<<< HEAD
 from radiant_app.config.run_config import RunConfig
 from radiant_app.events import Event, StageDone, StageProgress, StageStarted
+=======
+from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted
+from radiant_app.executors.protocol import NodeTask
+>>>>>>> wt-review
 from radiant_app.files.profile_file import load_profile
 from radiant_app.files.run_folder import Manifest, recorded_config
 from radiant_app.report.progress import ProgressDisplay
 from radiant_app.run.predictions import planned_training
 from radiant_app.workers.nodes import run_node
-from radiant_core.errors import BadInput
+from radiant_app.workers.tasks import receive_task
+from radiant_core.errors import BadInput, StageFailed
 from radiant_core.evaluate.split import held_out_mask
 from radiant_core.frames import Frame
 from radiant_core.hierarchy.messages import DeviceTask, EdgeTask
@@ -103,6 +110,21 @@ def test_a_short_real_run_becomes_a_curve_file_that_a_plan_can_use(scene: Path, 
     warnings = planned_with(tmp_path, scene, "long_side_px", 48)
     assert warnings == "none"
     assert "profile 'mine.toml', are of preset default, 24 steps at 48 px" in planned_with(tmp_path, scene, "long_side_px", 96)
+
+
+def test_photographs_alone_are_reconstructed_by_a_task_that_its_worker_accepts(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks: list[Any] = []
+
+    def receive(node: NodeTask, listen: Listener) -> None:
+        tasks.append(receive_task(node.kind, node.folder))
+        raise StageFailed("received")
+
+    monkeypatch.setattr("radiant_app.commands.profile.run_task", receive)
+    with pytest.raises(StageFailed, match="received"):
+        profile(ProfileRequest(out=tmp_path / "mine.toml", source=scene / "images"), lambda event: None)
+    assert [task.source for task in tasks] == [str((scene / "images").resolve())]
 
 
 @pytest.mark.parametrize("pools", [True, False])

@@ -61,6 +61,9 @@ def train_device(
         machine: memory, checkpoints and clock.
         validation: views that only choose which state of the model is returned.
 
+    Returns:
+        The model, with the cameras of the task's scene.
+
     Raises:
         BadInput: the photographs or the settings cannot be used.
         StageFailed: the training diverges.
