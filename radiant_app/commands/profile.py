@@ -29,7 +29,7 @@ from radiant_app.files.run_folder import read_manifest, require_current
 from radiant_app.run.predictions import planned_training, training_key_of
 from radiant_app.workers.sources import detect_source, has_scene, images_folder_of, load_scene_of, sfm_task
 from radiant_core.errors import BadInput
-from radiant_core.io.messages import save_task
+from radiant_core.io.messages import save_task, task_setting
 from radiant_core.io.records import load_plan, load_scene
 from radiant_core.io.run_store import read_json
 from radiant_core.plan.profiles.curve_fit import FittedCurve, falls, fit_curve
@@ -126,7 +126,7 @@ def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str
             if not (count and seconds and (folder / "summary.json").is_file()):
                 continue
             summary = read_json(folder / "summary.json", ("train_s", "model_bytes"))
-            train = read_json(folder / "task.json", ("train",))["train"]
+            train = task_setting(folder, "train")
             init_s = seconds - summary["train_s"]
             devices.append(
                 DeviceSample(num_cameras=count, init_s=init_s, train_s=summary["train_s"], model_bytes=float(summary["model_bytes"]))

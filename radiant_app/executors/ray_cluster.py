@@ -35,7 +35,8 @@ from radiant_app.executors.local import defer_interrupts, outcome_of, worker_com
 from radiant_app.executors.protocol import NodeTask, NodeTime, Prepare
 from radiant_core.aggregate.tree import Tree
 from radiant_core.errors import BadInput, StageFailed
-from radiant_core.io.run_store import SEAL_NAME, file_sha256, read_json
+from radiant_core.io.messages import task_setting
+from radiant_core.io.run_store import SEAL_NAME, file_sha256
 
 SEEN_S = 20.0
 """How long a file that another machine wrote may take to be seen here: network file systems keep directories for some seconds."""
@@ -151,7 +152,7 @@ class _Cluster:
             folder=str(task.folder.resolve()),
             task_sha256=file_sha256(record) if record.is_file() else None,
             place=resource_of(node),
-            gpu=record.is_file() and read_json(record).get("backend") == "gsplat",
+            gpu=task_setting(task.folder, "backend") == "gsplat",
         )
         return False
 

@@ -18,13 +18,9 @@ from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.commands.profile import ProfileRequest, check_table, profile, profile_of_run
 from radiant_app.commands.profiling import MIN_PHOTOGRAPHS, Measuring, choose_counts, shorten_training
 from radiant_app.commands.steps import training_part
-<<<<<<< HEAD
 from radiant_app.config.run_config import RunConfig
-from radiant_app.events import Event, StageDone, StageProgress, StageStarted
-=======
 from radiant_app.events import Event, Listener, StageDone, StageProgress, StageStarted
 from radiant_app.executors.protocol import NodeTask
->>>>>>> wt-review
 from radiant_app.files.profile_file import load_profile
 from radiant_app.files.run_folder import Manifest, recorded_config
 from radiant_app.report.progress import ProgressDisplay

@@ -118,7 +118,17 @@ def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
     for field in fields(kind):  # pyright: ignore[reportArgumentType]
         if "file" in field.metadata:
             values[field.name] = load_scene(folder / field.metadata["file"])
-    return kind(**values)
+    try:
+        return kind(**values)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from error
+
+
+def task_setting(folder: Path, name: str) -> Any:
+    """One setting of the task in a node's folder as JSON has it, whatever the task; None where there is none."""
+    path = folder / TASK_NAME
+    record = read_json(path) if path.is_file() else {}
+    return record.get(name) if isinstance(record, dict) else None
 
 
 def _parsed(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
