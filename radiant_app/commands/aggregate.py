@@ -25,7 +25,20 @@ from radiant_core.plan.system import Cloud
 
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
-    """Join the device models of a finished run and write a PLY; neither edges nor the cloud have a limit."""
+    """Join the device models of a finished run and write a PLY; neither edges nor the cloud have a limit.
+
+    Args:
+        run: folder of the run.
+        out: the PLY, which must not exist.
+        preset, epochs: how models are joined; None: as many epochs as the preset has.
+        display: shows progress.
+
+    Returns:
+        Figures of the joined model, for the command line.
+
+    Raises:
+        BadInput: the run is of an earlier version, or none of its models can be joined.
+    """
     require_file_to_be(out)
     require_run(run)
     require_current(run)

@@ -48,7 +48,18 @@ class ExtendRequest:
 
 
 def extend(request: ExtendRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write the extended scene as a PLY and return its figures; BadInput where the two runs have no frame in common."""
+    """Write the extended scene as a PLY.
+
+    Args:
+        request: the old scene, the new run, the region and the output.
+        display: shows progress.
+
+    Returns:
+        Figures of the extended scene, for the command line.
+
+    Raises:
+        BadInput: the two runs have no frame in common, or the new one is of an earlier version.
+    """
     from radiant_core.aggregate.extend import NewRegion, extend_scene
     from radiant_core.aggregate.synthetic_views import Teacher
     from radiant_core.train.trainer import FitOptions

@@ -105,9 +105,20 @@ class TrainRequest:
 def train(
     request: TrainRequest, listen: Listener = lambda event: None, *, resume: bool = False, clock: Callable[[], float] = time.monotonic
 ) -> dict[str, Any]:
-    """Train and score as `request` says; returns the content of metrics.json, or figures of the training for a single PLY.
+    """Train one model of all photographs of a source and score it on those held out.
 
-    Raises BadInput with one sentence for unusable input (nothing stays behind), StageFailed when training diverges.
+    Args:
+        request: source, output and settings.
+        listen: receives the events of the training.
+        resume: go on with what an interrupted training left in the output folder.
+        clock: seconds, for tests.
+
+    Returns:
+        The content of metrics.json, or figures of the training for a single PLY.
+
+    Raises:
+        BadInput: unusable input, with one sentence; nothing stays behind.
+        StageFailed: the training diverges.
     """
     if request.out.suffix.lower() == ".ply":
         return _single_ply(request, listen, resume, clock)
