@@ -54,10 +54,10 @@ def plan(
     """Regions per edge and waypoints or photographs per device, from positions alone; before capture too."""
     from rich.console import Console
 
-    from radiant_app.cli.plan_tables import plan_tables
     from radiant_app.commands.plan import PlanRequest
     from radiant_app.commands.plan import plan as make_plan
     from radiant_app.commands.plan_content import content_request
+    from radiant_app.commands.plan_tables import plan_tables
     from radiant_app.report.progress import ProgressDisplay
     from radiant_core.train.needs import Overrides
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from radiant_app.cli.plan_tables import method_row
 from radiant_app.commands.plan_content import ContentRequest, PlanContent, content_of_scene, content_of_waypoints
 from radiant_app.commands.plan_pictures import (
     ENDINGS,
@@ -31,6 +30,7 @@ from radiant_app.commands.plan_pictures import (
     plan_gantt,
     side_pictures,
 )
+from radiant_app.commands.plan_tables import method_row
 from radiant_app.commands.steps import require_file_to_be, stage_bar, training_part
 from radiant_app.files.constraints_file import load_constraints
 from radiant_app.files.system_file import dump_system, even_system, load_system

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from radiant_app.cli.plan_tables import method_table
 from radiant_app.commands.demo import sample_scenes_folder
 from radiant_app.commands.plan import PlanRequest, plan
 from radiant_app.commands.plan_content import ContentRequest
+from radiant_app.commands.plan_tables import method_table
 from radiant_app.commands.steps import training_part
 from radiant_app.files.system_file import load_system
 from radiant_app.report.progress import ProgressDisplay
