@@ -81,10 +81,10 @@ class ConfigField:
         try:
             checked = adapter.validate_strings(value.strip(), strict=False) if kind is None else adapter.validate_python(value)
         except ValidationError as error:
-            from radiant_app.files.toml_file import sentence
+            from radiant_core.io.strict import problem_sentence
 
             typed = f"--set '{self.path}={value}': {error.errors()[0]['msg'].lower()}."
-            raise BadInput(typed if kind is None else sentence(error, kind, self.path)) from error
+            raise BadInput(typed if kind is None else problem_sentence(error, kind, self.path)) from error
         return checked if checked is None or not self.is_path else Path(checked).expanduser()
 
 

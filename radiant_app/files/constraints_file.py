@@ -19,9 +19,10 @@ from pathlib import Path
 
 from pydantic import Field, ValidationError
 
-from radiant_app.files.toml_file import Strict, load_toml, sentence
+from radiant_app.files.toml_file import load_toml
 from radiant_core.errors import BadInput
 from radiant_core.io.records import load_plan
+from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.plan.plans import CloudPlan
 from radiant_core.plan.regions.constraints import PlanConstraints
 
@@ -61,7 +62,7 @@ def load_constraints(path: Path, names: Sequence[str]) -> GivenConstraints:
         if file.plan is not None and not (path.parent / file.plan).is_file():
             raise BadInput(f"there is no plan {file.plan} beside it: correct `plan`, the file to start from.")
     except ValidationError as error:
-        raise BadInput(f"{path}: {sentence(error, 'constraints file')}") from error
+        raise BadInput(f"{path}: {problem_sentence(error, 'constraints file')}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
     start = None if file.plan is None else load_plan(path.parent / file.plan)[0]

@@ -44,9 +44,10 @@ from pydantic import Field, ValidationError, create_model
 
 from radiant_app.config.fields import ConfigField, config_fields, config_of, values_of, with_settings
 from radiant_app.config.run_config import RunConfig
-from radiant_app.files.toml_file import Strict, load_toml, sentence
+from radiant_app.files.toml_file import load_toml
 from radiant_app.workers.sources import detect_source
 from radiant_core.errors import BadInput
+from radiant_core.io.strict import Strict, problem_sentence
 
 RECORDS = "jobs"
 """Folder of the batch that holds one folder per job: its arguments, its log, its seal."""
@@ -87,7 +88,7 @@ def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
     try:
         content = _file_model().model_validate(tables)
     except ValidationError as error:
-        raise BadInput(f"{path}: {sentence(error, 'job file')}") from error
+        raise BadInput(f"{path}: {problem_sentence(error, 'job file')}") from error
     base, folder = path.resolve().parent, folder.resolve()
     defaults = _given(content.defaults)
     try:

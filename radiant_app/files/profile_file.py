@@ -31,9 +31,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from radiant_app.files.toml_file import MAX_FILE_BYTES, Strict, load_toml, sentence
+from radiant_app.files.toml_file import MAX_FILE_BYTES, load_toml
 from radiant_core.errors import BadInput
 from radiant_core.io.run_store import parse_json, write_atomic
+from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.curve_fit import FittedCurve
 from radiant_core.plan.profiles.profile import Profile, ProfileKey
@@ -119,7 +120,7 @@ def load_profile(path: Path, name: str | None = None) -> Profile:
     try:
         return _File.model_validate(tables).built(name or path.name)
     except ValidationError as error:
-        raise BadInput(f"{path}: {sentence(error, KIND)}") from error
+        raise BadInput(f"{path}: {problem_sentence(error, KIND)}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
 

@@ -46,8 +46,9 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 
 from radiant_app.files.profile_file import find_profile
-from radiant_app.files.toml_file import Strict, load_toml, sentence
+from radiant_app.files.toml_file import load_toml
 from radiant_core.errors import BadInput
+from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.plan.profiles.cost_curves import CostCurve
 from radiant_core.plan.profiles.profile import Profile
 from radiant_core.plan.system import Cloud, Device, Edge, System
@@ -207,7 +208,7 @@ def load_system(path: Path, *, curves: bool = False) -> System:
             raise BadInput(f"edge {unknown[0]!r} has time_s and no devices: `radiant plan` plans it, everything else needs its devices.")
         return system
     except ValidationError as error:
-        raise BadInput(f"{path}: {sentence(error, 'system file')}") from error
+        raise BadInput(f"{path}: {problem_sentence(error, 'system file')}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from error
 

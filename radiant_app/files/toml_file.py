@@ -7,8 +7,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError
-
 from radiant_core.errors import BadInput
 
 MAX_FILE_BYTES = 1 << 20
@@ -16,12 +14,6 @@ MAX_FILE_BYTES = 1 << 20
 MAX_KEY_PARTS = 16
 """tomllib walks a table's whole key again for every line: 43 kB, one table of 10,000 parts with 3,000 lines, took it 193 s."""
 _DEEP_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){{{MAX_KEY_PARTS}}}""")
-
-
-class Strict(BaseModel):
-    """Base of what stands in a file: no unknown keys, no numbers written as text, nothing infinite."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 def load_toml(path: Path, kind: str) -> dict[str, Any]:
@@ -44,20 +36,3 @@ def load_toml(path: Path, kind: str) -> dict[str, Any]:
         raise
     except (ValueError, RecursionError) as error:  # ValueError: also integers of thousands of digits
         raise BadInput(f"{path}: not a TOML file ({error}): correct it there.") from error
-
-
-def sentence(error: ValidationError, kind: str, path: str = "") -> str:
-    """The first problem of what stands at a key's `path`: the whole path, what came, what is expected."""
-    problem = error.errors(include_url=False)[0]
-    key = "".join([path, *(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"])]).lstrip(".")
-    if problem["type"] == "missing":
-        return f"{key} is missing: add it."
-    if problem["type"] == "extra_forbidden":
-        return f"{key} is not a key of a {kind}: remove it or correct its spelling."
-    expected = problem["msg"].replace("Input should be", "expected")
-    return f"{key} is {_shortened(problem['input'])}; {expected[0].lower()}{expected[1:]}: correct it."
-
-
-def _shortened(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "…"

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+from pydantic import ValidationError, create_model
 
 from radiant_core.aggregate.arrival import MAX_SPLATS
 from radiant_core.cameras import Cameras
@@ -29,6 +29,7 @@ from radiant_core.frames import FrameUncertainty, Sim3
 from radiant_core.hierarchy.messages import NO_CAMERAS, DeviceModel, EdgeModel
 from radiant_core.io.records import load_cameras, load_scene, save_cameras, save_scene, save_splats
 from radiant_core.io.run_store import MAX_JSON_BYTES, file_sha256, parse_json, read_bounded, read_json, write_json
+from radiant_core.io.strict import Strict, problem_sentence
 from radiant_core.io.transport.upload import UploadFormat, count_uploaded, load_upload, save_upload, upload_problem
 from radiant_core.io.view_file import load_views, save_views
 from radiant_core.splats import Splats
@@ -45,12 +46,6 @@ NOTHING = {"num_splats": 0, "model_bytes": 0, "num_steps": 0, "train_s": 0.0, "f
 MAX_FRAME_BYTES = 1 << 12
 MAX_UNCERTAINTY = 1e6
 """In m, rad or as a share: more is no frame."""
-
-
-class Strict(BaseModel):
-    """Base of what stands in a file: no unknown keys, no numbers written as text, nothing infinite."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 @cache
@@ -135,7 +130,7 @@ def _parsed(kind: type[Any], data: bytes, name: str) -> dict[str, Any]:
     try:
         parsed = _model(kind).model_validate_json(data)
     except ValidationError as error:
-        raise BadInput(f"{name}: {_problem_sentence(error)}") from error
+        raise BadInput(f"{name}: {problem_sentence(error, 'message')}") from error
     key = _left_out(parsed.model_dump(mode="json"), json.loads(data))
     if key is not None:
         raise BadInput(f"{name}: {key} is missing: add it.")
@@ -150,22 +145,6 @@ def _left_out(whole: Any, given: Any, place: str = "") -> str | None:
         if (isinstance(given, dict) and key not in given) or (path := _left_out(value, given[key], path)):
             return path
     return None
-
-
-def _problem_sentence(error: ValidationError) -> str:
-    """The first problem that pydantic found: key path, what came, what is expected."""
-    problem = error.errors(include_url=False)[0]
-    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).lstrip(".")
-    if problem["type"] == "missing":
-        return f"{key} is missing: add it."
-    if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"{key} is not a key of a message: remove it or correct its spelling."
-    cause = problem.get("ctx", {}).get("error")
-    if isinstance(cause, BadInput):
-        return f"{key}: {cause}"
-    text = repr(problem["input"])
-    expected = problem["msg"].replace("Input should be", "expected")
-    return f"{key} is {text if len(text) <= 60 else text[:57] + '…'}; {expected[0].lower()}{expected[1:]}: correct it."
 
 
 def save_device_model(folder: Path, model: DeviceModel, upload: UploadFormat, warn: Callable[[str], None]) -> list[str]:
