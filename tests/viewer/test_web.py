@@ -171,7 +171,9 @@ def test_chromium_toggles_sorts_chooses_and_tours(browser: Any, address: str) ->
     page.locator("[data-action='theme']").click()
     page.wait_for_function("document.querySelector('.v-theme--dark') !== null")
     until(page, "Map", lambda now: now.mean() < 160, "the map is dark")
-    assert min(swatch.evaluate(levels)) > 180, "the border's legend cannot be seen on dark ground"
+    # The legend follows in a message of its own.
+    bright = "(levels => Math.min(...levels) > 180)(getComputedStyle(document.querySelector('[data-layer=Borders] .rad-swatch'))"
+    page.wait_for_function(f"{bright}.backgroundColor.match(/\\d+/g).map(Number))")
     assert (outside, errors) == ([], [])
 
     stranger = browser.new_page()
