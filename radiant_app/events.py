@@ -1,6 +1,8 @@
-"""The stream of typed events that long work emits; command line, window and report read the same stream.
+"""The stream of typed events that long work emits; command line, window and report read the same
+stream.
 
-A worker process writes one event per line of standard output as JSON; `decode` turns the line back into the event.
+A worker process writes one event per line of standard output as JSON; `decode` turns the line back
+into the event.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""Render a sample scene: `python sample_scenes/generate.py --out FOLDER` writes FOLDER/images and FOLDER/known.
+"""Render a sample scene: `python sample_scenes/generate.py --out FOLDER` writes FOLDER/images and
+FOLDER/known.
 
-One photograph is in memory at a time, some 2 s each at 640 x 480 on one core. Everything is made in a hidden folder
-beside its place and moved there at the end, so an interrupted run leaves nothing behind.
+One photograph is in memory at a time, some 2 s each at 640 x 480 on one core. Everything is made in
+a hidden folder beside its place and moved there at the end, so an interrupted run leaves nothing
+behind.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from scenegen.raycast import Photographer
 
 
 def generate(config: SceneConfig, out: Path, on_photo: Callable[[], None] = lambda: None) -> None:
-    """Write images/, known/ and, if asked for, depth/ into out; calls on_photo after each photograph.
+    """Write images/, known/ and, if asked for, depth/ into out; calls on_photo after each
+    photograph.
 
     Raises BadInput when out already holds one of these folders or cannot be written.
     """

@@ -1,9 +1,11 @@
-"""Makes the two finished runs that viewers and tests read: `runs/tiny` of the hamlet, and `runs/planted_seam`, the same with a seam.
+"""Makes the two finished runs that viewers and tests read: `runs/tiny` of the hamlet, and
+`runs/planted_seam`, the same with a seam.
 
     python sample_scenes/make_runs.py
 
-Of the tiny run what a viewer reads is kept, and its report. The planted seam brightens all Gaussians in the first edge's region by 30
-of 255 levels, so that its border shows a step of that height; figures and pictures of the model without it are left out there.
+Of the tiny run what a viewer reads is kept, and its report. The planted seam brightens all
+Gaussians in the first edge's region by 30 of 255 levels, so that its border shows a step of that
+height; figures and pictures of the model without it are left out there.
 """
 
 from __future__ import annotations

@@ -1,11 +1,14 @@
-"""How far a run's surface model is from the truth that the generator knows, and from the run's own sparse points.
+"""How far a run's surface model is from the truth that the generator knows, and from the run's own
+sparse points.
 
     python sample_scenes/surface_error.py RUN [--known sample_scenes/town/known] [--long-side-px 640] [--resolution 0.2]
 
-The run's frame is moved onto the truth's by a similarity of the camera centres. Truth are the heights of the topmost surface of the
-generator's mesh at the middles of the cells that are known, within the flight's area; its leaves are ruffled in photographs alone.
-Prints a median and a 95th percentile of height errors in m; without --known of sparse points alone. --depths compares, in six views of
-320 px, rendered depth at the pixels of sparse points with their depth, for opacities as they are and other ways to leave haze out.
+The run's frame is moved onto the truth's by a similarity of the camera centres. Truth are the
+heights of the topmost surface of the generator's mesh at the middles of the cells that are known,
+within the flight's area; its leaves are ruffled in photographs alone. Prints a median and a 95th
+percentile of height errors in m; without --known of sparse points alone. --depths compares, in six
+views of 320 px, rendered depth at the pixels of sparse points with their depth, for opacities as
+they are and other ways to leave haze out.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""What every test runs under: whatever is built of the types below is checked against its declared shapes and numbers.
+"""What every test runs under: whatever is built of the types below is checked against its declared
+shapes and numbers.
 
-numpy products check themselves when they are built; their torch twins do not, for speed, so a wrong shape would only show far
-away. Here jaxtyping proves each instance that any test brings about, with one meaning per letter within an instance.
+numpy products check themselves when they are built; their torch twins do not, for speed, so a wrong
+shape would only show far away. Here jaxtyping proves each instance that any test brings about, with
+one meaning per letter within an instance.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ from tests import forked
 
 pytest.MonkeyPatch().setattr(local, "subprocess", SimpleNamespace(**{**vars(subprocess), "Popen": forked.popen}))
 
-# No deadline: the first example pays for imports. The same examples each time, so that a failure is a failure for everybody.
+# No deadline: the first example pays for imports. The same examples each time, so that a failure is
+# a failure for everybody.
 hypothesis.settings.register_profile("radiant", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("radiant")
 

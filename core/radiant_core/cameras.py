@@ -15,11 +15,13 @@ from radiant_core.numerics import FloatArray, checked_array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cameras:
-    """C undistorted cameras: OpenCV axes (x right, y down, z forward), image corner (0,0), first pixel centre (0.5,0.5).
+    """C undistorted cameras: OpenCV axes (x right, y down, z forward), image corner (0,0), first
+    pixel centre (0.5,0.5).
 
-    names (C) unique; Ks (C,3,3) px; cam_from_world (C,4,4) rigid, world in metres; sizes_wh (C,2) px.
-    Ks are [fx 0 cx; 0 fy cy; 0 0 1]. Raises BadInput when shapes disagree, a value is not finite, a focal length or size is
-    not positive, a K has another form, a name comes twice, or a pose is not rigid.
+    names (C) unique; Ks (C,3,3) px; cam_from_world (C,4,4) rigid, world in metres; sizes_wh (C,2)
+    px. Ks are [fx 0 cx; 0 fy cy; 0 0 1]. Raises BadInput when shapes disagree, a value is not
+    finite, a focal length or size is not positive, a K has another form, a name comes twice, or a
+    pose is not rigid.
     """
 
     names: tuple[str, ...]
@@ -106,10 +108,12 @@ def concatenate_cameras(parts: Sequence[Cameras]) -> Cameras:
 
 def _require_rigid(names: tuple[str, ...], cam_from_world: FloatArray) -> None:
     rotations = cam_from_world[:, :3, :3]
-    # A rotation's entries are at most 1; the clip keeps huge ones from overflowing, where NaN would pass every comparison.
+    # A rotation's entries are at most 1; the clip keeps huge ones from overflowing, where NaN would
+    # pass every comparison.
     rotations = np.clip(rotations, -10, 10)
     residual = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    # 1e-4: float32 poses from files keep 1e-6; a mirrored, scaled or transposed pose misses by far more.
+    # 1e-4: float32 poses from files keep 1e-6; a mirrored, scaled or transposed pose misses by far
+    # more.
     last_row_off = np.abs(cam_from_world[:, 3] - (0, 0, 0, 1)).max(axis=1, initial=0) > 1e-9
     bad = (residual > 1e-4) | (np.linalg.det(rotations) < 0) | last_row_off
     if bad.any():

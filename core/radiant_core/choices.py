@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Literal
 
 Matching = Literal["auto", "spatial", "exhaustive"]
-"""auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each with its GPS neighbours;
-exhaustive: every pair."""
+"""auto: spatial where at least nine in ten photographs have GPS, else exhaustive; spatial: each
+with its GPS neighbours; exhaustive: every pair."""
 PlanMethod = Literal["exact", "paper", "voronoi", "even"]
 """exact: the least makespan; paper: the paper's Alg. 1; voronoi: the nearest edge; even: equal counts."""
 UploadFormat = Literal["float32", "float16", "spz"]

@@ -1,7 +1,8 @@
-"""World frames: where the origin is, how latitude and longitude become metres, and similarity transforms.
+"""World frames: where the origin is, how latitude and longitude become metres, and similarity
+transforms.
 
-Computed once per scene. WGS84 constants: NIMA TR8350.2. ECEF ↔ ENU as in Hofmann-Wellenhof et al., GNSS (2008), ch. 8;
-latitude of a geocentric position by Bowring's iteration (Survey Review 1976).
+Computed once per scene. WGS84 constants: NIMA TR8350.2. ECEF ↔ ENU as in Hofmann-Wellenhof et al.,
+GNSS (2008), ch. 8; latitude of a geocentric position by Bowring's iteration (Survey Review 1976).
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ MAX_REACH_M = 300e3
 class Frame:
     """What the world coordinates mean.
 
-    kind "metric": metres, x east, y north, z up from `origin_lat_lon_alt` (3,) degrees and metres, float64.
-    kind "scaled": metres by a known length and z up, without a place on the globe; the origin is zero.
-    kind "unscaled": no GPS was found; z is up as estimated, one unit is arbitrary, the origin is zero.
-    `residual_m`: median distance of the camera centres to GPS, None without GPS.
-    `altitude_known`: whether the origin's altitude is one; without, GPS has none, and z counts from the middle of the scene's points.
+    kind "metric": metres, x east, y north, z up from `origin_lat_lon_alt` (3,) degrees and metres,
+    float64. kind "scaled": metres by a known length and z up, without a place on the globe; the
+    origin is zero. kind "unscaled": no GPS was found; z is up as estimated, one unit is arbitrary,
+    the origin is zero. `residual_m`: median distance of the camera centres to GPS, None without
+    GPS. `altitude_known`: whether the origin's altitude is one; without, GPS has none, and z counts
+    from the middle of the scene's points.
     """
 
     kind: Literal["metric", "scaled", "unscaled"]
@@ -64,7 +66,8 @@ class Sim3:
         if not (np.isfinite(self.scale) and self.scale > 0):
             raise BadInput(f"the scale of a similarity is {self.scale}, expected a positive number.")
         rotation = np.clip(self.rotation, -10, 10)
-        # 1e-6: an estimate in float64 is orthonormal to 1e-12, one through float32 to 1e-7; a scaled one misses by far more.
+        # 1e-6: an estimate in float64 is orthonormal to 1e-12, one through float32 to 1e-7; a
+        # scaled one misses by far more.
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
             raise BadInput("the rotation of a similarity is not orthonormal or mirrors: put its scale into `scale`.")
 
@@ -87,8 +90,9 @@ class Sim3:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameUncertainty:
-    """Standard deviations of a model's frame: of the place of its cameras' middle in m per axis, of its scale as a share, of its rotation
-    in rad about the axis that is known worst. All positive and finite."""
+    """Standard deviations of a model's frame: of the place of its cameras' middle in m per axis, of
+    its scale as a share, of its rotation in rad about the axis that is known worst. All positive
+    and finite."""
 
     position_m: float
     scale: float
@@ -115,10 +119,12 @@ def enu_from_geodetic(lat_lon_alt: ArrayLike, origin_lat_lon_alt: ArrayLike) -> 
 
 
 def geodetic_from_enu(positions_m: ArrayLike, origin_lat_lon_alt: ArrayLike) -> FloatArray:
-    """Latitude, longitude in [−180°, 180°] and altitude (P,3) [deg, deg, m] of metres east, north, up (P,3) about an origin (3,).
+    """Latitude, longitude in [−180°, 180°] and altitude (P,3) [deg, deg, m] of metres east, north,
+    up (P,3) about an origin (3,).
 
-    The inverse of `enu_from_geodetic`, within 1e-6 m of it up to 10,000 km from the origin. BadInput for an origin off the globe and
-    for positions below 1,000 km from the centre of the earth, where latitude loses its meaning, or above 1e8 m.
+    The inverse of `enu_from_geodetic`, within 1e-6 m of it up to 10,000 km from the origin.
+    BadInput for an origin off the globe and for positions below 1,000 km from the centre of the
+    earth, where latitude loses its meaning, or above 1e8 m.
     """
     positions = checked_array("positions_m", positions_m, (None, 3))
     origin = checked_array("origin_lat_lon_alt", origin_lat_lon_alt, (3,))

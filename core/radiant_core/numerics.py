@@ -16,11 +16,12 @@ FloatArray = NDArray[np.float64]
 
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: type = np.float64) -> NDArray[Any]:
-    """Return `value` as a contiguous read-only array of `dtype`; None in `shape` is a free axis. It is a copy, but of an array that
-    is all this already and that cannot be written to through another one.
+    """Return `value` as a contiguous read-only array of `dtype`; None in `shape` is a free axis. It
+    is a copy, but of an array that is all this already and that cannot be written to through
+    another one.
 
-    Raises BadInput when the shape differs, with the count and the first index when a value is not finite in `dtype`, or when
-    `dtype` is whole numbers and a value is not one of them.
+    Raises BadInput when the shape differs, with the count and the first index when a value is not
+    finite in `dtype`, or when `dtype` is whole numbers and a value is not one of them.
     """
     array = _converted(name, value, dtype)
     fits = array.ndim == len(shape) and all(want is None or want == got for want, got in zip(shape, array.shape, strict=True))
@@ -40,7 +41,8 @@ def _converted(name: str, value: ArrayLike, dtype: type) -> NDArray[Any]:
         raise BadInput(f"{name} is not an array of numbers: {error}: give rows of equal length.") from error
     if source.dtype.kind not in "biuf":
         raise BadInput(f"{name} has elements of type {source.dtype}, expected numbers: convert them first.")
-    # A double beyond float32 becomes infinite here and is then refused with a count, instead of a warning about a cast.
+    # A double beyond float32 becomes infinite here and is then refused with a count, instead of a
+    # warning about a cast.
     is_ours = not source.flags.writeable and source.base is None and source.flags.c_contiguous
     if is_ours and source.dtype == np.dtype[Any](dtype):
         return source

@@ -17,8 +17,8 @@ from radiant_core.numerics import FloatArray, checked_array
 class SfmScene:
     """C cameras and P points with who sees what.
 
-    points (P,3) in the frame's unit, float64; colors (P,3) uint8; observations (T,2): point index, camera index.
-    Raises BadInput when shapes disagree or an observation points outside.
+    points (P,3) in the frame's unit, float64; colors (P,3) uint8; observations (T,2): point index,
+    camera index. Raises BadInput when shapes disagree or an observation points outside.
     """
 
     cameras: Cameras
@@ -41,8 +41,8 @@ class SfmScene:
         return np.unique(self.observations[seen, 0])
 
     def observed_pixels(self, cameras: Cameras) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Rows (K,) of `observations` whose point projects into its image, and that pixel (K,2) as column and row; `cameras` are the
-        scene's in the same order, at any resolution."""
+        """Rows (K,) of `observations` whose point projects into its image, and that pixel (K,2) as
+        column and row; `cameras` are the scene's in the same order, at any resolution."""
         point, view = self.observations[:, 0], self.observations[:, 1]
         in_camera = np.einsum("tij,tj->ti", cameras.cam_from_world[view, :3, :3], self.points[point]) + cameras.cam_from_world[view, :3, 3]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

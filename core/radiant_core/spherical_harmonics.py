@@ -1,4 +1,5 @@
-"""Real spherical harmonics up to degree 3, in the sign and order that 3DGS files use: the one place where they are written out.
+"""Real spherical harmonics up to degree 3, in the sign and order that 3DGS files use: the one place
+where they are written out.
 
 Basis: Sloan, Stupid Spherical Harmonics Tricks (2008), appendix A2.
 """

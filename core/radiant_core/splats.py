@@ -25,10 +25,11 @@ _MORTON_MASKS = (0x1F00000000FFFF, 0x1F0000FF0000FF, 0x100F00F00F00F00F, 0x10C30
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Splats:
-    """N Gaussians, float32: means (N,3) m; quats (N,4) wxyz; log_scales (N,3) ln m; logit_opacities (N,);
-    sh0 (N,1,3); shN (N,K-1,3) with K in 1, 4, 9, 16.
+    """N Gaussians, float32: means (N,3) m; quats (N,4) wxyz; log_scales (N,3) ln m; logit_opacities
+    (N,); sh0 (N,1,3); shN (N,K-1,3) with K in 1, 4, 9, 16.
 
-    Raises BadInput on a wrong shape or a value that is not finite, naming the tensor, the count and the first index.
+    Raises BadInput on a wrong shape or a value that is not finite, naming the tensor, the count and
+    the first index.
     """
 
     means: NDArray[np.float32]
@@ -77,8 +78,8 @@ class Splats:
 
 
 def concatenate_splats(parts: Sequence[Splats]) -> Splats:
-    """All Gaussians of `parts` in order; lower SH degrees are padded with zeros to the highest. BadInput without parts,
-    and where only some are antialiased."""
+    """All Gaussians of `parts` in order; lower SH degrees are padded with zeros to the highest.
+    BadInput without parts, and where only some are antialiased."""
     if not parts:
         raise BadInput("no models to concatenate: pass at least one.")
     if len({part.antialiased for part in parts}) > 1:
@@ -89,9 +90,11 @@ def concatenate_splats(parts: Sequence[Splats]) -> Splats:
 
 
 def morton_order(means: ArrayLike) -> NDArray[np.int64]:
-    """Order (N,) of points (N,3) along a Z curve: neighbours in space stand near each other in memory. 21 bits an axis; stable.
+    """Order (N,) of points (N,3) along a Z curve: neighbours in space stand near each other in
+    memory. 21 bits an axis; stable.
 
-    The bits of a coordinate are spread by doubling gaps (x | x ≪ 32, 16, 8, 4, 2), five steps for any number of bits.
+    The bits of a coordinate are spread by doubling gaps (x | x ≪ 32, 16, 8, 4, 2), five steps for
+    any number of bits.
     """
     points = np.asarray(means, np.float64)
     if not len(points):

@@ -1,8 +1,10 @@
-"""Arms of `radiant bench methods` and `paper`: each one way of making the model of a cell, cached with its scores. Once per (cell, arm).
+"""Arms of `radiant bench methods` and `paper`: each one way of making the model of a cell, cached
+with its scores. Once per (cell, arm).
 
 Models and scores are stored in the output folder under the hash of their inputs, so that an
 interrupted benchmark resumes, and an arm that several sections show is made once. The bands along
-borders are the same for all arms of a cell: surfaces are those of the first cell's centralised model.
+borders are the same for all arms of a cell: surfaces are those of the first cell's centralised
+model.
 """
 
 from __future__ import annotations
@@ -55,7 +57,8 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmRow:
-    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph; band and interior in dB over all borders.
+    """Figures of an arm in a cell: psnr_db and ssim per held-out photograph; band and interior in
+    dB over all borders.
 
     Band and interior are None where too few pixels show a border. CPU seconds and training pixels
     exclude the devices' trainings.
@@ -178,7 +181,8 @@ class Arms:
 
 
 def load_arms(scene: Path, out: Path, layout: Layout | None, settings: DeviceSettings) -> Arms:
-    """Arms of a scene that is dealt to a layout or, without one, of a run under its own plan and settings.
+    """Arms of a scene that is dealt to a layout or, without one, of a run under its own plan and
+    settings.
 
     Raises:
         BadInput: the scene has too few photographs, is not of a run, or `out` is a file.

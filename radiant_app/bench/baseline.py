@@ -1,4 +1,5 @@
-"""Committed figures of the quick benchmarks that no machine changes, and whether new ones are worse.
+"""Committed figures of the quick benchmarks that no machine changes, and whether new ones are
+worse.
 
 Errors, ratios and counts; neither times nor memory, and nothing that only informs. A figure may be
 worse than its baseline by the tolerance that its benchmark states. One file for all benchmarks;
@@ -24,7 +25,8 @@ def machine_independent(metrics: Sequence[Metric]) -> list[Metric]:
 
 
 def check_against_baseline(file: Path, name: str, metrics: Sequence[Metric]) -> int:
-    """Compare the figures of the benchmark `name` with its part of `file` and return how many there are.
+    """Compare the figures of the benchmark `name` with its part of `file` and return how many there
+    are.
 
     Raises:
         StageFailed: Figures are worse or missing; the message names each.

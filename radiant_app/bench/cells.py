@@ -1,4 +1,5 @@
-"""A cell of `radiant bench methods` and `paper`: one scene under one plan, with the settings and the seed of one run.
+"""A cell of `radiant bench methods` and `paper`: one scene under one plan, with the settings and
+the seed of one run.
 
 A plan is made for a layout of edges and devices, or is that of a finished run. What is trained and
 joined in a cell follows from its `Recipe`, as in `radiant run`. Training the devices' models takes
@@ -94,7 +95,8 @@ class Layout:
 
 
 def random_sites(positions: FloatArray, count: int, placement: int) -> FloatArray:
-    """Sites (count,2) m of edges, uniform over the hull of cameras (C,2) m and apart from each other, seeded by the placement.
+    """Sites (count,2) m of edges, uniform over the hull of cameras (C,2) m and apart from each
+    other, seeded by the placement.
 
     Sites are at least √(hull area / (2 count)) apart, a tenth less after each hundred rejected
     draws. k-means would not give different placements: from most seeds it ends at the same sites.
@@ -278,11 +280,12 @@ def dealt_cell(
 def run_cell(run: Path, cache: ModelCache) -> Cell:
     """The scene of a finished run under the run's own plan, system and settings.
 
-    Its recipe makes the run's scene bit for bit where every device delivered and none has a limit of memory: such a limit
-    counts what the device's process held besides.
+    Its recipe makes the run's scene bit for bit where every device delivered and none has a limit
+    of memory: such a limit counts what the device's process held besides.
 
     Raises:
-        BadInput: the folder is not that of a run with pooled photographs (`--frames shared`) whose edges have joined.
+        BadInput: the folder is not that of a run with pooled photographs (`--frames shared`) whose
+            edges have joined.
     """
     tasks = [load_task(EdgeTask, path.parent, "edge task") for path in sorted(run.glob("edges/*/task.json"))]
     if not tasks:

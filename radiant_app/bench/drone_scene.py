@@ -1,4 +1,5 @@
-"""Synthetic models for measuring rasterizers: a drone's view of bumpy terrain with boxes, as Gaussians on its surface.
+"""Synthetic models for measuring rasterizers: a drone's view of bumpy terrain with boxes, as
+Gaussians on its surface.
 
 z(x, y) = Σ a sin(kx x + φ) sin(ky y + ψ), plus boxes. Gaussians are uniform over the ground, flat,
 as wide as their spacing, of all opacities. The ground is cut so that 84 % of them are in the
@@ -42,7 +43,8 @@ def drone_scene(size: SceneSize, seed: int = 0) -> tuple[Splats, Cameras]:
     """The model in random order and its one camera."""
     rng = np.random.default_rng(seed)
     cameras = drone_camera(size)
-    # Uniform over a square whose side is three times the height; those farthest from the image centre are cut until 84 % are inside.
+    # Uniform over a square whose side is three times the height; those farthest from the image
+    # centre are cut until 84 % are inside.
     places = rng.uniform(-1.5 * _HEIGHT_M, 1.5 * _HEIGHT_M, (8 * size.num_splats, 2))
     boxes = rng.uniform([-60, -60, 4, 4, 3], [60, 60, 14, 14, 12], (_NUM_BOXES, 5))
     heights, normals = _surface(places, boxes, rng)

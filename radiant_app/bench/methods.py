@@ -1,4 +1,5 @@
-"""Benchmark of joining: every method on the same device models, rasterizer, split and seams. Once per (layout, placement, seed).
+"""Benchmark of joining: every method on the same device models, rasterizer, split and seams. Once
+per (layout, placement, seed).
 
     centralised     one model of all photographs, with the steps of all devices together; the reference of every seam
     crop            device models cut at the plan's borders
@@ -71,8 +72,8 @@ class MethodBench:
     upload: UploadFormat = "float16"
     """What devices and edges send."""
     max_gaussians: int | None = None
-    """As many as any method's model may have: of a larger one those are left that show most to the training cameras, and nothing is
-    fitted again. None: as many as a method makes."""
+    """As many as any method's model may have: of a larger one those are left that show most to the
+    training cameras, and nothing is fitted again. None: as many as a method makes."""
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.methods) - set(METHODS))

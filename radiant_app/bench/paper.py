@@ -1,12 +1,13 @@
-"""`radiant bench paper`: the paper's figures and tables, made anew from our own data. Once per scene.
+"""`radiant bench paper`: the paper's figures and tables, made anew from our own data. Once per
+scene.
 
     plan      costs of training, convergence and partitions (`paper_plan.py`)
     balance   even against balanced regions with the time of each device (`paper_balance.py`)
     others    main, fed3dgs, border, regions, fusion, epochs: models joined in every way (`paper_parts.py`)
 
-Everything is written to one folder: `paper.md` with its pictures, `paper.json` with all figures, and
-in `models/` and `joined/` what a later call reuses. The page is rewritten after every section. No
-figure of the paper itself is on it: scenes, sizes and machines differ.
+Everything is written to one folder: `paper.md` with its pictures, `paper.json` with all figures,
+and in `models/` and `joined/` what a later call reuses. The page is rewritten after every section.
+No figure of the paper itself is on it: scenes, sizes and machines differ.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ PARTS: Mapping[str, Callable[[Arms, Sequence[int], bool], Part]] = {
     "main": main_part,
     "fed3dgs": fed3dgs_part,
 }
-"""In the order of their making: those of few models first, so that the page can be read meanwhile. `fed3dgs` repeats the main table with
-one more row."""
+"""In the order of their making: those of few models first, so that the page can be read meanwhile.
+`fed3dgs` repeats the main table with one more row."""
 PAGE_ORDER = ("main", "regions", "epochs", "fusion", "balance", "border", "plan")
 LAYOUT, QUICK_LAYOUT = Layout(num_edges=2, num_devices=2), Layout(num_edges=2, num_devices=1)
 

@@ -1,4 +1,5 @@
-"""Even against balanced regions: training time of each device and quality of the joined scene. Once per `radiant bench paper`.
+"""Even against balanced regions: training time of each device and quality of the joined scene. Once
+per `radiant bench paper`.
 
 Here every device takes equally many steps per photograph, so that its time follows the number of
 its photographs as the plan assumes; all devices together take the steps of the other sections.

@@ -1,4 +1,5 @@
-"""The planning section of `radiant bench paper`: what training costs, how the paper's loops converge, and what methods make of one scene.
+"""The planning section of `radiant bench paper`: what training costs, how the paper's loops
+converge, and what methods make of one scene.
 
     costs.png        training time and model size against photographs, with the fitted curves; trained on the scene of the page
     convergence.png  max|T − T̄| / T̄ before each iteration of the paper's loops, and of the exact plan

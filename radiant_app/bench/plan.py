@@ -1,4 +1,5 @@
-"""Benchmark of the planner: makespan over the lower bound beside its time, large plans, drags, and the paper's systems.
+"""Benchmark of the planner: makespan over the lower bound beside its time, large plans, drags, and
+the paper's systems.
 
 Each instance is drawn from a fixed seed: edges placed among the cameras, two to four devices per
 edge with speeds from 0.5 to 2 and uplinks from 10 to 100 Mbit/s. Times of methods are the best of
@@ -46,7 +47,8 @@ _SCENES = {"rubble": 1678, "building": 1940}
 
 
 def bench_plan(quick: bool) -> list[Metric]:
-    """Measure every method, plans from nothing and from an earlier plan, drags, and systems 1 and 2.
+    """Measure every method, plans from nothing and from an earlier plan, drags, and systems 1 and
+    2.
 
     Keys: `plan.<cameras>x<edges>.<kind>.<method>.<makespan_over_bound|time_ms>`,
     `….exact.<cold|warm>_…`, `plan.2000x64.[weight_]drag_…` and

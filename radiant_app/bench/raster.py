@@ -1,4 +1,5 @@
-"""Benchmark of the rasterizer: CPU milliseconds of forward, forward + backward and a whole training step, beside errors against float64.
+"""Benchmark of the rasterizer: CPU milliseconds of forward, forward + backward and a whole training
+step, beside errors against float64.
 
 Equal for all cases of a size: Gaussians, camera, SH degree 3, threads. Every round runs each case
 once, so that a slow minute of the machine affects all of them; figures are medians over the rounds.
@@ -37,10 +38,11 @@ from radiant_core.train.optimizer import SelectiveAdam
 NUM_ROUNDS = {"S": 15, "M": 9, "L": 5}
 FMA_PER_PAIR = 17 + 31
 """Multiplications, additions and fused multiply-adds per pair of pixel and Gaussian, forward and backward."""
-# Forward (raster_blend.h, blend_block): u 2, v 1, log₂ α 2, polynomial of 2ᶠ 5, weight 1, transmittance 1, sums of colour, depth and
-# weight 5. Backward (raster_blend_backward.h, instance_moments): u 2, v 1, log₂ α 2, polynomial 5, 1 − α 1, Newton step of its inverse 2,
-# transmittance 1, weight 1, c·g − B 3, B 1, h 1, hu and hv 2, nine sums 9.
-# Not counted: comparisons, masks, rounding, scaling by 2ⁿ, culling, sorting, and all work per Gaussian.
+# Forward (raster_blend.h, blend_block): u 2, v 1, log₂ α 2, polynomial of 2ᶠ 5, weight 1,
+# transmittance 1, sums of colour, depth and weight 5. Backward (raster_blend_backward.h,
+# instance_moments): u 2, v 1, log₂ α 2, polynomial 5, 1 − α 1, Newton step of its inverse 2,
+# transmittance 1, weight 1, c·g − B 3, B 1, h 1, hu and hv 2, nine sums 9. Not counted:
+# comparisons, masks, rounding, scaling by 2ⁿ, culling, sorting, and all work per Gaussian.
 _TIME_TOLERANCE = 0.3
 """Share by which a time may differ between runs on a machine that does other work."""
 _ERROR_TOLERANCE = 0.7
@@ -157,11 +159,13 @@ def peak_fma_per_s(threads: int = 1, rounds: int = 2_000_000) -> float:
     """16-lane fused multiply-adds per second in a loop of nothing else: per CPU second of one thread, per wall second of several."""
     instruction_set = _native.instruction_sets()[0]
     if threads == 1:
-        # The clock of this thread alone: OpenMP's threads go on spinning after a parallel operation of torch.
+        # The clock of this thread alone: OpenMP's threads go on spinning after a parallel operation
+        # of torch.
         start_s = time.thread_time()
         return _native.multiply_adds(instruction_set, rounds) / (time.thread_time() - start_s)
     with ThreadPoolExecutor(threads) as pool:
-        # A short round starts the threads; in the long one their uneven starts and ends do not matter.
+        # A short round starts the threads; in the long one their uneven starts and ends do not
+        # matter.
         for factor in (0.1, 4):
             start_s = time.perf_counter()
             done = sum(pool.map(lambda _, n=int(factor * rounds): _native.multiply_adds(instruction_set, n), range(threads)))

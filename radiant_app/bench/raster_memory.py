@@ -1,4 +1,5 @@
-"""A separate process that renders one stored model forward and backward and prints by how many bytes its peak memory grew.
+"""A separate process that renders one stored model forward and backward and prints by how many
+bytes its peak memory grew.
 
 python -m radiant_app.bench.raster_memory MODEL.npz S|M|L THREADS
 """

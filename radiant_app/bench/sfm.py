@@ -1,4 +1,5 @@
-"""Benchmark of structure from motion: seconds beside position and rotation errors, GPS neighbours against exhaustive matching.
+"""Benchmark of structure from motion: seconds beside position and rotation errors, GPS neighbours
+against exhaustive matching.
 
 The scene is one of the generator, whose cameras are known exactly. Errors are the residuals of the
 best similarity to the known cameras: e = ‖s R c + t − c*‖ and the angle of R*ᵀ R R_c. Equal for
@@ -46,7 +47,8 @@ class SfmRun:
 def bench_sfm(scene: Path | None, quick: bool) -> list[Metric]:
     """`sfm.<scene>.<spatial|exhaustive>.<seconds|registered|position_error_m|position_max_percent|rotation_error_deg>`.
 
-    `scene` holds images/ with GPS and known/ (a COLMAP model); None is the sample town. Raises BadInput when either is missing.
+    `scene` holds images/ with GPS and known/ (a COLMAP model); None is the sample town. Raises
+    BadInput when either is missing.
     """
     from radiant_core.sfm.world_frame.world import cameras_of
 

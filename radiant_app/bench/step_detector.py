@@ -1,11 +1,13 @@
-"""Calibration of the step detector: thresholds, false alarms and power on virtual borders inside centralised models.
+"""Calibration of the step detector: thresholds, false alarms and power on virtual borders inside
+centralised models.
 
 `python -m radiant_app.bench.step_detector [--borders 40] MODEL.ply…` draws as many random straight
 lines through each model, where nothing was joined. Thresholds are the quantiles of the scores at
-which 5 % of all lines raise an alarm in any quantity, with the same share α for each quantity. False
-alarms are cross-validated: counted on one half of the lines with the thresholds of the other half.
-Power is that of the printed thresholds on every fourth line, with a step planted in the model: the
-Gaussians left of the line become brighter, higher or fewer, or those at the line are removed.
+which 5 % of all lines raise an alarm in any quantity, with the same share α for each quantity.
+False alarms are cross-validated: counted on one half of the lines with the thresholds of the other
+half. Power is that of the printed thresholds on every fourth line, with a step planted in the
+model: the Gaussians left of the line become brighter, higher or fewer, or those at the line are
+removed.
 """
 
 from __future__ import annotations
@@ -45,8 +47,8 @@ def plants() -> dict[tuple[Quantity, str], Plant]:
 def virtual_borders(splats: Splats, count: int, seed: int = 0) -> list[FloatArray]:
     """Random lines (2,2) m across the region that was photographed; BadInput for an empty model.
 
-    Photographed regions have small Gaussians: the region is the box of the middle 80 % in x and y of
-    the smaller half of the opaque ones.
+    Photographed regions have small Gaussians: the region is the box of the middle 80 % in x and y
+    of the smaller half of the opaque ones.
     """
     shows = np.flatnonzero(splats.logit_opacities > np.log(MIN_OPACITY / (1 - MIN_OPACITY)))
     if len(shows) < 100:

@@ -1,4 +1,5 @@
-"""Benchmark of training: held-out PSNR against CPU seconds and Gaussians, presets against each other at budgets of CPU time.
+"""Benchmark of training: held-out PSNR against CPU seconds and Gaussians, presets against each
+other at budgets of CPU time.
 
 One model of all training photographs of a scene, without tiers. Budgets are CPU seconds of the
 whole process, which do not depend on the load of the machine. Equal for all presets: scene,
@@ -156,9 +157,12 @@ class _Split:
 
 
 def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
-    """All rows, and `train.<scene>.<variant>.<budget>s.<psnr_db|psnr_cc_db|cpu_s|num_gaussians|num_steps>` with the differences.
+    """All rows, and
+    `train.<scene>.<variant>.<budget>s.<psnr_db|psnr_cc_db|cpu_s|num_gaussians|num_steps>` with the
+    differences.
 
-    `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs. BadInput where nothing can be held out.
+    `bench.scene` is a run, a folder of `radiant sfm`, a COLMAP project or a folder of photographs.
+    BadInput where nothing can be held out.
     """
     with TemporaryDirectory(prefix="radiant-bench-train-") as folder:
         source = _load(bench.scene, Path(folder))
@@ -170,7 +174,8 @@ def bench_train(bench: TrainBench) -> tuple[list[TrainedRow], list[Metric]]:
             (split, preset, _config(preset, bench.long_side_px), budget_s, seed)
             for split in splits
             for budget_s in sorted({*bench.budgets_s, *halves})
-            # The reference first: once its largest budget is done, each further row completes a difference at half the time.
+            # The reference first: once its largest budget is done, each further row completes a
+            # difference at half the time.
             for preset in sorted(bench.presets, key=lambda preset: preset != REFERENCE)
             for seed in bench.seeds
             if budget_s in bench.budgets_s or preset != REFERENCE

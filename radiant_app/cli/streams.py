@@ -1,7 +1,9 @@
-"""Standard output and error of a command that may work for hours: where they break, what it does goes on.
+"""Standard output and error of a command that may work for hours: where they break, what it does
+goes on.
 
-Standard error carries progress: a full disk under its log or a reader that went away (`2>&1 | head`) silences it and ends nothing. Standard
-output carries results: there only a reader that went away is no error, and all else is `CannotPrint`. Once per process.
+Standard error carries progress: a full disk under its log or a reader that went away (`2>&1 |
+head`) silences it and ends nothing. Standard output carries results: there only a reader that went
+away is no error, and all else is `CannotPrint`. Once per process.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ class LastingStream(io.TextIOWrapper):
             self._silence(error)
 
     def _silence(self, error: OSError) -> None:
-        # What is still buffered goes there too: else it would be tried again, at the latest when the process ends.
+        # What is still buffered goes there too: else it would be tried again, at the latest when
+        # the process ends.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self.fileno())
         os.close(nowhere)

@@ -25,7 +25,8 @@ from radiant_core.plan.system import Cloud
 
 
 def aggregate(run: Path, out: Path, preset: AggregatePreset, epochs: int | None, display: ProgressDisplay) -> dict[str, Any]:
-    """Join the device models of a finished run and write a PLY; neither edges nor the cloud have a limit.
+    """Join the device models of a finished run and write a PLY; neither edges nor the cloud have a
+    limit.
 
     Args:
         run: folder of the run.

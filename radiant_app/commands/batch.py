@@ -1,8 +1,9 @@
-"""A batch: the jobs of a job file one after the other, going on after a failure, with a summary. Nothing is computed here.
+"""A batch: the jobs of a job file one after the other, going on after a failure, with a summary.
+Nothing is computed here.
 
-Each job is a process of its own that runs the pipeline (worker kind "run") and streams its events here: a segmentation fault or a
-full memory ends one job and not the night, and its memory is free for the next. Jobs do not run side by side, since each
-already gives every core a worker.
+Each job is a process of its own that runs the pipeline (worker kind "run") and streams its events
+here: a segmentation fault or a full memory ends one job and not the night, and its memory is free
+for the next. Jobs do not run side by side, since each already gives every core a worker.
 
     BATCH/summary.json  summary.html
     BATCH/jobs/<name>/    task.json: its configuration; log.txt; done.json once it is finished
@@ -95,8 +96,9 @@ def batch_folder(path: Path, out: Path | None) -> Path:
 def run_batch(path: Path, out: Path | None, display: Display, *, resume: bool = False) -> BatchResult:
     """Run the jobs of a file; with `resume` finished ones are skipped and begun ones go on.
 
-    Raises BadInput before anything starts when the file or a folder cannot be used. A job's failure is in the result. After Ctrl-C the
-    running job is stopped and the summary written; the result then says what was interrupted and what never started.
+    Raises BadInput before anything starts when the file or a folder cannot be used. A job's failure
+    is in the result. After Ctrl-C the running job is stopped and the summary written; the result
+    then says what was interrupted and what never started.
     """
     folder = batch_folder(path, out)
     jobs = load_jobs(path, folder)

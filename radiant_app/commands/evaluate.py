@@ -1,9 +1,12 @@
-"""`radiant evaluate MODEL [SCENE]`: any model of a scene on the photographs that the scene holds out.
+"""`radiant evaluate MODEL [SCENE]`: any model of a scene on the photographs that the scene holds
+out.
 
-MODEL: the folder of a run, a 3DGS PLY, or a model.safetensors. SCENE, by default MODEL itself where that is a run:
+MODEL: the folder of a run, a 3DGS PLY, or a model.safetensors. SCENE, by default MODEL itself where
+that is a run:
     a run          its held-out cameras and photographs at the size it was scored at
     an sfm folder  (`radiant sfm`, or a run that was not scored) every 8th photograph by name
-    a COLMAP project, undistorted: every 8th by name, in the project's own frame, where other trainers leave their models
+    a COLMAP project, undistorted: every 8th by name, in the project's own frame, where other
+    trainers leave their models
 One photograph is in memory at a time.
 """
 

@@ -1,6 +1,8 @@
-"""`radiant export`: a run or a model in the files of other programs, and its surface for surveyors. Once per call.
+"""`radiant export`: a run or a model in the files of other programs, and its surface for surveyors.
+Once per call.
 
-Every loss of a format is reported with its figure, for example that SOG keeps 16 bits of a position.
+Every loss of a format is reported with its figure, for example that SOG keeps 16 bits of a
+position.
 """
 
 from __future__ import annotations
@@ -40,8 +42,8 @@ _WANTED = {
 }
 
 MIN_KNOWN = 1 / 9
-"""Share of a surface model's cells from which on a cell has one neighbour with a height, or its own, on the average: with fewer no gap
-can be told from what was seen."""
+"""Share of a surface model's cells from which on a cell has one neighbour with a height, or its
+own, on the average: with fewer no gap can be told from what was seen."""
 
 _LEVEL = "the middle of the scene's points, not from the sea"
 

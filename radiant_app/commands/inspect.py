@@ -26,7 +26,8 @@ EDITS = "_edits.json"
 
 
 def plan_file_of(source: Path) -> Path | None:
-    """The plan file where `source` is one, or a folder without a run that holds exactly one plan; None for a run, and for anything else.
+    """The plan file where `source` is one, or a folder without a run that holds exactly one plan;
+    None for a run, and for anything else.
 
     Raises BadInput for a folder with several plans, and for a run that lost its manifest.
     """
@@ -68,8 +69,8 @@ class Picture:
 
 
 def save_picture(source: Path, view: str | None, path: Path, picture: Picture = Picture()) -> str:
-    """Write one view of a run, a training, a scene or a plan as PNG, without `view` the usual one; BadInput where there is no such view of
-    it, and where the file exists."""
+    """Write one view of a run, a training, a scene or a plan as PNG, without `view` the usual one;
+    BadInput where there is no such view of it, and where the file exists."""
     if source.suffix.lower() == ".ply" and source.is_file():
         raise BadInput(
             f"{source} is a model alone and --screenshot draws the views of a run or a plan: leave it out to open the window, or draw "
@@ -119,9 +120,11 @@ def plan_setting(plan: Path, system: Path | None = None) -> PlanSetting:
 
 
 def _machines(named: Path | None, places: Sequence[Path], reason: str) -> tuple[System | None, str]:
-    """The system that was named, else the first that stands in `places`, else None and why: `reason`, or what is wrong with the file.
+    """The system that was named, else the first that stands in `places`, else None and why:
+    `reason`, or what is wrong with the file.
 
-    Only a named file raises an error if it is broken: without machines everything but editing the plan works.
+    Only a named file raises an error if it is broken: without machines everything but editing the
+    plan works.
     """
     if named is not None:
         return load_system(named, curves=True), ""

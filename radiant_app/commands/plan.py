@@ -1,7 +1,9 @@
-"""`radiant plan`: regions and quotas from positions alone, of a scene, of waypoints before capture, or of photographs' GPS.
+"""`radiant plan`: regions and quotas from positions alone, of a scene, of waypoints before capture,
+or of photographs' GPS.
 
-Beside plan.json stand its picture, the system it is for and, where the positions are on the globe, `<stem>_waypoints/<device>.csv` and
-`<stem>_regions.geojson`. All are written into a hidden folder first and moved when the last is whole.
+Beside plan.json stand its picture, the system it is for and, where the positions are on the globe,
+`<stem>_waypoints/<device>.csv` and `<stem>_regions.geojson`. All are written into a hidden folder
+first and moved when the last is whole.
 """
 
 from __future__ import annotations
@@ -124,7 +126,8 @@ class _Plan:
 def plan(request: PlanRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Write the plan and what goes beside it; returns what the command line prints.
 
-    Raises BadInput with one sentence when the input, the system or the place to write to cannot be used; nothing stays behind.
+    Raises BadInput with one sentence when the input, the system or the place to write to cannot be
+    used; nothing stays behind.
     """
     _require_places(request.out)
     system = even_system(2, 2) if request.system is None else load_system(request.system, curves=True)

@@ -1,7 +1,9 @@
-"""What a plan says of footprints before anybody flies: the forecast of its borders and the buffer captures, for `radiant plan`.
+"""What a plan says of footprints before anybody flies: the forecast of its borders and the buffer
+captures, for `radiant plan`.
 
-Waypoints know their altitude, not the ground's: it is 0 unless it is given, as for heights above take-off. Where the altitudes cannot be
-heights above that ground nothing is forecast, and the reason is said. A scene has its cameras' poses and sparse points instead.
+Waypoints know their altitude, not the ground's: it is 0 unless it is given, as for heights above
+take-off. Where the altitudes cannot be heights above that ground nothing is forecast, and the
+reason is said. A scene has its cameras' poses and sparse points instead.
 """
 
 from __future__ import annotations

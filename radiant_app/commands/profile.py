@@ -1,7 +1,9 @@
-"""`radiant profile`: cost curves of this machine, from a short real run or from the stage times of a finished one, as a curve file.
+"""`radiant profile`: cost curves of this machine, from a short real run or from the stage times of
+a finished one, as a curve file.
 
-Without photographs the sample town is trained. A count of photographs in the middle is predicted from the others and compared with what
-was measured there; the curves that are written are fitted on all.
+Without photographs the sample town is trained. A count of photographs in the middle is predicted
+from the others and compared with what was measured there; the curves that are written are fitted on
+all.
 """
 
 from __future__ import annotations
@@ -106,7 +108,8 @@ def profile(request: ProfileRequest, listen: Listener, clock: Callable[[], float
 
 
 def profile_of_run(run: Path, out: Path, machine: str | None = None) -> dict[str, Any]:
-    """Write the curve file of a finished run on this machine from its stage times; returns what the command line prints.
+    """Write the curve file of a finished run on this machine from its stage times; returns what the
+    command line prints.
 
     BadInput for an emulated run, whose times are played, and for one without a trained device.
     """

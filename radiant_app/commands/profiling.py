@@ -1,15 +1,18 @@
-"""Measures what this machine takes to train and to join, by running the nodes of a real run on parts of a scene. Once per profile.
+"""Measures what this machine takes to train and to join, by running the nodes of a real run on
+parts of a scene. Once per profile.
 
     pilot           the largest count of photographs, a few steps      → seconds per step, hence how many steps the time allows
     G, F_n, H (c)   a device node per count                            → start-up, steps, bytes
     F_m (c)         an edge node per count with two devices' models    → a + b · views; and with one device's: nothing is joined
 
-An edge does what it would in a run of this scene by several edges: it leaves joining to the cloud where that is expected to retrain (it
-then pools models and makes pictures of them), else it retrains itself. Which one is settled once, by the pilot's model.
+An edge does what it would in a run of this scene by several edges: it leaves joining to the cloud
+where that is expected to retrain (it then pools models and makes pictures of them), else it
+retrains itself. Which one is settled once, by the pilot's model.
 
-Where the time does not allow all the steps that a run takes, all trainings get the same smaller number and their seconds are multiplied:
-every schedule of a preset follows the share of its steps, and density control gets as many rounds. The two models of an edge are one model
-twice, each with half of the cameras.
+Where the time does not allow all the steps that a run takes, all trainings get the same smaller
+number and their seconds are multiplied: every schedule of a preset follows the share of its steps,
+and density control gets as many rounds. The two models of an edge are one model twice, each with
+half of the cameras.
 """
 
 from __future__ import annotations
@@ -89,7 +92,8 @@ class Measured:
 
 
 def choose_counts(num_photographs: int) -> tuple[list[int], int | None]:
-    """Counts of photographs to measure, evenly in ratio from an eighth on, and one in the middle that checks the fit; None among few.
+    """Counts of photographs to measure, evenly in ratio from an eighth on, and one in the middle
+    that checks the fit; None among few.
 
     Raises BadInput below `MIN_PHOTOGRAPHS`.
     """

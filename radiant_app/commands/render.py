@@ -60,8 +60,8 @@ class RenderRequest:
 
 
 def render(request: RenderRequest, display: ProgressDisplay) -> dict[str, Any]:
-    """Write PNG pictures into the new folder `out`, or a film; returns what was written. BadInput before anything is rendered, and where a
-    picture does not fit into memory."""
+    """Write PNG pictures into the new folder `out`, or a film; returns what was written. BadInput
+    before anything is rendered, and where a picture does not fit into memory."""
     is_film = request.out.suffix.lower() in ENDINGS
     if request.out.suffix.lower() in OTHER_FILMS:
         raise BadInput(f"{request.out.name} is a film of a kind that is not written here: let its name end in {', '.join(ENDINGS)}.")
@@ -213,7 +213,8 @@ class _Keyframes(BaseModel):
 
 
 def keyframe_cameras(path: Path, fps: float, size_wh: tuple[int, int]) -> Cameras:
-    """The frames of a flight written down as JSON: field_of_view_deg (60) and keyframes with time_s, position and target in the world.
+    """The frames of a flight written down as JSON: field_of_view_deg (60) and keyframes with
+    time_s, position and target in the world.
 
     BadInput names the first place in the file that is not so.
     """

@@ -1,9 +1,12 @@
-"""`radiant replan`: a plan or run after a device died, became slow, is busy or finished, or others joined.
+"""`radiant replan`: a plan or run after a device died, became slow, is busy or finished, or others
+joined.
 
-A plan file: positions are its waypoints, captured are those that `--captured` names; its system is `--system`. A run: its training
-cameras, its own system with curves corrected by what has finished. There, finished nodes are done; a device that has begun keeps exactly
-what it has; and with `--frames gps` or `known` every position is captured where it is. Beside the new plan stand its picture, a Gantt
-chart, the system it is for, what moved (CSV) and, for waypoints, lists per device and GeoJSON as of `radiant plan`.
+A plan file: positions are its waypoints, captured are those that `--captured` names; its system is
+`--system`. A run: its training cameras, its own system with curves corrected by what has finished.
+There, finished nodes are done; a device that has begun keeps exactly what it has; and with
+`--frames gps` or `known` every position is captured where it is. Beside the new plan stand its
+picture, a Gantt chart, the system it is for, what moved (CSV) and, for waypoints, lists per device
+and GeoJSON as of `radiant plan`.
 """
 
 from __future__ import annotations
@@ -98,8 +101,8 @@ def parse_values(texts: Sequence[str], option: str) -> dict[str, float]:
 def replan_files(request: ReplanRequest, display: ProgressDisplay) -> dict[str, Any]:
     """Write the new plan and the files beside it; returns the summary that the command line prints.
 
-    Raises BadInput with one sentence when something cannot be used, and where the machines that are left cannot hold what is left; nothing
-    stays behind.
+    Raises BadInput with one sentence when something cannot be used, and where the machines that are
+    left cannot hold what is left; nothing stays behind.
     """
     if request.out.suffix != ".json":
         raise BadInput(f"{request.out} is no name for a plan: choose one that ends in .json.")

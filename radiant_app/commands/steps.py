@@ -36,7 +36,8 @@ def sfm(  # noqa: PLR0913
     *,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """Structure from motion of `source` into the new folder `out`, or with `resume` on with one that was interrupted there.
+    """Structure from motion of `source` into the new folder `out`, or with `resume` on with one
+    that was interrupted there.
 
     `placement` has fields of `radiant_core.sfm.world_frame.placement.Placement`.
     """
@@ -96,7 +97,8 @@ def require_file_to_be(out: Path) -> None:
 
 @contextmanager
 def libraries_log_to(path: Path) -> Iterator[None]:
-    """Redirect standard error of C++ libraries to a file, as in the processes of a run; Python's stays visible.
+    """Redirect standard error of C++ libraries to a file, as in the processes of a run; Python's
+    stays visible.
 
     Without effect if Python's standard error is not that of the process, as in tests.
     """

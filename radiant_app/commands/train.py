@@ -1,11 +1,13 @@
-"""`radiant train`: one model of one machine from all training photographs of a scene, without tiers: the centralised baseline.
+"""`radiant train`: one model of one machine from all training photographs of a scene, without
+tiers: the centralised baseline.
 
     OUT/manifest.json metrics.json scene.ply        settings and decisions; figures of the held-out photographs; the model
     OUT/pictures/{photographs,renders,differences}/ the held-out photographs beside what the model shows there
     OUT/sfm/                                        structure from motion, where the source is no scene yet
     OUT/checkpoints/ done.json                      while it trains; once the model is whole
 
-With --out MODEL.ply the model alone is written, of a source that has a scene: nothing is scored, and a kill starts again from nothing.
+With --out MODEL.ply the model alone is written, of a source that has a scene: nothing is scored,
+and a kill starts again from nothing.
 """
 
 from __future__ import annotations
@@ -77,8 +79,8 @@ class TrainRequest:
     masks: Path | None = None
     """Folder of masks of the photographs, see `radiant_core.io.photos.masks`; not with a scene, which has its own."""
     up: str | None = None
-    """Which way is up, as distance and height see `radiant_core.sfm.world_frame.placement.Placement`; not
-    with a scene, which has its frame."""
+    """Which way is up, as distance and height see
+    `radiant_core.sfm.world_frame.placement.Placement`; not with a scene, which has its frame."""
     distance: str | None = None
     height_m: float | None = None
     memory_bytes: int | None = None

@@ -1,8 +1,10 @@
-"""The fields of `RunConfig` by dotted path, such as train.num_steps: the one list behind options, run and job files, `--set` and manifests.
+"""The fields of `RunConfig` by dotted path, such as train.num_steps: the one list behind options,
+run and job files, `--set` and manifests.
 
     values of paths  ─config_of→  RunConfig  ─tables_of→  tables, as a run file has them  ─values_of→  values of paths
 
-Fields of `TrainConfig` and `AggregateConfig` belong to the sections train and aggregate, where they are settings beside a preset.
+Fields of `TrainConfig` and `AggregateConfig` belong to the sections train and aggregate, where they
+are settings beside a preset.
 """
 
 from __future__ import annotations
@@ -197,7 +199,8 @@ def values_of(tables: Mapping[str, Any], kind: str, prefix: str = "") -> dict[st
 def with_settings(given: Mapping[str, Any], settings: Sequence[str], section: str = "") -> dict[str, Any]:
     """The values `given` by options together with those of `--set PATH=VALUE`, by path.
 
-    Raises BadInput for a path that is unknown or outside of the `section`, a value of another kind, or a path twice.
+    Raises BadInput for a path that is unknown or outside of the `section`, a value of another kind,
+    or a path twice.
     """
     values = dict(given)
     for text in settings:

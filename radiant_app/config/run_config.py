@@ -1,9 +1,10 @@
-"""`RunConfig`: what one run is asked to do, in sections. A sentence under a field is also the help text of its option.
+"""`RunConfig`: what one run is asked to do, in sections. A sentence under a field is also the help
+text of its option.
 
     RunConfig(source=photos, out=folder, train=TrainOptions(num_steps=300), plan=PlanOptions(method="voronoi"))
 
-The options of `radiant run`, the keys of a run file, `--set PATH=VALUE` and a run's manifest are made from these fields
-(`radiant_app.config.fields`). Pure: nothing heavy is imported.
+The options of `radiant run`, the keys of a run file, `--set PATH=VALUE` and a run's manifest are
+made from these fields (`radiant_app.config.fields`). Pure: nothing heavy is imported.
 """
 
 from __future__ import annotations
@@ -88,9 +89,9 @@ class SfmOptions:
     masks: Path | None = None
     """Folder of masks: photograph.jpg.png or photograph.png, 8-bit grey, 0 is ignored."""
     up: Annotated[str | None, Option(shown="auto")] = None
-    """auto: by GPS, else by what ground and cameras show. Or: ground (the plane through most points is level), level (photographs were
-    held level), down (they look straight down), a photograph's name (its top edge is up), or x,y,z in the frame of a COLMAP project. Goes
-    before GPS."""
+    """auto: by GPS, else by what ground and cameras show. Or: ground (the plane through most points
+    is level), level (photographs were held level), down (they look straight down), a photograph's
+    name (its top edge is up), or x,y,z in the frame of a COLMAP project. Goes before GPS."""
     distance: Annotated[str | None, Option(metavar="PHOTO,PHOTO,METRES")] = None
     """How far apart two photographs were taken: makes lengths metres. Goes before GPS."""
     height_m: Annotated[float | None, Option(name="--height")] = None
@@ -136,8 +137,8 @@ class TrainOptions:
     """How devices train: a preset, and whatever of `TrainConfig` is to differ from it."""
 
     preset: Annotated[Preset, Option(name="--train-preset")] = "default"
-    """draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000 Gaussians at most; paper: its 20,000
-    steps."""
+    """draft: quick; standard: 3DGS, its schedule scaled to the steps and, on a CPU, with 200,000
+    Gaussians at most; paper: its 20,000 steps."""
     long_side_px: Annotated[int | None, Option(min=16)] = None
     """Long side of the training images."""
     num_steps: Annotated[int | None, Option(name="--steps", min=1)] = None
@@ -260,8 +261,8 @@ class RunConfig:
 
     @property
     def early_teachers(self) -> bool:
-        """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own speed, and one that leaves joining to
-        the cloud needs other views."""
+        """Whether teachers are nodes of their own; an emulated edge renders them itself, at its own
+        speed, and one that leaves joining to the cloud needs other views."""
         pools = self.frames != "gps" and self.aggregate.config.edges_pool
         return self.execution.teachers == "early" and not (self.emulated or pools)
 

@@ -1,8 +1,10 @@
-"""The emulating executor: devices and edges at the speeds and uplinks of the system file, in wall time on this machine.
+"""The emulating executor: devices and edges at the speeds and uplinks of the system file, in wall
+time on this machine.
 
-Every node of a device or edge runs inside `emulated_node`: one thread at `speed` of a core, and the node only ends when its
-model's last byte would have passed its uplink, so that its parent starts no sooner. All nodes that may run at once do.
-The cloud, structure from motion and evaluation run and are measured as usual. Events of emulated nodes are marked.
+Every node of a device or edge runs inside `emulated_node`: one thread at `speed` of a core, and the
+node only ends when its model's last byte would have passed its uplink, so that its parent starts no
+sooner. All nodes that may run at once do. The cloud, structure from motion and evaluation run and
+are measured as usual. Events of emulated nodes are marked.
 """
 
 from __future__ import annotations
@@ -64,10 +66,11 @@ def require_emulable(system: System) -> None:
 
 
 def emulated_figures(tree: Tree, emulated: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """The figures of an emulated run for metrics.json, from stage → (started_s, ended_s): seconds per stage and the makespan.
+    """The figures of an emulated run for metrics.json, from stage → (started_s, ended_s): seconds
+    per stage and the makespan.
 
-    The makespan combines the nodes' own times as the planner does, without the time this machine took to copy files.
-    None with a reason if a node's time is unknown.
+    The makespan combines the nodes' own times as the planner does, without the time this machine
+    took to copy files. None with a reason if a node's time is unknown.
     """
 
     def arrival_s(node: Tree, arrivals_s: Sequence[float]) -> float:

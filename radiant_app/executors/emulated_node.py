@@ -1,14 +1,18 @@
-"""One emulated machine: runs a command at a share of one core, then holds its product back as a slow link would.
+"""One emulated machine: runs a command at a share of one core, then holds its product back as a
+slow link would.
 
-Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPEED BYTES_PER_S STAGE FOLDER COMMAND…`. Linux only.
+Started by `EmulatedExecutor` in place of a worker: `… emulated_node BEGUN SPEED BYTES_PER_S STAGE
+FOLDER COMMAND…`. Linux only.
 
     share   with c the command's CPU seconds and t the wall seconds since BEGUN (the machine's monotonic clock, so that the start of
-            this process costs the emulated machine nothing), it is stopped (SIGSTOP) while c − speed · t is large and runs while
-            it is small: the share is of its own CPU time, so that other work on this machine delays it but is caught up with
+            this process costs the emulated machine nothing), it is stopped (SIGSTOP) while c −
+            speed · t is large and runs while it is small: the share is of its own CPU time, so that
+            other work on this machine delays it but is caught up with
     link    a token bucket without burst: byte k of the product arrives at k / bytes_per_s; this process ends with the last one
 
-A stopped process cannot react. The kernel therefore kills the command when this process ends for any reason (PR_SET_PDEATHSIG),
-and this process ends when its standard input closes, that is, with the executor.
+A stopped process cannot react. The kernel therefore kills the command when this process ends for
+any reason (PR_SET_PDEATHSIG), and this process ends when its standard input closes, that is, with
+the executor.
 """
 
 from __future__ import annotations
@@ -67,9 +71,11 @@ def _run_at_share(command: list[str], speed: float, begun_s: float) -> tuple[int
         ahead_s = _cpu_s(process.pid) - speed * (time.monotonic() - begun_s)
         if running != (ahead_s < (half_s if running else -half_s)):
             running = not running
-            # Not Popen.send_signal, which collects a process that has just ended, and its CPU time with it.
+            # Not Popen.send_signal, which collects a process that has just ended, and its CPU time
+            # with it.
             signal.pidfd_send_signal(ended, signal.SIGCONT if running else signal.SIGSTOP)
-        # One thread gains less than a second in a second; while it stands still, time passes at `speed`.
+        # One thread gains less than a second in a second; while it stands still, time passes at
+        # `speed`.
         wait_s = min(max(half_s - ahead_s, SHORTEST_S), PERIOD_S) if running else (ahead_s + half_s) / speed
     os.close(ended)
     _, status, usage = os.wait4(process.pid, 0)
@@ -92,7 +98,8 @@ def _deliver(stage: str, num_bytes: int, bytes_per_s: float) -> None:
 
 def _wait(seconds: float, *descriptors: int) -> bool:
     """Wait for `seconds` or until a descriptor is readable; True in the latter case. Ends this process with the executor."""
-    # The executor holds a pipe open as our standard input and never writes; run by hand there is none.
+    # The executor holds a pipe open as our standard input and never writes; run by hand there is
+    # none.
     pipe = [0] if stat.S_ISFIFO(os.fstat(0).st_mode) else []
     ready, _, _ = select.select([*pipe, *descriptors], [], [], max(0.0, seconds))
     if 0 in ready:

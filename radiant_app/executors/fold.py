@@ -1,4 +1,5 @@
-"""The fold of a tree, the same under every executor: which node may start, what is skipped, tried again, given up, or ends the run.
+"""The fold of a tree, the same under every executor: which node may start, what is skipped, tried
+again, given up, or ends the run.
 
 A `Runner` starts the process of a node. Of the nodes that can run, devices come first, since edges
 and the cloud wait for them; teachers take the remaining workers. Runs once per run.
@@ -10,8 +11,8 @@ and the cloud wait for them; teachers take the remaining workers. Runs once per 
     failed       reported its error: a warning if the run can do without the node, else the run ends
 
 Time counts against a node only while the fold itself runs and can receive messages, so that a run
-that is suspended (SIGSTOP, a frozen container) loses no node. Messages that have arrived are handled
-before any deadline is checked, and a sealed node is done.
+that is suspended (SIGSTOP, a frozen container) loses no node. Messages that have arrived are
+handled before any deadline is checked, and a sealed node is done.
 """
 
 from __future__ import annotations
@@ -72,7 +73,8 @@ class Runner(Protocol):
         ...
 
     def wait(self, timeout_s: float) -> tuple[str, Event | NodeStarted | NodeEnded | None] | None:
-        """The next message of a running node, by node id: an event, its end, or None for a heartbeat. None after the timeout.
+        """The next message of a running node, by node id: an event, its end, or None for a
+        heartbeat. None after the timeout.
 
         Raises:
             StageFailed: the runner itself is lost.

@@ -1,6 +1,8 @@
-"""The local executor: one operating-system process per node, at most `num_workers` at a time, with equal numbers of threads.
+"""The local executor: one operating-system process per node, at most `num_workers` at a time, with
+equal numbers of threads.
 
-Each process gets max(1, cores // workers) threads: 4 × 2 threads on 4 cores did 52 units of work where 4 × 1 did 79.
+Each process gets max(1, cores // workers) threads: 4 × 2 threads on 4 cores did 52 units of work
+where 4 × 1 did 79.
 """
 
 from __future__ import annotations
@@ -149,7 +151,8 @@ def _width(tree: Tree) -> int:
 
 
 def _spawn(command: list[str], folder: Path, num_threads: int) -> subprocess.Popen[str]:
-    # Without the last, OpenMP's threads spin after their part and take a core from the rasterizer's.
+    # Without the last, OpenMP's threads spin after their part and take a core from the
+    # rasterizer's.
     environment = {**os.environ, "OMP_NUM_THREADS": str(num_threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
     # A session of its own: Ctrl-C reaches only this process, which stops the workers in order.
     with log_path(folder).open("w") as log:

@@ -43,9 +43,11 @@ class Executor(Protocol):
     def fold(self, tree: Tree, prepare: Prepare, listen: Listener) -> Mapping[str, NodeTime]:
         """Run every node once its children are done and return the times by node id.
 
-        A teacher runs only while its edge still waits for a device and is stopped then: the edge renders what is missing itself.
+        A teacher runs only while its edge still waits for a device and is stopped then: the edge
+        renders what is missing itself.
 
-        A node whose folder is sealed with the task's key is skipped. Raises StageFailed (or BadInput, as the worker said) with the
-        node's reason after the other running nodes were stopped; what is sealed stays and is skipped the next time.
+        A node whose folder is sealed with the task's key is skipped. Raises StageFailed (or
+        BadInput, as the worker said) with the node's reason after the other running nodes were
+        stopped; what is sealed stays and is skipped the next time.
         """
         ...

@@ -1,14 +1,18 @@
-"""The Ray executor: the same tree folded on a cluster of one owner's machines, one Ray task per node of the tree.
+"""The Ray executor: the same tree folded on a cluster of one owner's machines, one Ray task per
+node of the tree.
 
-This process never imports Ray: it talks to `ray_driver`, a process of its own, in lines of JSON over pipes. When the head of the cluster
-dies, Ray ends the process that is connected to it; then that is the driver, and the run can say what to do.
+This process never imports Ray: it talks to `ray_driver`, a process of its own, in lines of JSON
+over pipes. When the head of the cluster dies, Ray ends the process that is connected to it; then
+that is the driver, and the run can say what to do.
 
     place     a machine started with `--resources '{"device:north-1": 1}'` runs that device, `edge:north` that edge and its teachers,
               `cloud` the cloud; a node whose name no living machine has runs wherever there is room
     files     the run's folder lies on a file system that all machines see under the same path. A node's process reads its photographs there
-              itself; through Ray go only its command, its events, and in the end the hash of its seal, which is compared with the file's
+              itself; through Ray go only its command, its events, and in the end the hash of its
+              seal, which is compared with the file's
     faults    Ray retries nothing (max_retries 0): what a lost machine leaves unfinished is started again by `Fold`, elsewhere if need be,
-              and goes on from its last checkpoint. A lock in the node's folder keeps a lost process that still lives from writing beside it
+              and goes on from its last checkpoint. A lock in the node's folder keeps a lost process
+              that still lives from writing beside it
 """
 
 from __future__ import annotations
@@ -217,11 +221,13 @@ class _Cluster:
 
 
 def _environment(address: str) -> dict[str, str]:
-    """The environment of the driver's process. A cluster of this machine alone listens on the loopback address and requires a secret,
-    which Ray takes from here before it looks for one, or creates one, in ~/.ray."""
+    """The environment of the driver's process. A cluster of this machine alone listens on the
+    loopback address and requires a secret, which Ray takes from here before it looks for one, or
+    creates one, in ~/.ray."""
     if address != "local":
         return dict(os.environ)
-    # Given 127.0.0.1 as its address, Ray uses that of the network; without support for several machines it uses 127.0.0.1.
+    # Given 127.0.0.1 as its address, Ray uses that of the network; without support for several
+    # machines it uses 127.0.0.1.
     secret = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(SECRET_BYTES)}
     return {**os.environ, "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", **secret}
 

@@ -1,10 +1,12 @@
-"""The process that is connected to a Ray cluster: submits tasks and forwards their output. Started by `RayExecutor`; see there.
+"""The process that is connected to a Ray cluster: submits tasks and forwards their output. Started
+by `RayExecutor`; see there.
 
     in    {"leaves": [place…]} once, {"start": node, command, folder…}, {"stop": node}; the end of the input ends the process
     out   {"ready": …} or {"refused": why} once, then {"node", "began" | "line" | "lost" | "code" and "seal_sha256"}
 
-A task is a generator: its first item says where it runs, then come the lines of the node's worker process, of which one comes every few
-seconds at least. It reserves `num_cpus` of its machine and gives its process as many threads.
+A task is a generator: its first item says where it runs, then come the lines of the node's worker
+process, of which one comes every few seconds at least. It reserves `num_cpus` of its machine and
+gives its process as many threads.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ from typing import Any
 
 # Before Ray is imported: it sends usage statistics by default.
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-# A task without a GPU must not change the environment of its process; without this Ray warns at every start.
+# A task without a GPU must not change the environment of its process; without this Ray warns at
+# every start.
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 
 import ray
@@ -157,8 +160,8 @@ def _run_node(command: list[str], folder: str, stage: str, task_sha256: str | No
         yield {"code": StageFailed.exit_code, "seal_sha256": None}
         return
     environment = {**os.environ, "OMP_NUM_THREADS": str(threads), "PYTHONUNBUFFERED": "1", "GOMP_SPINCOUNT": "0"}
-    # The first word is the Python of the machine that started the run. The child keeps the lock while it lives, even without this
-    # process, and ends when its standard input closes.
+    # The first word is the Python of the machine that started the run. The child keeps the lock
+    # while it lives, even without this process, and ends when its standard input closes.
     with (place / "log.txt").open("w") as log:
         process = subprocess.Popen(
             [sys.executable, *command[1:]],

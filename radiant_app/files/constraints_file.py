@@ -1,4 +1,5 @@
-"""The constraints file of `radiant plan --constraints`: what is decided before the planner, in TOML.
+"""The constraints file of `radiant plan --constraints`: what is decided before the planner, in
+TOML.
 
 plan = "before.json"                 # the plan to start from, beside this file; needed for locked regions
 locked = ["north"]                   # these edges keep their photographs or waypoints and get no others

@@ -1,7 +1,9 @@
-"""The event stream of a run as events.jsonl in its folder, for other processes that show its progress.
+"""The event stream of a run as events.jsonl in its folder, for other processes that show its
+progress.
 
-One event per line, as `events.encode` writes it. Of progress, at most two lines a second and stage, and the first of every phase, which
-restarts the count: else a long phase would show the end of the previous one. A resumed run starts a new file.
+One event per line, as `events.encode` writes it. Of progress, at most two lines a second and stage,
+and the first of every phase, which restarts the count: else a long phase would show the end of the
+previous one. A resumed run starts a new file.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Files that `radiant run` starts from, written by a user in TOML and checked as a whole before anything starts.
+"""Files that `radiant run` starts from, written by a user in TOML and checked as a whole before
+anything starts.
 
 A run file has the sections of `RunConfig`:
 
@@ -27,8 +28,8 @@ A job file lists several runs for one night:
     steps = 300
     set = ["train.sky=false"]
 
-Its keys are the options of `radiant run` without the dashes before them. Paths are relative to the file; a job's `out` is relative to the
-batch's folder.
+Its keys are the options of `radiant run` without the dashes before them. Paths are relative to the
+file; a job's `out` is relative to the batch's folder.
 """
 
 from __future__ import annotations
@@ -81,8 +82,9 @@ def load_run_file(path: Path) -> dict[str, Any]:
 def load_jobs(path: Path, folder: Path) -> tuple[Job, ...]:
     """The jobs of a file for the batch in `folder`, in order.
 
-    Raises BadInput naming file and place for an unknown key, a value of the wrong kind, options that contradict, a name twice, a source
-    or file that is not there, or an `out` that is another's, lies in or around it, or is the batch's own.
+    Raises BadInput naming file and place for an unknown key, a value of the wrong kind, options
+    that contradict, a name twice, a source or file that is not there, or an `out` that is
+    another's, lies in or around it, or is the batch's own.
     """
     tables = load_toml(path, "job file")
     try:

@@ -1,4 +1,5 @@
-"""Curve files: the profile of one machine, as TOML or JSON, written by `radiant profile` and named by system files.
+"""Curve files: the profile of one machine, as TOML or JSON, written by `radiant profile` and named
+by system files.
 
     kind = "measured"                    # or "estimate", which every plan says
     machine = "workstation, 8 threads"
@@ -19,8 +20,9 @@
     worst_error = 0.0
     samples = [[7, 4.7], [53, 9.3]]      # camera count, measured value
 
-A curve is constant + linear · c + power_coefficient · c ** exponent, as in a system file. What is read is checked: samples that rise, and
-errors that are those of the samples. The library's files lie in `profiles/` beside this module.
+A curve is constant + linear · c + power_coefficient · c ** exponent, as in a system file. What is
+read is checked: samples that rise, and errors that are those of the samples. The library's files
+lie in `profiles/` beside this module.
 """
 
 from __future__ import annotations

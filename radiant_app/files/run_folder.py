@@ -1,4 +1,5 @@
-"""The folder of one run and its manifest.json: configuration, times of stages, decisions and warnings.
+"""The folder of one run and its manifest.json: configuration, times of stages, decisions and
+warnings.
 
     manifest.json plan.json scene.ply metrics.json report.html pictures/
     sfm/ devices/<id>/ edges/<id>/ cloud/ evaluation/        one folder per process
@@ -128,8 +129,9 @@ class Manifest:
 def open_run(config: RunConfig, resume: bool) -> Iterator[Manifest]:
     """Create or reopen the run's folder and hold its lock.
 
-    Raises BadInput when the folder exists and is not empty (without `resume`), was made by other settings, or cannot be made. When
-    the input turns out to be unusable, a folder made here goes away again: nothing half-written stays behind.
+    Raises BadInput when the folder exists and is not empty (without `resume`), was made by other
+    settings, or cannot be made. When the input turns out to be unusable, a folder made here goes
+    away again: nothing half-written stays behind.
     """
     with open_folder(config.out, recorded_config(config), resume, keep=("sfm/done.json", "devices/*/done.json")) as manifest:
         yield manifest
@@ -170,10 +172,12 @@ def _record_outcome(manifest: Manifest) -> Iterator[Manifest]:
 
 @contextmanager
 def sfm_folder(out: Path, task: dict[str, Any], *, resume: bool) -> Iterator[None]:
-    """The folder of `radiant sfm` for a `task`, which it keeps in task.json: new, or with `resume` what an interrupted one left, whose
-    features and matches are used. Held by one process at a time.
+    """The folder of `radiant sfm` for a `task`, which it keeps in task.json: new, or with `resume`
+    what an interrupted one left, whose features and matches are used. Held by one process at a
+    time.
 
-    Raises BadInput as `create_folder`, and with `resume` where the folder is of something else, of another task, or finished.
+    Raises BadInput as `create_folder`, and with `resume` where the folder is of something else, of
+    another task, or finished.
     """
     if resume and out.is_dir() and _has_content(out):
         with RunLock(out):
@@ -201,9 +205,11 @@ def _require_unfinished(out: Path, task: dict[str, Any]) -> None:
 
 @contextmanager
 def create_folder(out: Path, *, resumable: bool = False) -> Iterator[None]:
-    """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot be made.
+    """A folder for results, made with its parents; BadInput when it is a file, not empty, or cannot
+    be made.
 
-    After a BadInput within, everything that was made here goes again; where it is `resumable`, not after a full disk.
+    After a BadInput within, everything that was made here goes again; where it is `resumable`, not
+    after a full disk.
     """
     made = _create_folders(out, resumable=resumable)
     with _remove_after_bad_input(out, made, resumable=resumable):

@@ -1,4 +1,5 @@
-"""The system file: edges, their devices and their costs, written by a user in TOML and checked here.
+"""The system file: edges, their devices and their costs, written by a user in TOML and checked
+here.
 
     [[edge]]
     id = "north"
@@ -18,23 +19,28 @@
     relative_speed = 2.0                 # divides init_s and train_s
     speed = 0.5                          # of an edge too: share of one core under `radiant run --emulate`
 
-The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in both has relative_speed and speed 0.5.
+The planner believes the costs, an emulation plays `speed`: a device that is to be half as fast in
+both has relative_speed and speed 0.5.
 
     [cloud]                              # limits of joining at the cloud; beyond them models are cut at their borders, with a warning
     memory_gb = 16.0                     # left out: four fifths of what is free on the machine that joins
     time_s = 3600.0                      # left out, as max_cameras: no limit
     max_cameras = 2000
 
-In place of costs, a device or edge may have profile = "rtx-3090" of the library (`radiant profile --list`) or profile = "mine.toml", a
-curve file of `radiant profile` relative to this one: its costs and, where the file says none, its memory come from there. An edge may also
-have aggregate_alone_s: what it costs where one device has all its cameras, so that nothing is retrained. Where a run or plan writes its
-system, the costs stand there as numbers and costs_from says which profile they are of: "measured mine.toml", "estimate rtx-3090".
+In place of costs, a device or edge may have profile = "rtx-3090" of the library (`radiant profile
+--list`) or profile = "mine.toml", a curve file of `radiant profile` relative to this one: its costs
+and, where the file says none, its memory come from there. An edge may also have aggregate_alone_s:
+what it costs where one device has all its cameras, so that nothing is retrained. Where a run or
+plan writes its system, the costs stand there as numbers and costs_from says which profile they are
+of: "measured mine.toml", "estimate rtx-3090".
 
-For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model sent) and `max_cameras` in place of
-devices, uplink and aggregate_s: the cloud plans its region, and it deals its cameras itself, later, with a system file of its own.
+For `radiant plan` alone, an edge may have `time_s` (a cost, from its first photograph to its model
+sent) and `max_cameras` in place of devices, uplink and aggregate_s: the cloud plans its region, and
+it deals its cameras itself, later, with a system file of its own.
 
-A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only ids are required; what is
-left out has the value above, except position, memory limits, aggregate_alone_s and speed (none) and relative_speed (1).
+A cost is constant + linear · c + power_coefficient · c ** exponent for c cameras, 0 for none. Only
+ids are required; what is left out has the value above, except position, memory limits,
+aggregate_alone_s and speed (none) and relative_speed (1).
 """
 
 from __future__ import annotations
@@ -197,7 +203,8 @@ class _File(Strict):
 def load_system(path: Path, *, curves: bool = False) -> System:
     """The system in a TOML file; BadInput names the file, the key, what came and what is expected.
 
-    Edges described by their curve alone are refused unless `curves`: they have no device to train on.
+    Edges described by their curve alone are refused unless `curves`: they have no device to train
+    on.
     """
     tables = load_toml(path, "system file")
     try:

@@ -2,8 +2,9 @@
 
     left_s = (total − done) · (now − begun) / (done − done at the beginning)
 
-A stage of several steps (structure from motion) is timed step by step, since an earlier step predicts nothing about a later one.
-Without events the estimate grows, so that it never reaches 0 s before the work is done; before the first measurement there is none.
+A stage of several steps (structure from motion) is timed step by step, since an earlier step
+predicts nothing about a later one. Without events the estimate grows, so that it never reaches 0 s
+before the work is done; before the first measurement there is none.
 """
 
 from __future__ import annotations

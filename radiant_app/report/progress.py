@@ -1,8 +1,10 @@
-"""Shows the event stream on a terminal: a bar with times per running stage, a line for what was decided or warned.
+"""Shows the event stream on a terminal: a bar with times per running stage, a line for what was
+decided or warned.
 
     sfm: matching, step 3 of 6   ━━━━━━╺━━━   45 %  elapsed 0:31, left in step about 0:40
 
-Names of photographs, jobs and devices are printed as they are: none is read as markup. Lines of a log file are not wrapped.
+Names of photographs, jobs and devices are printed as they are: none is read as markup. Lines of a
+log file are not wrapped.
 """
 
 from __future__ import annotations
@@ -47,8 +49,8 @@ class _Share(ProgressColumn):
 
 
 class ProgressDisplay:
-    """A listener that draws; used as a context manager. Without a terminal it prints a line every `SECONDS_BETWEEN_LINES` and one
-    per finished stage."""
+    """A listener that draws; used as a context manager. Without a terminal it prints a line every
+    `SECONDS_BETWEEN_LINES` and one per finished stage."""
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console = console

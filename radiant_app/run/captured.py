@@ -1,7 +1,7 @@
 """Locates photographs and their devices before planning (`--frames gps` or `known`). Once per run.
 
-The source is a folder of photographs that the plan deals to devices, each of which fetches its own; or one subfolder per
-device, named by its id: the photographs it took, which no other process opens.
+The source is a folder of photographs that the plan deals to devices, each of which fetches its own;
+or one subfolder per device, named by its id: the photographs it took, which no other process opens.
 """
 
 from __future__ import annotations
@@ -185,7 +185,8 @@ def _positions_in(place: Path, stage: str, progress: Progress, cell_m: float | N
     folder.mkdir(parents=True, exist_ok=True)
     task = PositionsTask(source=str(place.resolve()), cell_m=cell_m, held_out=tuple(held_out), owned=stage != "positions")
     save_task(folder, task)
-    # No other process may open them. Reading their heads again is cheap, and equal heads change no plan.
+    # No other process may open them. Reading their heads again is cheap, and equal heads change no
+    # plan.
     photographs = [path for path in sorted(place.iterdir()) if path.suffix.lower() in SUFFIXES and path.is_file()]
     key = content_key(__version__, task_key(task), [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in photographs])
     run_task(NodeTask(kind="positions", stage=stage, folder=folder, key=key), progress.listen, progress.clock)

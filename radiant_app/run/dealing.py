@@ -1,6 +1,8 @@
-"""Copies into each node's folder exactly what it may read: photographs to devices, models to edges and to the cloud.
+"""Copies into each node's folder exactly what it may read: photographs to devices, models to edges
+and to the cloud.
 
-Called by the executor when a node's children are done. The access log counts what each tier received.
+Called by the executor when a node's children are done. The access log counts what each tier
+received.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""`DevicePhotographs`: photographs stay with the device that took them (`--frames gps` or `known`). Once per run.
+"""`DevicePhotographs`: photographs stay with the device that took them (`--frames gps` or `known`).
+Once per run.
 
-The plan is made from positions alone, or from counts in a raster. Each device reconstructs, fixes its
-frame and trains in its own folder, and scores the scene on the photographs it held out. A device that
-cannot deliver is reported missing, and the run goes on.
+The plan is made from positions alone, or from counts in a raster. Each device reconstructs, fixes
+its frame and trains in its own folder, and scores the scene on the photographs it held out. A
+device that cannot deliver is reported missing, and the run goes on.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""The main job, from photographs to one Gaussian model: connects the stages and computes nothing itself.
+"""The main job, from photographs to one Gaussian model: connects the stages and computes nothing
+itself.
 
     photographs ─ plan ─ Tree(cloud(edge(device …))) ─ score ─ report
 
-`--frames` decides where structure from motion happens (`source.py`); plan, tree and joining are the same.
+`--frames` decides where structure from motion happens (`source.py`); plan, tree and joining are the
+same.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""`PooledPhotographs`: one owner reconstructs all photographs and deals each device its share (`--frames shared`).
+"""`PooledPhotographs`: one owner reconstructs all photographs and deals each device its share
+(`--frames shared`).
 
-Afterwards a device reads only its own folder; the access log records that photographs were pooled. Once per run.
+Afterwards a device reads only its own folder; the access log records that photographs were pooled.
+Once per run.
 """
 
 from __future__ import annotations

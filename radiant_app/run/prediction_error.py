@@ -1,8 +1,9 @@
-"""Predicted against measured times of a finished run: rows for metrics.json and the report, bars for the Gantt chart.
+"""Predicted against measured times of a finished run: rows for metrics.json and the report, bars
+for the Gantt chart.
 
-Measured: a device's `train_s` of its summary, and what its process needed beside it as initialising (start, reading, first Gaussians,
-writing; with `--frames gps` and `known` its own structure from motion too); an edge's process; sending only where it was emulated.
-Once per run.
+Measured: a device's `train_s` of its summary, and what its process needed beside it as initialising
+(start, reading, first Gaussians, writing; with `--frames gps` and `known` its own structure from
+motion too); an edge's process; sending only where it was emulated. Once per run.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Inputs and warnings of the plan's predictions: the training of the curves, and how many photographs a device's memory holds.
+"""Inputs and warnings of the plan's predictions: the training of the curves, and how many
+photographs a device's memory holds.
 
-Once per plan. The limits come from the trainer's own model of memory (`train.memory`), which `plan` must not import.
+Once per plan. The limits come from the trainer's own model of memory (`train.memory`), which `plan`
+must not import.
 """
 
 from __future__ import annotations
@@ -49,9 +51,10 @@ def with_camera_limits(
 ) -> tuple[System, Decision | None, tuple[str, ...]]:
     """The system with `max_cameras` where a device gives memory alone, the decision, and warnings.
 
-    A device holds as many photographs as fit with the Gaussians that its curve H has for them; `model_factor`: what H was multiplied by
-    for uploads. Where all together hold too few of the `num_cameras`, devices will train with
-    fewer Gaussians, and only the photographs themselves are a limit.
+    A device holds as many photographs as fit with the Gaussians that its curve H has for them;
+    `model_factor`: what H was multiplied by for uploads. Where all together hold too few of the
+    `num_cameras`, devices will train with fewer Gaussians, and only the photographs themselves are
+    a limit.
     """
     limited = [device for device in system.devices if _is_limited_by_memory(device)]
     if not limited:

@@ -1,7 +1,9 @@
-"""The privacy promises that a run keeps, by source of photographs and executor. Once per run, for the report and metrics.json.
+"""The privacy promises that a run keeps, by source of photographs and executor. Once per run, for
+the report and metrics.json.
 
-A process of this machine reads only below its node's folder (traced in tests/app/test_field.py), but all run under one user. In a Ray
-cluster any task may run on any machine, list all of them and read what its user may read there: it is one owner's trust.
+A process of this machine reads only below its node's folder (traced in tests/app/test_field.py),
+but all run under one user. In a Ray cluster any task may run on any machine, list all of them and
+read what its user may read there: it is one owner's trust.
 """
 
 from __future__ import annotations

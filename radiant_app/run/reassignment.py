@@ -1,9 +1,11 @@
-"""Reassigns the photographs of a lost device, where one owner has all, to devices that have not started.
+"""Reassigns the photographs of a lost device, where one owner has all, to devices that have not
+started.
 
 A device that has started keeps exactly its photographs, so that nothing is trained twice; `replan`
-deals the rest. The new plan replaces plan.json and lies in replanned/ with the key of the plan it was
-made from: a resumed run makes that plan again and continues with the new one. If no device can take
-the photographs, the edge goes on without them and the report says so. Runs once per lost device.
+deals the rest. The new plan replaces plan.json and lies in replanned/ with the key of the plan it
+was made from: a resumed run makes that plan again and continues with the new one. If no device can
+take the photographs, the edge goes on without them and the report says so. Runs once per lost
+device.
 """
 
 from __future__ import annotations

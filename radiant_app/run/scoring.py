@@ -1,6 +1,7 @@
 """Scores a scene on devices: each on the photographs it held out; only numbers go up. Once per run.
 
-delivered/ holds what the run may show: the poses that edges received, under numbers, and their plan.
+delivered/ holds what the run may show: the poses that edges received, under numbers, and their
+plan.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ MAX_SHOWN_POINTS = 20_000
 def score_on_devices(
     config: RunConfig, dealer: Dealer, executor: Executor, progress: Progress, origin: FloatArray | None, num_held_out: int
 ) -> list[dict[str, Any]]:
-    """Score the scene on every device whose model is in it; writes evaluation/result.json and returns the access log of the devices.
+    """Score the scene on every device whose model is in it; writes evaluation/result.json and
+    returns the access log of the devices.
 
     Raises:
         StageFailed: no device holds a photograph out that it could place.
@@ -111,8 +113,8 @@ class _Scorer:
 
 
 def _collected(run: Path, devices: Sequence[str], lpips_network: LpipsNetwork | None, num_held_out: int) -> dict[str, Any]:
-    """Merge the figures of all devices; `num_unscored` of the `num_held_out` photographs have none, since their device is missing or
-    could not place them.
+    """Merge the figures of all devices; `num_unscored` of the `num_held_out` photographs have none,
+    since their device is missing or could not place them.
 
     Raises:
         StageFailed: no device has a held-out photograph.

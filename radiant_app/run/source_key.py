@@ -1,9 +1,11 @@
-"""The key of structure from motion: the used files of its source, by content. Once per run and resumed run.
+"""The key of structure from motion: the used files of its source, by content. Once per run and
+resumed run.
 
     sfm/source.json     file by name: size in bytes, time of change in ns, SHA-256
 
-A file whose size and time are those of the record keeps its hash; any other is read again. So a note beside the photographs, a copy without
-times or a `touch` changes nothing, and a warning about changed files precedes the new reconstruction.
+A file whose size and time are those of the record keeps its hash; any other is read again. So a
+note beside the photographs, a copy without times or a `touch` changes nothing, and a warning about
+changed files precedes the new reconstruction.
 """
 
 from __future__ import annotations

@@ -98,9 +98,11 @@ def warn_about_predictions(
 
 
 def load_plan_in_frame(path: Path, origin: FloatArray | None) -> tuple[CloudPlan, tuple[EdgePlan, ...], FloatArray]:
-    """Load a plan made before capture and its waypoints (P,2), in metres about `origin` (3,) lat lon alt.
+    """Load a plan made before capture and its waypoints (P,2), in metres about `origin` (3,) lat
+    lon alt.
 
-    Raises BadInput for a plan without waypoints, and where the photographs are not placed on the globe.
+    Raises BadInput for a plan without waypoints, and where the photographs are not placed on the
+    globe.
     """
     cloud_plan, edge_plans, waypoints = load_plan_before_capture(path)
     if origin is None:

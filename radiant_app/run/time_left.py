@@ -79,7 +79,8 @@ class TimeLeftListener:
 
     def _reason_over(self, node_id: str, ran_s: float, factor: float) -> str | None:
         expected_s = self._expected_s.get(node_id)
-        # A system file may be wrong by any factor: without a measured node of this tier none is overdue.
+        # A system file may be wrong by any factor: without a measured node of this tier none is
+        # overdue.
         known = any(node.split("/")[0] == node_id.split("/", maxsplit=1)[0] for node, _ in self._measured)
         if expected_s is None or not known or ran_s < max(LEAST_S, factor * expected_s):
             return None

@@ -1,7 +1,8 @@
-"""Deals planned positions that were not captured, since their device has no photograph, to the other devices.
+"""Deals planned positions that were not captured, since their device has no photograph, to the
+other devices.
 
-Only where devices keep their own photographs and the plan was made before capture. The run goes on without
-these positions, warns of them and writes a new plan for another flight. Once per run.
+Only where devices keep their own photographs and the plan was made before capture. The run goes on
+without these positions, warns of them and writes a new plan for another flight. Once per run.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ UNCAPTURED = "uncaptured"
 def deal_uncaptured(
     run: Path, plan: tuple[CloudPlan, tuple[EdgePlan, ...], Waypoints], system: System, delivered: Collection[str]
 ) -> str | None:
-    """Deal the positions of devices that are not in `delivered` to those that are, in uncaptured/; returns a warning about them.
+    """Deal the positions of devices that are not in `delivered` to those that are, in uncaptured/;
+    returns a warning about them.
 
     None if every device with waypoints has photographs. BadInput if the system is not the plan's.
     """

@@ -1,4 +1,5 @@
-"""Identities and keys of nodes: what a node sends is signed, what it receives is verified in its own process.
+"""Identities and keys of nodes: what a node sends is signed, what it receives is verified in its
+own process.
 
     <run>/run.json                    the run's number, drawn once: a delivery is valid in this run only
     <node>/identity/                  post.json: run, node, receiver (its parent); the node's own key pair
@@ -9,9 +10,10 @@
     <node>/deliveries/<sender>/       record and signature of what lies in inbox/<sender>/
     <node>/given/                     record and signature of its own task and what belongs to it
 
-Models go up (`deliver`, `find_refusals`), tasks come down (`sign_task`, `accept_task`). The dealer of a run creates and
-exchanges keys (`exchange_keys`) and signs tasks with the key in their sender's folder; by hand: copy signing_key.pub
-to the parent's senders/ and to the children's above.pub. Once per node.
+Models go up (`deliver`, `find_refusals`), tasks come down (`sign_task`, `accept_task`). The dealer
+of a run creates and exchanges keys (`exchange_keys`) and signs tasks with the key in their sender's
+folder; by hand: copy signing_key.pub to the parent's senders/ and to the children's above.pub. Once
+per node.
 """
 
 from __future__ import annotations
@@ -55,14 +57,15 @@ def run_number(run: Path) -> str:
 
 
 def exchange_keys(run: Path, node: str, above: str | None, below: Iterable[str] = ()) -> None:
-    """Write a node's identity, create its key and exchange keys with its parent `above`, which has one already; a new key is registered
-    again by the nodes `below`.
+    """Write a node's identity, create its key and exchange keys with its parent `above`, which has
+    one already; a new key is registered again by the nodes `below`.
 
     A registered key stays, so that a node whose key was replaced is refused.
     """
     identity = _write_identity(run, node, node, above)
     if make_signing_key(identity):
-        # Signatures of the older key are invalid now: the seal no longer holds, and the node runs again.
+        # Signatures of the older key are invalid now: the seal no longer holds, and the node runs
+        # again.
         (run / node / SIGNATURE_NAME).unlink(missing_ok=True)
         registrations = [run / child / IDENTITY / ABOVE_NAME for child in below]
         for stale in [*registrations, *([] if above is None else [_sender_key(run, node, above)])]:
@@ -105,8 +108,8 @@ def _register_key(key: Path, place: Path) -> None:
 
 
 def sign_task(run: Path, sender: str, receiver: str, kind: Kind, place: Path, names: Iterable[str]) -> None:
-    """Sign the files `names` in the folder `place` as a task of the node `sender` for `receiver`; changed files make a new attempt.
-    Record and signature are written to given/ beside them."""
+    """Sign the files `names` in the folder `place` as a task of the node `sender` for `receiver`;
+    changed files make a new attempt. Record and signature are written to given/ beside them."""
     files = describe_files({name: place / name for name in names})
     delivery = Delivery(run=run_number(run), sender=sender, receiver=receiver, kind=kind, attempt=1, files=files)
     counted = run / sender / IDENTITY / GIVEN / receiver / f"{kind}.json"
@@ -173,8 +176,9 @@ def sign_upload(folder: Path) -> list[str]:
 
 
 def find_refusals(folder: Path, senders: Sequence[str], places: Mapping[str, Path]) -> dict[str, str]:
-    """Sender → why the node in `folder` refuses its upload: not signed by its registered key, other bytes than signed, of another run,
-    addressed to another node, or a second one. `places`: sender → folder with its files."""
+    """Sender → why the node in `folder` refuses its upload: not signed by its registered key, other
+    bytes than signed, of another run, addressed to another node, or a second one. `places`: sender
+    → folder with its files."""
     post = read_json(folder / IDENTITY / POST_NAME, ("run", "node"), MAX_RECORD_BYTES)
     tier = "edges" if post["node"] == "cloud" else "devices"
     expected = {sender: f"{tier}/{sender}" for sender in senders}

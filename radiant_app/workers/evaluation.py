@@ -1,7 +1,9 @@
-"""Scores a finished scene on held-out photographs. Once per run: a render, its figures and pictures per photograph.
+"""Scores a finished scene on held-out photographs. Once per run: a render, its figures and pictures
+per photograph.
 
-Two baselines stand beside every figure: the Gaussians before any training, and the photograph's own mean colour.
-Seam masks come from the scene's own depth here; a comparison of methods has to fix them by one depth for all.
+Two baselines stand beside every figure: the Gaussians before any training, and the photograph's own
+mean colour. Seam masks come from the scene's own depth here; a comparison of methods has to fix
+them by one depth for all.
 """
 
 from __future__ import annotations
@@ -81,8 +83,9 @@ def score_render(
     lpips: Lpips | None = None,
     used: Used = None,
 ) -> dict[str, Any]:
-    """Score one render against its photograph (H,W,3) in 0..1, with the PSNR of both baselines: the photograph's mean colour and, if
-    given, the render `before` training. With a mask only pixels in `used` (H,W) are scored, the share `used_share`."""
+    """Score one render against its photograph (H,W,3) in 0..1, with the PSNR of both baselines: the
+    photograph's mean colour and, if given, the render `before` training. With a mask only pixels in
+    `used` (H,W) are scored, the share `used_share`."""
     errors = image_errors(view.name, view.image, photograph, lpips, used)
     untrained = {} if before is None else {"initial_psnr_db": psnr_db(before.image, photograph, used)}
     mean_color = np.broadcast_to(photograph.mean(axis=(0, 1), where=True if used is None else used[..., None]), photograph.shape)
@@ -91,7 +94,8 @@ def score_render(
 
 
 def select_scored(cameras: Cameras, masks: Path | None, warn: Callable[[str], None]) -> tuple[Cameras, list[Used]]:
-    """Select the cameras whose photographs can be scored, with the used pixels (H,W) of each; None: all.
+    """Select the cameras whose photographs can be scored, with the used pixels (H,W) of each; None:
+    all.
 
     Raises:
         BadInput: the masks leave no pixel of any photograph.

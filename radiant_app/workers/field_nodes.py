@@ -6,8 +6,9 @@
 | field | task.json, its own photographs, poses where given | {model,cameras,scene,initial,held_out}.safetensors, frame.json |
 | score | task.json, inbox/{scene.ply,plan.json}, its own photographs | result.json: numbers; pictures that stay |
 
-A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) gives the reason in frame.json and is
-done; the run goes on. It reports the number of photographs that it skips; their names stay in own_notes.txt (`redaction.py`).
+A device that cannot deliver (its photographs do not overlap, its frame is ambiguous) gives the
+reason in frame.json and is done; the run goes on. It reports the number of photographs that it
+skips; their names stay in own_notes.txt (`redaction.py`).
 """
 
 from __future__ import annotations
@@ -46,9 +47,11 @@ MADE_FROM = "made_from.json"
 
 
 def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) -> Sequence[str]:
-    """GPS positions of the photographs in the folder that task.json names, copies left out; no pixel is decoded.
+    """GPS positions of the photographs in the folder that task.json names, copies left out; no
+    pixel is decoded.
 
-    Of a device's own folder only counts are written: training photographs in each cell of a raster, and an approximate altitude.
+    Of a device's own folder only counts are written: training photographs in each cell of a raster,
+    and an approximate altitude.
     """
     photographs = Path(task.source)
     found = photograph_positions(photographs)
@@ -73,9 +76,11 @@ def run_positions(folder: Path, task: PositionsTask, reporter: EventReporter) ->
 
 
 def raster_record(lat_lon_alt: FloatArray, cell_m: float) -> dict[str, Any]:
-    """Count positions (P,3) deg, deg, m: `cells` as [lat, lon] of their centres and a count, one `altitude_m` for all.
+    """Count positions (P,3) deg, deg, m: `cells` as [lat, lon] of their centres and a count, one
+    `altitude_m` for all.
 
-    Cells are aligned with parallels and meridians, so that they do not reveal where the device started.
+    Cells are aligned with parallels and meridians, so that they do not reveal where the device
+    started.
     """
     if not len(lat_lon_alt):
         return {"cells": [], "altitude_m": None}
@@ -172,8 +177,8 @@ class _PlacedScene:
 
 
 def _place_once(folder: Path, task: PlacingTask, photographs: str, reporter: EventReporter) -> _PlacedScene:
-    """As `_place`, or the scene that an earlier process of this task placed, from placed/: the order of points varies, and a
-    training resumes from its checkpoints only with the same scene."""
+    """As `_place`, or the scene that an earlier process of this task placed, from placed/: the
+    order of points varies, and a training resumes from its checkpoints only with the same scene."""
     place = folder / "placed"
     key = content_key(__version__, task_key(task), photographs, *_poses_in(folder))
     if not is_sealed(place, key) or not (folder / read_json(place / "record.json", ("images",))["images"]).is_dir():

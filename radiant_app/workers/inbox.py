@@ -61,7 +61,8 @@ def load_teacher_views(teacher: Path, cameras: Cameras) -> Rendered:
 def save_joining(
     folder: Path, corrections: Mapping[str, Sim3 | None], refused: Mapping[str, str], frame: FrameUncertainty | None
 ) -> list[str]:
-    """Write the move of each sender, the refused ones and the uncertainty of the joined frame; returns the names of the files.
+    """Write the move of each sender, the refused ones and the uncertainty of the joined frame;
+    returns the names of the files.
 
     Only the last is sent to the next tier: it names no sender.
     """

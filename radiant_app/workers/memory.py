@@ -26,10 +26,11 @@ def resident_bytes() -> int:
 
 
 def base_bytes_in(folder: Path, now_bytes: int) -> int:
-    """Bytes that the first process to train in `folder` held before: `now_bytes` at the first call, then from memory.json.
+    """Bytes that the first process to train in `folder` held before: `now_bytes` at the first call,
+    then from memory.json.
 
-    They limit the number of Gaussians, which is part of the checkpoints' key: a process that resumes after a kill holds
-    other bytes and would otherwise start again.
+    They limit the number of Gaussians, which is part of the checkpoints' key: a process that
+    resumes after a kill holds other bytes and would otherwise start again.
     """
     path = folder / BASE_NAME
     try:

@@ -1,4 +1,5 @@
-"""One function per kind of node: read a message, call one function of the hierarchy, write its result.
+"""One function per kind of node: read a message, call one function of the hierarchy, write its
+result.
 
 | kind     | reads                                               | writes                                   |
 |----------|-----------------------------------------------------|------------------------------------------|
@@ -9,7 +10,8 @@
 | cloud    | task.json, inbox/<edge>/{model,virtual_cameras,virtual_views}.safetensors | scene.ply, summary.json |
 | evaluate | task.json, scene.ply, plan.json, photos/ …          | result.json, renders/, photographs/, differences/ |
 
-`field_nodes.py` has those of devices that place their own photographs. Each reads only files below its folder.
+`field_nodes.py` has those of devices that place their own photographs. Each reads only files below
+its folder.
 """
 
 from __future__ import annotations
@@ -40,9 +42,11 @@ Work = Callable[[Path, Any, EventReporter], Sequence[str]]
 
 
 def run_node(kind: str, folder: Path, stage: str, emit: Emit, work: Work | None = None) -> Sequence[str]:
-    """Run one node and return the names of the files it made; decisions and warnings also go to notes.json.
+    """Run one node and return the names of the files it made; decisions and warnings also go to
+    notes.json.
 
-    Events of a device with photographs of its own name none of their files. `work` replaces the function of this kind.
+    Events of a device with photographs of its own name none of their files. `work` replaces the
+    function of this kind.
     """
     if kind not in TASKS:
         raise BadInput(f"worker kind {kind!r} is unknown: use one of {', '.join(TASKS)}.")
@@ -102,7 +106,8 @@ def run_device(folder: Path, task: DeviceTask, reporter: EventReporter) -> Seque
 
 
 def run_teacher(folder: Path, task: TeacherTask, reporter: EventReporter) -> Sequence[str]:
-    """Render one device's model at its cameras for the retraining of its edge; may be stopped at any time.
+    """Render one device's model at its cameras for the retraining of its edge; may be stopped at
+    any time.
 
     A model that the edge refuses is not rendered; the edge reports why.
     """

@@ -1,8 +1,9 @@
 """Removes file names of a device's photographs from its events, reasons and errors.
 
-A device with a folder of its own (`--frames gps` or `known`) reports counts of skipped photographs and keeps their
-names in own_notes.txt in its folder. As a second line of defence every event of its process is searched for names of
-files in that folder. Photographs that one folder holds for all devices have no secret names.
+A device with a folder of its own (`--frames gps` or `known`) reports counts of skipped photographs
+and keeps their names in own_notes.txt in its folder. As a second line of defence every event of its
+process is searched for names of files in that folder. Photographs that one folder holds for all
+devices have no secret names.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ SourceKind = Literal["photographs", "colmap", "mill19"]
 def detect_source(source: Path) -> tuple[SourceKind, Path, Path | None]:
     """Kind, folder of photographs, and the COLMAP model's folder if there is one.
 
-    A folder with `images/` beside `sparse/` is a COLMAP project, one with `train/metadata` is Mill 19, any other holds photographs.
-    Raises BadInput when it is no folder.
+    A folder with `images/` beside `sparse/` is a COLMAP project, one with `train/metadata` is Mill
+    19, any other holds photographs. Raises BadInput when it is no folder.
     """
     if not source.is_dir():
         raise BadInput(f"{source} is no folder: give a folder of photographs, a COLMAP project or a Mill 19 folder.")
@@ -95,10 +95,11 @@ def load_scene_of(folder: Path) -> SfmScene:
 
 
 def load_scored_scene(folder: Path) -> tuple[SfmScene, tuple[str, ...], Path]:
-    """Load a scene without photographs that repeat others; returns also warnings about those, and the folder of photographs.
+    """Load a scene without photographs that repeat others; returns also warnings about those, and
+    the folder of photographs.
 
-    Scenes made elsewhere or by an earlier version may hold copies, and a held-out photograph must not be trained on
-    under another name.
+    Scenes made elsewhere or by an earlier version may hold copies, and a held-out photograph must
+    not be trained on under another name.
     """
     from radiant_core.sfm.copies import without_repeats
 

@@ -1,8 +1,9 @@
-"""The tasks of a run's workers, beside those of the tiers (`radiant_core.hierarchy.messages`). Once per node.
+"""The tasks of a run's workers, beside those of the tiers (`radiant_core.hierarchy.messages`). Once
+per node.
 
-A node of a run accepts its task only if its parent signed it (`delivering.accept_task`) and if it parses strictly
-as the class of its kind: no unknown key, no number as text, nothing infinite, no path that leaves a folder. Folders without an
-identity, made by hand, hold unsigned tasks.
+A node of a run accepts its task only if its parent signed it (`delivering.accept_task`) and if it
+parses strictly as the class of its kind: no unknown key, no number as text, nothing infinite, no
+path that leaves a folder. Folders without an identity, made by hand, hold unsigned tasks.
 
 | worker         | task           | from       | signed                                              |
 |----------------|----------------|------------|-----------------------------------------------------|
@@ -220,7 +221,8 @@ def receive_task(kind: str, folder: Path) -> Any:
     """Verify and parse the task in the folder of a node.
 
     Raises:
-        BadInput: it is of another kind or, in a run's folder, not the newest one that the parent signed.
+        BadInput: it is of another kind or, in a run's folder, not the newest one that the parent
+            signed.
     """
     if kind in SIGNED and belongs_to_run(folder):
         accept_task(folder, SIGNED[kind])

@@ -1,7 +1,8 @@
-"""Houses with gabled roofs, flats with parapets and roof clutter, sheds: walls, roofs, chimneys, dormers as meshes.
+"""Houses with gabled roofs, flats with parapets and roof clutter, sheds: walls, roofs, chimneys,
+dormers as meshes.
 
-Built once per scene, a few dozen triangles each. Wall uvs are (window columns, metres above the floor); roof uvs are
-metres along the ridge and up the slope.
+Built once per scene, a few dozen triangles each. Wall uvs are (window columns, metres above the
+floor); roof uvs are metres along the ridge and up the slope.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Where the drone was: a lawn-mower flight of nadir photographs, then obliques from a ring, with small errors of its own.
+"""Where the drone was: a lawn-mower flight of nadir photographs, then obliques from a ring, with
+small errors of its own.
 
-Once per scene. n nadir photographs over width x height make round(√(n · 3/4 · height / width)) rows, so that spacing
-along : across = 3 : 4, as the image's sides; at 60 photographs over 120 x 80 m neighbours share 78 % along and across.
-GPS positions are the true ones moved by at most `gps_error_m` in a random direction.
+Once per scene. n nadir photographs over width x height make round(√(n · 3/4 · height / width))
+rows, so that spacing along : across = 3 : 4, as the image's sides; at 60 photographs over 120 x 80
+m neighbours share 78 % along and across. GPS positions are the true ones moved by at most
+`gps_error_m` in a random direction.
 """
 
 from __future__ import annotations

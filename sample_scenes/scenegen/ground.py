@@ -1,7 +1,9 @@
-"""The colour of the ground: lawns, gardens, car parks, parks, the quarry, streets with their markings, fields far away.
+"""The colour of the ground: lawns, gardens, car parks, parks, the quarry, streets with their
+markings, fields far away.
 
-Albedo (linear RGB) at hit points, evaluated once per ray that meets the ground, some 60 % of them. One pass computes the
-shared noise of four sizes; then each kind of block paints its own samples and the streets are painted over.
+Albedo (linear RGB) at hit points, evaluated once per ray that meets the ground, some 60 % of them.
+One pass computes the shared noise of four sizes; then each kind of block paints its own samples and
+the streets are painted over.
 """
 
 from __future__ import annotations

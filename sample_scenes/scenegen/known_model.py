@@ -1,7 +1,8 @@
-"""The truth beside the photographs: a COLMAP text model with exact cameras and surface points, and the frame's origin.
+"""The truth beside the photographs: a COLMAP text model with exact cameras and surface points, and
+the frame's origin.
 
-Points are what randomly chosen pixels see; a point's track is every photograph whose depth there agrees within 0.2 %.
-Once per scene: P · C projections and as many rays.
+Points are what randomly chosen pixels see; a point's track is every photograph whose depth there
+agrees within 0.2 %. Once per scene: P · C projections and as many rays.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""Where things lie: streets, blocks and the height of the ground, as functions of the position alone.
+"""Where things lie: streets, blocks and the height of the ground, as functions of the position
+alone.
 
     (u, v) = warp(R (x, y))          town coordinates; streets are the lines u = k·52 m and v = l·40 m
     z = height_m(x, y)               rolling ground + mounds in parks + one terraced quarry + hills at the horizon
 
-The same functions place the buildings (once per scene) and paint the ground (once per ray), so both always agree.
+The same functions place the buildings (once per scene) and paint the ground (once per ray), so both
+always agree.
 """
 
 from __future__ import annotations

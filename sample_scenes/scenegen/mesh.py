@@ -1,6 +1,8 @@
-"""Triangles with what their surface needs to be painted: normals, texture coordinates, material, colour, object number.
+"""Triangles with what their surface needs to be painted: normals, texture coordinates, material,
+colour, object number.
 
-Built once per scene; the ray caster looks the attributes up by triangle number and barycentric coordinates.
+Built once per scene; the ray caster looks the attributes up by triangle number and barycentric
+coordinates.
 """
 
 from __future__ import annotations

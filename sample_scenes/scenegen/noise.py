@@ -1,9 +1,10 @@
-"""Texture from hashed integer lattice points: the same numbers on every machine, for any coordinate, without a table.
+"""Texture from hashed integer lattice points: the same numbers on every machine, for any
+coordinate, without a table.
 
     value(x, y) = Σ_corners w_corner · hash(⌊x/cell⌋ + cx, ⌊y/cell⌋ + cy, salt),   w = smoothstep weights
 
-Runs a dozen times per ray, so everything is one pass over uint32 or float32 arrays. Callers hand over strips of some
-10⁴ samples: in-cache numpy needs about 20 ns per value.
+Runs a dozen times per ray, so everything is one pass over uint32 or float32 arrays. Callers hand
+over strips of some 10⁴ samples: in-cache numpy needs about 20 ns per value.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Trees, hedges, parked cars, heaps of gravel, containers, lamp posts: what stands between the houses, as meshes.
+"""Trees, hedges, parked cars, heaps of gravel, containers, lamp posts: what stands between the
+houses, as meshes.
 
-Built once per scene. A tree's crown is a sphere whose radius is displaced by noise; its leaves come from the painter.
+Built once per scene. A tree's crown is a sphere whose radius is displaced by noise; its leaves come
+from the painter.
 """
 
 from __future__ import annotations

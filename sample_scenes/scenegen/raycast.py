@@ -2,8 +2,9 @@
 
     colour = albedo · (ambient + sun · max(0, n·l) · visible),   blended with haze 1 - exp(-t / 2.6 km)
 
-Per photograph: samples² rays per pixel and one shadow ray per hit, in strips of some 30,000 rays so that every array
-stays in the cache. A ray's direction has z = 1 in the camera, so the distance Embree returns is the depth itself.
+Per photograph: samples² rays per pixel and one shadow ray per hit, in strips of some 30,000 rays so
+that every array stays in the cache. A ray's direction has z = 1 in the camera, so the distance
+Embree returns is the depth itself.
 """
 
 from __future__ import annotations

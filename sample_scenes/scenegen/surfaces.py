@@ -1,6 +1,8 @@
-"""The colour of walls, roofs, leaves, heaps, cars and the sky, evaluated once per ray; all surfaces are matte.
+"""The colour of walls, roofs, leaves, heaps, cars and the sky, evaluated once per ray; all surfaces
+are matte.
 
-Each painter turns `Hits` of one material into albedo (N,3) linear RGB; `paint` sends every hit to its painter.
+Each painter turns `Hits` of one material into albedo (N,3) linear RGB; `paint` sends every hit to
+its painter.
 """
 
 from __future__ import annotations

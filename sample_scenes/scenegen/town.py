@@ -1,7 +1,7 @@
 """The whole town as one mesh: the ground, then block by block what stands on it.
 
-Built once per scene. Every block draws from a random stream of its own, so apart from the quarry a town keeps its
-blocks when its area grows.
+Built once per scene. Every block draws from a random stream of its own, so apart from the quarry a
+town keeps its blocks when its area grows.
 """
 
 from __future__ import annotations

@@ -1,12 +1,14 @@
-"""Canaries: what is known of a device's photographs and poses, as bytes that can be looked for in what everybody else holds or is sent.
+"""Canaries: what is known of a device's photographs and poses, as bytes that can be looked for in
+what everybody else holds or is sent.
 
     watermark(photograph)                  noise in its pixels, a text in every segment that can carry one
     canaries = canaries_of(...)            patterns by kind, each in the ways it could be written
     Search(canaries).kinds_in(content)     kinds that stand in some bytes, packed or not
     files_with(canaries, places)           the same for all files of some folders
 
-A file is looked through as it is, and as what it may pack: UTF-16, base64, hexadecimal, zlib and gzip streams, the
-pixels of JPEG and PNG, numbers with one blank between them. Poses are looked for as numbers too, to a millimetre.
+A file is looked through as it is, and as what it may pack: UTF-16, base64, hexadecimal, zlib and
+gzip streams, the pixels of JPEG and PNG, numbers with one blank between them. Poses are looked for
+as numbers too, to a millimetre.
 """
 
 from __future__ import annotations
@@ -114,7 +116,8 @@ def _application_segments(data: bytes) -> Iterator[tuple[int, int]]:
 
 
 def canaries_of(photographs: Path, poses: Cameras, size_px: int, broken: Iterable[str] = ()) -> Canaries:
-    """What to look for of the device with these watermarked photographs and poses; pixels at two sizes, one given by its long side.
+    """What to look for of the device with these watermarked photographs and poses; pixels at two
+    sizes, one given by its long side.
 
     Of `broken` files only the names are looked for.
     """

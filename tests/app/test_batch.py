@@ -57,7 +57,8 @@ emulate = "one.toml"
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a COLMAP project (no matching: quick), a single photograph, an empty folder and a job file of all three.
+    """A folder with a COLMAP project (no matching: quick), a single photograph, an empty folder and
+    a job file of all three.
 
     The system has an edge that is too slow to get a camera.
     """

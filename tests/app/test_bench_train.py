@@ -35,7 +35,8 @@ def test_presets_meet_at_their_budgets_and_the_difference_has_bounds(project: Pa
         (variant, budget_s, seed) for variant, budget_s in (("default", 0.4), ("default", 0.8), ("standard", 0.8)) for seed in (0, 1)
     }
     for row in rows:
-        # A budget ends with the step that exceeds it, and first points are placed whatever they take.
+        # A budget ends with the step that exceeds it, and first points are placed whatever they
+        # take.
         assert row.num_steps > 0 and row.num_gaussians > 100 and len(row.psnr_db) == 2 and row.cpu_s < row.budget_s + 2
     found = {metric.key: metric.value for metric in metrics}
     assert found["train.hamlet.default.0.8s.psnr_db"] == pytest.approx(

@@ -1,4 +1,5 @@
-"""Emulated machines: shares of a core, links, labels, and that no stopped process is ever left behind. Small processes stand for work.
+"""Emulated machines: shares of a core, links, labels, and that no stopped process is ever left
+behind. Small processes stand for work.
 
 Speeds are small, so that a busy machine can still give them; what counts is their ratio.
 """
@@ -80,7 +81,8 @@ def test_a_quarter_of_the_speed_takes_four_times_as_long(tmp_path: Path) -> None
     work = BURN.format(cpu_s=0.12) + FINISH
     fleet = executor(system(tmp_path, (0.12, 0.03)), {"devices/a": work, "devices/b": work})
     ratios = []
-    # Where others keep every core busy, a process may wait for one at its very end: then it is measured again, three times at most.
+    # Where others keep every core busy, a process may wait for one at its very end: then it is
+    # measured again, three times at most.
     while len(ratios) < 3 and (not ratios or ratios[-1] != pytest.approx(4.0, rel=0.15)):
         begun_s = time.monotonic()
         times = fleet.fold(TREE, preparer(tmp_path / str(len(ratios))), lambda event: None)

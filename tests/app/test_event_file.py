@@ -79,7 +79,8 @@ def test_a_watcher_hears_that_a_run_was_resumed_and_reads_only_what_is_new(tmp_p
 
 def test_a_new_phase_is_told_at_once(tmp_path: Path) -> None:
     checking = [(float(done), 10.0, "checking") for done in range(11)]
-    # Features of two photographs are there from before; mapping ends at once, with as many as are refined then.
+    # Features of two photographs are there from before; mapping ends at once, with as many as are
+    # refined then.
     phases = [(2.0, 10.0, "features"), (3.0, 10.0, "features"), (0.0, 45.0, "matching"), (0.0, 9.0, "mapping"), (9.0, 9.0, "mapping")]
     ticks = iter(np.arange(1000) * 0.06)
     with EventFile(tmp_path, lambda event: None, clock=lambda: float(next(ticks))) as tell:

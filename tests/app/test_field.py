@@ -271,7 +271,8 @@ def assert_no_canary_elsewhere(run_folder: Path, source: Path, broken: dict[str,
         (own_edge,) = (path.parent.parent for path in run_folder.glob(f"edges/*/inbox/{name}"))
         elsewhere = [node for node in nodes if node.name != name and node != own_edge]
         assert len(elsewhere) >= 2 and run_folder / "cloud" in elsewhere
-        # A reconstruction of the other device's own photographs is most of all bytes: tests/stress/test_canaries.py searches that too.
+        # A reconstruction of the other device's own photographs is most of all bytes:
+        # tests/stress/test_canaries.py searches that too.
         assert files_with(canaries, [path for node in elsewhere for path in node.iterdir() if path.name != "sfm"]) == []
         assert files_with(canaries.of(PHOTOGRAPH_KINDS), [own_edge, *of_owner]) == []
         # The search finds what is there.
@@ -425,7 +426,8 @@ def test_a_device_with_an_empty_folder_is_named_and_the_rest_goes_on(hamlet: Pat
     assert any("south-2 takes no part" in warning for warning in manifest["warnings"])
     told = next(row for row in manifest["ledger"] if row["node"] == "plan")
     assert told["num_photographs"] == 0 and 0 < told["other_bytes"] < 10_000, "names and positions alone"
-    # What was delivered can be planned anew and extended; nobody knows more than the plan of what arrived.
+    # What was delivered can be planned anew and extended; nobody knows more than the plan of what
+    # arrived.
     display = ProgressDisplay(Console(file=io.StringIO()))
     delivered = len(load_scene(config.out / "delivered" / "scene.safetensors").cameras)
     assert 0 < delivered <= sum(len(plan.camera_indices) for plan in load_plan(config.out / "plan.json")[1]), "some may have no pose"

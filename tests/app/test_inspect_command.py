@@ -54,7 +54,8 @@ def test_an_edited_plan_is_what_plan_and_run_read(planned: Path) -> None:
     before = load_plan_waypoints(planned / "plan.json")
     assert before is not None
     np.testing.assert_allclose(run.scene.cameras.centers[:, :2], before.positions_m[:, :2], atol=1e-9)
-    # Altitudes of 490 m, images 18 m apart: heights above the sea, and 80 % of overlap from 50 m above the ground.
+    # Altitudes of 490 m, images 18 m apart: heights above the sea, and 80 % of overlap from 50 m
+    # above the ground.
     assert (abs(run.scene.cameras.centers[:, 2] - 50) < 15).all()
     forward = run.scene.cameras.cam_from_world[:, 2, :3]
     np.testing.assert_allclose(forward, np.tile([0, 0, -1.0], (300, 1)), atol=1e-9)  # straight down
@@ -85,13 +86,15 @@ def test_an_edited_plan_is_what_plan_and_run_read(planned: Path) -> None:
     again, edges_again = load_plan(planned / "again.json")
     np.testing.assert_array_equal(again.edge_of_camera, cloud.edge_of_camera)
     np.testing.assert_array_equal(edges_again[0].device_of_camera, edges[0].device_of_camera)
-    # And to the same lists for the devices; one of a device that an earlier plan of this name had is gone.
+    # And to the same lists for the devices; one of a device that an earlier plan of this name had
+    # is gone.
     (planned / "mine_waypoints" / "gone.csv").touch()
     save_edited_plan(planned / "mine.json", editor.subject, editor.state, setting)
     lists = {path.name: path.read_bytes() for path in (planned / "mine_waypoints").iterdir()}
     assert lists == {path.name: path.read_bytes() for path in (planned / "again_waypoints").iterdir()} and len(lists) == 6
     assert (planned / "mine_regions.geojson").read_bytes() == (planned / "again_regions.geojson").read_bytes()
-    # Loaded into the window of the first plan it is the same again, whatever order its waypoints come in.
+    # Loaded into the window of the first plan it is the same again, whatever order its waypoints
+    # come in.
     editor.undo()
     adopted = load_other_plan(planned / "mine.json", editor.subject)
     np.testing.assert_array_equal(adopted.cloud.edge_of_camera, cloud.edge_of_camera)
@@ -127,7 +130,8 @@ def test_a_run_on_the_globe_gives_a_plan_that_another_run_can_take(tmp_path: Pat
     assert len(written) == 4
     waypoints = load_plan_waypoints(tmp_path / "out.json")
     assert waypoints is not None
-    # The file counts from the waypoints' own middle, as plans before capture do: regions lie around the same cameras.
+    # The file counts from the waypoints' own middle, as plans before capture do: regions lie around
+    # the same cameras.
     cloud, _ = load_plan(tmp_path / "out.json")
     shift = subject.positions[:, :2].mean(axis=0)
     np.testing.assert_allclose(cloud.sites, town.cloud_plan.sites - shift, atol=1e-3)

@@ -57,7 +57,8 @@ def test_every_option_of_the_command_is_a_key_but_those_that_the_batch_sets(tmp_
     assert (job.config.train.settings, job.config.plan.method) == ({"sky": False}, "even")
     for option in options - {"set"}:
         with pytest.raises(BadInput, match=rf"job\[0\]\.{option} is \[\]; expected "):
-            # No other option takes a list, so that each known key is named with its own expectation.
+            # No other option takes a list, so that each known key is named with its own
+            # expectation.
             jobs_of(tmp_path, f'[[job]]\nname = "a"\nsource = "photos"\n{option} = []\n')
 
 

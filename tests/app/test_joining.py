@@ -70,7 +70,8 @@ def test_what_the_machine_cannot_join_is_cut_with_a_warning_and_what_an_edge_poo
     (views_warning,), (warning,) = by_views.warnings, by_machine.warnings
     assert "exceeds 80% of what this machine has free, a limit of 0.08 GB" in warning and "dB lower" in warning
     assert "52 cameras, exceeds the cloud's limit of 10 cameras" in views_warning
-    # Edge by edge fits where the limit is of views; where not even that fits, what was only faded stays so.
+    # Edge by edge fits where the limit is of views; where not even that fits, what was only faded
+    # stays so.
     joined_db, alone_db = held_out_db(trained, load_ply(trained / "scene.ply")), held_out_db(trained, by_views.splats)
     assert joined_db > alone_db + 0.1 and alone_db > held_out_db(trained, by_machine.splats) + 0.1
     assert alone_db > held_out_db(trained, plainly_cut(trained))

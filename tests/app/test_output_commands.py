@@ -167,7 +167,8 @@ def test_a_picture_that_does_not_fit_into_memory_is_one_sentence(run: Path, tmp_
     large = tmp_path / "cameras.safetensors"
     one = cameras_looking_at(np.array([[0.0, -80, 60]]), np.zeros((1, 3)), Lens(size_wh=(32, 32)))
     save_cameras(large, replace(one, sizes_wh=np.array([[1 << 14, 1 << 14]])))
-    # A process of its own, which may hold 4 GB: one picture of 268 million pixels takes 3.2 GB and more at once.
+    # A process of its own, which may hold 4 GB: one picture of 268 million pixels takes 3.2 GB and
+    # more at once.
     arguments = ["-m", "radiant_app", "render", run / "scene.ply", "--cameras", large, "--out", tmp_path / "frames"]
     command = ["prlimit", f"--as={4 << 30}", sys.executable, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

@@ -245,7 +245,8 @@ def test_too_little_memory_makes_a_smaller_budget_that_the_next_process_keeps(
     first = choice()
     (limit,) = re.findall(r"at most ([\d,]+) Gaussians", first)
     assert 1000 <= int(limit.replace(",", "")) < 500_000
-    # What a later process holds is another matter: with another limit, its checkpoints would be another training's.
+    # What a later process holds is another matter: with another limit, its checkpoints would be
+    # another training's.
     ballast = np.ones(5_000_000)
     assert choice() == first and ballast[-1] == 1
     kept = read_json(tmp_path / "device" / "memory.json")

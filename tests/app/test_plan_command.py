@@ -78,7 +78,8 @@ def test_1600_waypoints_become_a_plan_with_lists_and_regions(tmp_path: Path) -> 
     assert waypoints.names == read_waypoints(source).waypoints.names
     cloud, edges = load_plan(tmp_path / "plan.json")
     assert cloud.counts.sum() == 1600
-    # Sites lie where the file says, 55.6 m north and south of the middle (a second of latitude is 30.9 m).
+    # Sites lie where the file says, 55.6 m north and south of the middle (a second of latitude is
+    # 30.9 m).
     np.testing.assert_allclose(cloud.sites[:, 1], [55.6, -55.6], atol=0.1)
     listed = [
         name
@@ -116,7 +117,8 @@ def test_photographs_are_planned_by_their_gps_without_every_8th(tmp_path: Path) 
     found = exif_waypoints(tmp_path).waypoints
     index = found.names.index(waypoints.names[0])
     np.testing.assert_array_equal(waypoints.lat_lon_alt[0], found.lat_lon_alt[index])
-    # GPS counts from the sea: nothing in the lists is flown as height above take-off until somebody says where the ground is.
+    # GPS counts from the sea: nothing in the lists is flown as height above take-off until somebody
+    # says where the ground is.
     assert "give the ground's with --ground" in result["warnings"] and "are heights above the sea" in result["forecast"]
     assert headers_of(tmp_path / "out" / "plan_waypoints") == {"latitude,longitude,altitude_absolute(m),name"}
     assert waypoints.absolute and waypoints.ground_m is None

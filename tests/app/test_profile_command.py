@@ -75,7 +75,8 @@ def in_this_process(self: Measuring, kind: str, folder: Path, task: DeviceTask |
     save_task(folder, task)
     begun_s = time.monotonic()
     run_node(kind, folder, folder.name, lambda event: self._report_progress(0.0))
-    # Stands for the start of a process, and makes seconds of these few steps stand out of the noise.
+    # Stands for the start of a process, and makes seconds of these few steps stand out of the
+    # noise.
     return time.monotonic() - begun_s + 0.3
 
 

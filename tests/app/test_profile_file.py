@@ -28,7 +28,8 @@ id = "d2"
 profile = "rtx-3090"
 max_cameras = 100
 """
-# gsplat, docs/source/tests/eval.rst: millions of Gaussians and seconds of 30,000 steps per scene on a TITAN RTX.
+# gsplat, docs/source/tests/eval.rst: millions of Gaussians and seconds of 30,000 steps per scene on
+# a TITAN RTX.
 PUBLISHED = np.array([(6.26, 2964), (1.25, 1422), (1.21, 1621), (5.84, 3013), (1.79, 2020), (1.59, 1708), (4.81, 2299)])
 OUTDOOR = np.array([(6.26, 169), (5.84, 161), (4.81, 109)])
 """Millions of Gaussians and training photographs (7 of 8) of bicycle, garden and stump."""

@@ -1,6 +1,8 @@
-"""The scene generator's laws: same command same pixels, depth and poses agree, EXIF within its error, poison refused.
+"""The scene generator's laws: same command same pixels, depth and poses agree, EXIF within its
+error, poison refused.
 
-The scene is a 6-photograph corner of the town at 96 x 72 px; the shipped hamlet and town are checked as files.
+The scene is a 6-photograph corner of the town at 96 x 72 px; the shipped hamlet and town are
+checked as files.
 """
 
 from __future__ import annotations
@@ -56,7 +58,8 @@ def test_noise_does_not_depend_on_how_the_samples_are_cut_into_strips() -> None:
     assert np.array_equal(whole, np.concatenate([value_noise(x[k : k + 37], y[k : k + 37], 0.3, 5) for k in range(0, 1000, 37)]))
     assert whole.min() >= 0.0
     assert whole.max() <= 1.0
-    # A uniform mean over 1,000 nearly independent values of deviation < 0.29: 5 standard errors are 0.046.
+    # A uniform mean over 1,000 nearly independent values of deviation < 0.29: 5 standard errors are
+    # 0.046.
     assert abs(whole.mean() - 0.5) < 0.046
 
 
@@ -111,13 +114,15 @@ def test_depth_and_colour_of_one_photograph_agree_with_its_neighbour(k1: float) 
     inside = np.all((there > 1.0) & (there < np.array([config.width_px, config.height_px]) - 1.0), axis=1)
     assert inside.sum() > 1500
     surface = photographer.depth_at(shots[1], there[inside])
-    # Each point lies on the neighbour's ray, so what the neighbour sees there is that point or nearer. 2 cm of 35 m allow
-    # for float32 rays, a few pixels for edges that such a ray just misses.
+    # Each point lies on the neighbour's ray, so what the neighbour sees there is that point or
+    # nearer. 2 cm of 35 m allow for float32 rays, a few pixels for edges that such a ray just
+    # misses.
     assert np.mean(surface > depth[inside] + 0.02) < 0.003
     same = np.abs(depth[inside] - surface) < 0.02
     assert same.mean() > 0.8
     mine, theirs = photographer.color_at(shots[0], pixels[inside][same]), photographer.color_at(shots[1], there[inside][same])
-    # Matte surfaces: only the fading of detail with the pixel's footprint may differ between two views.
+    # Matte surfaces: only the fading of detail with the pixel's footprint may differ between two
+    # views.
     assert np.median(np.abs(mine.astype(float) - theirs)) <= 4.0
 
 
@@ -195,7 +200,8 @@ def test_shipped_scene_is_small_and_its_gps_lies_within_the_stated_error(
     geodetic = np.array([exif_position(path) for path in images])
     enu = pycolmap.GPSTransform().ellipsoid_to_enu(geodetic, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, ORIGIN_ALT_M)
     error_m = np.linalg.norm(enu - np.array([centers[path.name] for path in images]), axis=1)
-    # The stated error plus the millimetre to which heights are written; and it is an error, not a copy of the truth.
+    # The stated error plus the millimetre to which heights are written; and it is an error, not a
+    # copy of the truth.
     assert error_m.max() <= SceneConfig().gps_error_m + 0.002
     assert error_m.max() > 0.3 * SceneConfig().gps_error_m
 
@@ -206,7 +212,8 @@ def test_hamlet_is_what_the_generator_renders_today() -> None:
     rendered = Photographer(config).photograph(plan_flight(config)[4], 4).astype(float)
     with Image.open(SAMPLES / "hamlet" / "images" / "drone_0004.jpg") as image:
         error = np.asarray(image).astype(float) - rendered
-    # JPEG of quality 72 with halved colour loses some 6 grey levels RMS on this texture; a moved camera or a new tint loses 20.
+    # JPEG of quality 72 with halved colour loses some 6 grey levels RMS on this texture; a moved
+    # camera or a new tint loses 20.
     assert np.sqrt(np.mean(error**2)) < 10.0
 
 
@@ -271,6 +278,7 @@ def test_flight_has_the_number_of_photographs_asked_for_and_covers_the_area() ->
         config = SceneConfig(num_cameras=count, extent_m=(500.0, 250.0))
         centers = np.array([shot.center_m for shot in plan_flight(config)])
         assert len(centers) == count
-    # Rows and columns end half a spacing (under 10 m) inside the border, and obliques stand up to 1.1 half extents out.
+    # Rows and columns end half a spacing (under 10 m) inside the border, and obliques stand up to
+    # 1.1 half extents out.
     assert np.ptp(centers[:, 0]) > 480.0
     assert np.ptp(centers[:, 1]) > 230.0

@@ -50,7 +50,8 @@ def test_the_demo_brings_what_inspect_needs_and_is_not_set_up_twice(checkout: Pa
     assert setup(checkout, "demo") == [f"python {EVERYDAY}", "radiant demo"]
     assert setup(checkout, "demo") == ["radiant demo"]
     assert setup(checkout) == []
-    # Sources that changed are installed again, and an environment that is older than the extras gets them.
+    # Sources that changed are installed again, and an environment that is older than the extras
+    # gets them.
     for source in ("pyproject.toml", NATIVE_SOURCE):
         (checkout / source).write_text("changed")
         assert setup(checkout) == [f"python {EVERYDAY}"]

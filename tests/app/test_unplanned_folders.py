@@ -1,5 +1,6 @@
-"""Folders of `radiant train` and `radiant sfm` hold no plan: they are looked at, filmed and exported all the same, or it is said what is
-missing and what makes it. A model alone is filmed around its middle."""
+"""Folders of `radiant train` and `radiant sfm` hold no plan: they are looked at, filmed and
+exported all the same, or it is said what is missing and what makes it. A model alone is filmed
+around its middle."""
 
 from __future__ import annotations
 

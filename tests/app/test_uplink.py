@@ -118,7 +118,8 @@ def test_a_teacher_that_was_killed_leaves_the_rest_to_its_edge(late: Dealer, tmp
     tree = folded(early, teachers=True, without="edge")
     for teacher in (node for node in tree if node.tier == "teacher"):
         (tmp_path / teacher.id / "done.json").unlink()
-    # As an executor does: the first is prepared again and left, the second was stopped after a view and is not prepared any more.
+    # As an executor does: the first is prepared again and left, the second was stopped after a view
+    # and is not prepared any more.
     first, second = (node for node in tree if node.tier == "teacher")
     early.prepare(first)
     assert not (tmp_path / first.id / "views").exists(), "what is not sealed may be of another model"

@@ -64,7 +64,8 @@ def first_circle(graph: Mapping[str, set[str]]) -> list[str]:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
-    # Lazy imports and those for types count: whoever reads one module of a circle has to read them all.
+    # Lazy imports and those for types count: whoever reads one module of a circle has to read them
+    # all.
     assert first_circle(imports_within(modules_of(package))) == []
 
 
@@ -91,13 +92,15 @@ def test_import_linter_keeps_every_contract() -> None:
 
 
 def test_the_command_line_imports_nothing_heavy() -> None:
-    # `radiant --help` answers in under 0.5 s; a set of modules is the same on a busy machine, a time is not.
+    # `radiant --help` answers in under 0.5 s; a set of modules is the same on a busy machine, a
+    # time is not.
     code = f"import sys, radiant_app.cli.app; print([name for name in {HEAVY!r} if name in sys.modules])"
     assert run_python(code) == "[]"
 
 
 def test_the_systems_zlib_comes_before_pycolmaps() -> None:
-    # pycolmap exports a zlib of its own: where it is loaded first, zlib.compress aborts the process.
+    # pycolmap exports a zlib of its own: where it is loaded first, zlib.compress aborts the
+    # process.
     code = (
         "import radiant_core.sfm.reconstruct, sys, zlib; names = list(sys.modules); import pycolmap;"
         "names = list(sys.modules); assert names.index('zlib') < names.index('pycolmap');"
@@ -112,7 +115,8 @@ def test_the_core_package_imports_zlib_before_anything_else() -> None:
 
 
 def test_no_top_level_core_or_viewer_is_installed() -> None:
-    # Other wheels ship a top-level `core`; installed beside ours, one would overwrite the other without a word.
+    # Other wheels ship a top-level `core`; installed beside ours, one would overwrite the other
+    # without a word.
     ours = importlib.metadata.distribution("radiant-splats")
     top_level = {Path(file).parts[0] for file in ours.files or [] if Path(file).parts[0] != ".."}
     assert top_level & {"core", "viewer"} == set()

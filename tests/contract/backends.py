@@ -100,10 +100,12 @@ def random_loss(output: RenderOutput, parts: Sequence[str] = ("images", "alphas"
 
 
 def undecided_pixels(splats: Splats, cameras: Cameras, within: float = 1e-4, **options) -> Tensor:
-    """Pixels (C,H,W) with a pair `within` this of ln α from a discrete decision (α_min or the cut): they jump when ln o moves by as much.
+    """Pixels (C,H,W) with a pair `within` this of ln α from a discrete decision (α_min or the cut):
+    they jump when ln o moves by as much.
 
-    The second difference of three renderings is of the order 1e-8 where nothing jumps. 1e-7 also finds jumps behind a transmittance of
-    1e-4, which are a large part of the gradient of a Gaussian that is hidden everywhere.
+    The second difference of three renderings is of the order 1e-8 where nothing jumps. 1e-7 also
+    finds jumps behind a transmittance of 1e-4, which are a large part of the gradient of a Gaussian
+    that is hidden everywhere.
     """
     leaves = SplatTensors.from_splats(splats, torch.float64)
     logits = leaves.logit_opacities.detach()
@@ -115,7 +117,8 @@ def undecided_pixels(splats: Splats, cameras: Cameras, within: float = 1e-4, **o
 
 
 def relative_errors(gradient: Tensor, exact: Tensor, rounding: Tensor | float = 0.0) -> Tensor:
-    """‖g − g64‖ / ‖g64‖ of each Gaussian that has a gradient, the divisor at least 1e-6 of the tensor's largest entry.
+    """‖g − g64‖ / ‖g64‖ of each Gaussian that has a gradient, the divisor at least 1e-6 of the
+    tensor's largest entry.
 
     `rounding` (N,) is taken off ‖g − g64‖ first.
     """
@@ -125,10 +128,12 @@ def relative_errors(gradient: Tensor, exact: Tensor, rounding: Tensor | float = 
 
 
 def opacity_rounding(splats: Splats, exact: dict[str, Tensor]) -> Tensor:
-    """(N,) 2⁻²² (1 − o) Σ_c |∂loss/∂c|: two units of float32 in what ∂loss/∂logit is a difference of, were the Gaussian white.
+    """(N,) 2⁻²² (1 − o) Σ_c |∂loss/∂c|: two units of float32 in what ∂loss/∂logit is a difference
+    of, were the Gaussian white.
 
-    That gradient is one number, (1 − o) Σ_p w (c·g − B): what the Gaussian shows less what it hides. In one Gaussian of a thousand the two
-    agree to three digits, and no float32 colour is exact relative to what is left.
+    That gradient is one number, (1 − o) Σ_p w (c·g − B): what the Gaussian shows less what it
+    hides. In one Gaussian of a thousand the two agree to three digits, and no float32 colour is
+    exact relative to what is left.
     """
     by_color = exact["sh0"].abs().sum(1) / SH_C0
     return 2.0**-22 * torch.sigmoid(-torch.tensor(splats.logit_opacities, dtype=torch.float64)) * by_color

@@ -1,7 +1,8 @@
-"""Worker processes as forks of one that has imported everything: what they compute is a worker's, without the seconds of its imports.
+"""Worker processes as forks of one that has imported everything: what they compute is a worker's,
+without the seconds of its imports.
 
-An executor starts CLIENT for each node. It hands its standard streams to the server, whose fork runs the worker's own `main`, and ends
-with the fork's exit code; the fork ends with it.
+An executor starts CLIENT for each node. It hands its standard streams to the server, whose fork
+runs the worker's own `main`, and ends with the fork's exit code; the fork ends with it.
 """
 
 from __future__ import annotations

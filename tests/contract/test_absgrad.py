@@ -37,7 +37,8 @@ def weights_of(output: RenderOutput, keep: Tensor, parts: tuple[str, ...]) -> di
     return {part: drawn[part] * (keep[..., None] if part == "images" else keep) for part in parts}
 
 
-# Two cameras of 18 × 6 px: two tiles, blocks of which only a part is in the picture, 216 backward passes.
+# Two cameras of 18 × 6 px: two tiles, blocks of which only a part is in the picture, 216 backward
+# passes.
 SPLATS, CAMERAS = large(40, seed=2), gaussians.off_centre_cameras(18, 6, count=2, focal_px=20)
 
 
@@ -115,7 +116,8 @@ def test_asking_for_it_moves_no_bit_of_pictures_and_gradients(backend: str) -> N
 
 @on_every_native_build
 def test_beside_gradients_of_depths_the_others_stay_within_rounding(backend: str) -> None:
-    # Under -ffast-math the compiler may add four registers to a sum in another order there: gcc 12 does in the portable build.
+    # Under -ffast-math the compiler may add four registers to a sum in another order there: gcc 12
+    # does in the portable build.
     splats, cameras = gaussians.regular(2000, seed=5), gaussians.off_centre_cameras(128, 96, focal_px=110)
     without, with_it = (render(splats, cameras, backend, absgrad=absgrad) for absgrad in (False, True))
     for rendered in (without, with_it):
@@ -162,7 +164,8 @@ def test_what_is_not_seen_gets_zero(backend: str) -> None:
         (replace(half, means=means), np.arange(60) % 2 == 0),
         (half.select(np.zeros(0, dtype=int)), np.zeros(0, bool)),
     ):
-        # The same memory twice over, so that nothing that another model left in it is taken for a gradient.
+        # The same memory twice over, so that nothing that another model left in it is taken for a
+        # gradient.
         for _ in range(2):
             rendered = render(splats, cameras, backend, absgrad=True)
             rendered.output.images.sum().backward()

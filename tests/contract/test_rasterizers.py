@@ -1,7 +1,9 @@
-"""One contract for every rasterizer: each feature and each gradient against the float64 reference, bad input, and the same bits.
+"""One contract for every rasterizer: each feature and each gradient against the float64 reference,
+bad input, and the same bits.
 
-Limits are those the project set for its rasterizers: 1e-4 in the image where no pair is undecided, 5e-3 elsewhere (one 8-bit step of one
-Gaussian), RMS 1e-5; gradients 1e-4 for regular Gaussians, 5e-2 for needles, finite for degenerate ones.
+Limits are those the project set for its rasterizers: 1e-4 in the image where no pair is undecided,
+5e-3 elsewhere (one 8-bit step of one Gaussian), RMS 1e-5; gradients 1e-4 for regular Gaussians,
+5e-2 for needles, finite for degenerate ones.
 """
 
 from __future__ import annotations
@@ -116,7 +118,8 @@ def test_gradients_at_the_frustum_edge_and_under_the_clamped_jacobian(backend: s
 def assert_gradients_agree(splats: Splats, cameras: Cameras, backend: str, *, limit: float, antialiased: bool = False) -> None:
     """All gradients to `limit` per Gaussian, but for what opacities lose to float32.
 
-    Float32 PyTorch and gsplat have centres 1e-5 px coarse, which costs them 20 times as much; the first is the oracle in float64 only.
+    Float32 PyTorch and gsplat have centres 1e-5 px coarse, which costs them 20 times as much; the
+    first is the oracle in float64 only.
     """
     slack = 1 if backend in NATIVE else 20
     keep = ~undecided_pixels(splats, cameras, antialiased=antialiased)
@@ -201,8 +204,8 @@ def test_the_order_of_the_gaussians_does_not_matter(backend: str) -> None:
     straight, shuffled = (render(model, cameras, backend) for model in (splats, splats.select(permutation)))
     for rendered in (straight, shuffled):
         random_loss(rendered.output, ("images",)).backward()
-    # Blending follows depth, not storage, and each Gaussian's sums have an order of their own: natively the same bits. The reference pads
-    # its lists differently.
+    # Blending follows depth, not storage, and each Gaussian's sums have an order of their own:
+    # natively the same bits. The reference pads its lists differently.
     slack = 0 if backend in NATIVE else 1
     torch.testing.assert_close(straight.output.images, shuffled.output.images, rtol=0, atol=slack * 1e-5)
     for name, gradient in straight.gradients().items():
@@ -223,7 +226,8 @@ def test_scaling_the_world_keeps_the_picture(backend: str, factor: float) -> Non
     undecided = undecided_pixels(splats, cameras)
     options = {"near_m": 0.01 * factor}
     difference = (render(splats, cameras, backend).output.images - render(scaled, scaled_cameras, backend, **options).output.images).abs()
-    # Means and log-scales are rounded anew to float32: some 1e-6 of α for each of a few dozen Gaussians.
+    # Means and log-scales are rounded anew to float32: some 1e-6 of α for each of a few dozen
+    # Gaussians.
     assert difference.amax(-1)[~undecided].max() <= MAX_ERROR
 
 
@@ -234,7 +238,8 @@ def test_moving_the_world_a_thousand_kilometres_through_the_local_origin_keeps_t
     world = splats.means.astype(np.float64) + shift_m
     poses = cameras.cam_from_world.copy()
     poses[:, :3, 3] -= poses[:, :3, :3] @ shift_m
-    # The local origin takes both back; the centre of a camera comes out of a float64 difference near 1e6 m, 1e-10 m coarse.
+    # The local origin takes both back; the centre of a camera comes out of a float64 difference
+    # near 1e6 m, 1e-10 m coarse.
     local_poses = poses.copy()
     local_poses[:, :3, 3] += local_poses[:, :3, :3] @ shift_m
     local = Splats(**{**splats.arrays(), "means": world - shift_m})
@@ -245,7 +250,8 @@ def test_moving_the_world_a_thousand_kilometres_through_the_local_origin_keeps_t
 
 @on_every_native_build
 def test_equal_float32_depths_are_told_apart_as_in_float64(backend: str) -> None:
-    # Two walls of opposite colours whose depths differ by 1e-8 m: equal in float32, not in the float64 of the camera transform.
+    # Two walls of opposite colours whose depths differ by 1e-8 m: equal in float32, not in the
+    # float64 of the camera transform.
     count = 40
     means = np.zeros((count, 3))
     means[::2, 0] = 1e-8
@@ -323,7 +329,8 @@ def test_each_backend_can_what_the_table_says_and_refuses_the_rest(name: Backend
         return
     for got, exact in zip(probe(feature, name, dtype), probe(feature, "reference", torch.float64), strict=True):
         assert feature != "float64" or got.dtype == torch.float64
-        # Beyond rounding, a pair at α_min may fall on either side: less than an 8-bit step of one pixel, in depth more.
+        # Beyond rounding, a pair at α_min may fall on either side: less than an 8-bit step of one
+        # pixel, in depth more.
         off = (got.detach().cpu().double() - exact.detach().double()).abs() > 1e-3 * (1 + exact.detach().double().abs())
         assert off.double().mean() <= 0.01, feature
 
@@ -379,7 +386,8 @@ def test_poison_is_named_counted_and_located_in_every_input(name: str, value: fl
 @pytest.mark.parametrize("name", INPUTS)
 def test_a_wrong_shape_or_type_of_every_input_is_named(name: str, backend: str) -> None:
     tensor = valid_inputs()[name]
-    # means and viewmats say how many Gaussians and cameras there are, so another one is blamed when they have too few rows.
+    # means and viewmats say how many Gaussians and cameras there are, so another one is blamed when
+    # they have too few rows.
     fewer = [] if name in ("means", "viewmats") else [tensor[:-1]]
     for wrong in (tensor[None], tensor[..., :-1], tensor.reshape(-1)[0], *fewer):
         with pytest.raises(BadInput, match=rf"^{name} has shape {re.escape(str(tuple(wrong.shape)))}, expected \("):

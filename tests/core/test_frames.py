@@ -94,7 +94,8 @@ def test_east_north_up_agrees_with_colmap(origin: tuple[float, float, float]) ->
 
 
 def test_one_hundredth_of_a_degree_north_at_45_degrees_is_1111_m() -> None:
-    # The meridian's radius of curvature at 45° is 6,367,382 m (WGS84), times 0.01° in radians = 1111.32 m.
+    # The meridian's radius of curvature at 45° is 6,367,382 m (WGS84), times 0.01° in radians =
+    # 1111.32 m.
     ends = enu_from_geodetic([[44.995, 7.0, 0.0], [45.005, 7.0, 0.0]], [45.0, 7.0, 0.0])
     assert ends[1, 1] - ends[0, 1] == pytest.approx(1111.32, abs=0.01)
 
@@ -128,7 +129,8 @@ def test_metres_to_degrees_and_back_are_the_same_metres(origin: tuple[float, flo
     positions = np.random.default_rng(6).uniform(-1, 1, (2000, 3)) * [reach_m, reach_m, 10e3]
     there = geodetic_from_enu(positions, origin)
     assert (np.abs(there[:, 0]) <= 90).all() and (np.abs(there[:, 1]) <= 180).all()
-    # Geocentric coordinates of up to 1e7 m carry 2e-9 m each in float64; the contract is 1 mm over 100 km.
+    # Geocentric coordinates of up to 1e7 m carry 2e-9 m each in float64; the contract is 1 mm over
+    # 100 km.
     np.testing.assert_allclose(enu_from_geodetic(there, origin), positions, atol=1e-7)
 
 

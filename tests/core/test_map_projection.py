@@ -42,7 +42,8 @@ def test_angles_are_kept_and_the_inverse_comes_back(lat: float, off: float) -> N
     parallel_m = WGS84_SEMI_MAJOR_M * np.cos(lat_rad) / np.sqrt(1 - E2 * np.sin(lat_rad) ** 2)
     northward = (moved[0] - moved[1]) / (meridian_radius_m(lat_rad) * radians)
     eastward = (moved[2] - moved[3]) / (parallel_m * radians)
-    # 1e-7: differences over 1 m of numbers known to 1e-9 m, over a parallel that is short near the pole.
+    # 1e-7: differences over 1 m of numbers known to 1e-9 m, over a parallel that is short near the
+    # pole.
     assert eastward == pytest.approx([northward[1], -northward[0]], abs=2e-7)
 
 

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from radiant_core import _native
 
-# Southern-hemisphere UTM: eastings near 5e5 m, northings near 1e7 m, the largest coordinates there are on Earth.
+# Southern-hemisphere UTM: eastings near 5e5 m, northings near 1e7 m, the largest coordinates there
+# are on Earth.
 UTM_M = np.array([500_000.0, 9_999_000.0])
 
 
@@ -31,7 +32,8 @@ def twin(positions: NDArray, sites: NDArray, weights: NDArray) -> NDArray:
 
 @given(data=st.data(), num_positions=st.integers(0, 40), num_sites=st.integers(1, 9))
 def test_equals_the_numpy_twin_to_the_last_bit_ties_included(data: st.DataObject, num_positions: int, num_sites: int) -> None:
-    # Few distinct values make exact ties common; the kernel keeps IEEE order and rounding, so equality is exact.
+    # Few distinct values make exact ties common; the kernel keeps IEEE order and rounding, so
+    # equality is exact.
     values = st.one_of(st.integers(-3, 3).map(float), st.floats(-1e7, 1e7))
     positions = data.draw(arrays(np.float64, (num_positions, 2), elements=values))
     sites = data.draw(arrays(np.float64, (num_sites, 2), elements=values))
@@ -53,18 +55,21 @@ def test_a_common_weight_changes_no_cell() -> None:
     rng = np.random.default_rng(0)
     positions, sites, weights = rng.uniform(0, 500, (2000, 2)), rng.uniform(0, 500, (8, 2)), rng.uniform(-1e4, 1e4, 8)
     before = _native.assign_power_cells(positions, sites, weights)
-    # 2^20 m² is exact beside these weights, so only a position within rounding of a border could change: none of 2000 is.
+    # 2^20 m² is exact beside these weights, so only a position within rounding of a border could
+    # change: none of 2000 is.
     np.testing.assert_array_equal(before, _native.assign_power_cells(positions, sites, weights + 2.0**20))
 
 
 def test_utm_coordinates_give_the_cells_of_local_ones_to_a_nanometre() -> None:
     rng = np.random.default_rng(1)
-    # Multiples of 1/1024 m: the shift to UTM is exact, so the cells must be the same, not nearly the same.
+    # Multiples of 1/1024 m: the shift to UTM is exact, so the cells must be the same, not nearly
+    # the same.
     positions, sites = rng.integers(0, 1 << 19, (5000, 2)) / 1024, rng.integers(0, 1 << 19, (16, 2)) / 1024
     weights = rng.uniform(-1e4, 1e4, 16)
     local = _native.assign_power_cells(positions, sites, weights)
     np.testing.assert_array_equal(local, _native.assign_power_cells(positions + UTM_M, sites + UTM_M, weights))
-    # A millimetre to either side of a border at UTM northings: |x|² − 2x·P + |P|², rounded near 1e14 m², would miss it.
+    # A millimetre to either side of a border at UTM northings: |x|² − 2x·P + |P|², rounded near
+    # 1e14 m², would miss it.
     border = UTM_M + np.array([[50.0 - 1e-3, 0.0], [50.0 + 1e-3, 0.0]])
     two = UTM_M + np.array([[0.0, 0.0], [100.0, 0.0]])
     assert _native.assign_power_cells(border, two, np.zeros(2)).tolist() == [0, 1]
@@ -136,7 +141,8 @@ def test_the_interpreter_runs_on_while_cells_are_assigned() -> None:
 
 
 def test_importing_the_module_leaves_denormals_alone_in_the_whole_process() -> None:
-    # A fresh process: one that already flushed them, or a thread with a saved control word, would hide the fault.
+    # A fresh process: one that already flushed them, or a thread with a saved control word, would
+    # hide the fault.
     code = "import radiant_core._native, numpy as np; print((np.full(9, 1e-310) / 2).tolist() == [5e-311] * 9, 5e-324 / 1.0 > 0)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.split() == ["True", "True"]

@@ -1,8 +1,10 @@
-"""Gaussians as Open3D draws them, in a process of their own: two of its renderers in one process end it with an abort.
+"""Gaussians as Open3D draws them, in a process of their own: two of its renderers in one process
+end it with an abort.
 
-`python open3d_splats.py IN.npz OUT.npy` is that process. The oracle for our renderer and for the PLY files that we write:
-Open3D keeps positions in 16 bits, clamps colours per Gaussian, draws harmonics up to degree 2, and a tile is sometimes
-wrong in one frame, so several frames are drawn. Some 3 s to start, 0.2 s to 0.6 s per frame of 640×480.
+`python open3d_splats.py IN.npz OUT.npy` is that process. The oracle for our renderer and for the
+PLY files that we write: Open3D keeps positions in 16 bits, clamps colours per Gaussian, draws
+harmonics up to degree 2, and a tile is sometimes wrong in one frame, so several frames are drawn.
+Some 3 s to start, 0.2 s to 0.6 s per frame of 640×480.
 """
 
 from __future__ import annotations
@@ -28,10 +30,12 @@ NEAR_SHARE = 1e-3
 
 
 def render_open3d_splats(ply_path: Path, camera: Cameras, num_frames: int = 5) -> NDArray[np.uint8]:
-    """Frames (num_frames,H,W,3) over black of one of our own 3DGS PLYs, as Open3D reads and draws it for one camera.
+    """Frames (num_frames,H,W,3) over black of one of our own 3DGS PLYs, as Open3D reads and draws
+    it for one camera.
 
-    Open3D's reader trusts a file's header: pass files that we wrote. Raises BadInput for another number of cameras or a missing
-    file, StageFailed when the process ends badly or takes longer than two minutes.
+    Open3D's reader trusts a file's header: pass files that we wrote. Raises BadInput for another
+    number of cameras or a missing file, StageFailed when the process ends badly or takes longer
+    than two minutes.
     """
     if len(camera) != 1:
         raise BadInput(f"{len(camera)} cameras came, expected one: choose it with Cameras.named.")
@@ -57,7 +61,8 @@ def _draw(source: Path) -> NDArray[np.uint8]:
 
     with np.load(source, allow_pickle=False) as request:
         width, height = (int(side) for side in request["size_wh"])
-        # The strict reader has no part here: that Open3D itself reads what we write is what is to be seen.
+        # The strict reader has no part here: that Open3D itself reads what we write is what is to
+        # be seen.
         cloud = o3d.t.io.read_point_cloud(Path(str(request["ply_path"])))
         K, cam_from_world, num_frames = request["K"], request["cam_from_world"], int(request["num_frames"])
     renderer = o3d.visualization.rendering.OffscreenRenderer(width, height)

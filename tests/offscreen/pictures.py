@@ -1,4 +1,5 @@
-"""The views of a small made-up run with a planted seam, reduced to a quarter, and the baselines they are compared with.
+"""The views of a small made-up run with a planted seam, reduced to a quarter, and the baselines
+they are compared with.
 
 python -m tests.offscreen.pictures      # renews the baselines: look at each before it is committed
 """

@@ -1,7 +1,9 @@
-"""A merged model must not step at its border: strips from above by our own renderer, fails when a seam appears.
+"""A merged model must not step at its border: strips from above by our own renderer, fails when a
+seam appears.
 
-The budget of a seamless merge, over 36 m of textured ground: grey 1/255, height 5 mm, density 10 %, opacity 0.5 %, and no score above its
-threshold. Open3D and pyvista pictures of the same border are checked for what stands where, not for pixels.
+The budget of a seamless merge, over 36 m of textured ground: grey 1/255, height 5 mm, density 10 %,
+opacity 0.5 %, and no score above its threshold. Open3D and pyvista pictures of the same border are
+checked for what stands where, not for pixels.
 """
 
 from __future__ import annotations
@@ -112,7 +114,8 @@ def test_what_is_found_exceeds_the_limit_that_is_told_and_what_is_not_does_not()
         # Of colour the limit is that of grey, and a difference of channels may be what was found.
         for quantity in ("height", "density", "gap"):
             assert (abs(steps.steps[quantity]) > steps.limits[quantity]) == (quantity in steps.found)
-    # Hills of 0.2 m and 1 cm of noise: a step of 5 cm is told, one of a tenth of a millimetre is not promised.
+    # Hills of 0.2 m and 1 cm of noise: a step of 5 cm is told, one of a tenth of a millimetre is
+    # not promised.
     assert 1e-4 < steps.limits["height"] < 0.05
 
 

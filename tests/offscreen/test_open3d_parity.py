@@ -66,7 +66,8 @@ def test_open3d_draws_our_ply_as_we_do(tmp_path: Path, sh_degree: int) -> None:
     assert frames.shape == (5, 240, 320, 3)
     ours = our_render(splats, CAMERA)
     assert best_tiles_psnr_db(ours, np.median(frames, axis=0) / 255, 0.95) >= 35
-    # The law can fail: the same scene turned by one pixel is further away than the two renderers are.
+    # The law can fail: the same scene turned by one pixel is further away than the two renderers
+    # are.
     assert best_tiles_psnr_db(ours, np.roll(np.median(frames, axis=0) / 255, 1, axis=1), 0.95) < 35
 
 

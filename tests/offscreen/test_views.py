@@ -15,8 +15,9 @@ from tests.offscreen.pictures import SIZE_WH, VIEWS, baseline, picture
 from tests.viewer.made_up_run import Town, made_up_town, save_run
 
 MEAN_LEVELS, MAX_SHARE, FAR_LEVELS = 1.5, 0.02, 40
-"""Budget of a picture: mean difference in levels of 255, and the share of pixels that differ by more than so many; other fonts, other
-versions of Mesa and other vector units round differently at edges, by less than this; a missing layer or label by more."""
+"""Budget of a picture: mean difference in levels of 255, and the share of pixels that differ by
+more than so many; other fonts, other versions of Mesa and other vector units round differently at
+edges, by less than this; a missing layer or label by more."""
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,8 @@ def test_a_planted_seam_is_found_at_its_borders_and_no_unplanted_one_anywhere() 
     assert [finding.figures.step_levels for finding in findings[:2]] == pytest.approx([40, 40], abs=6)
     unscaled = replace(planted.scene, frame=replace(planted.scene.frame, kind="unscaled"))
     assert [finding.found for finding in seam_findings(unscaled, planted.cloud_plan, planted.splats)] == [True, True, False]
-    # The upper third of viridis, green to yellow, marks what is strong: without a seam it stands in the colour bar alone.
+    # The upper third of viridis, green to yellow, marks what is strong: without a seam it stands in
+    # the colour bar alone.
     bar, with_seam = (int(is_strong(seams_of(town)).sum()) for town in (plain, planted))
     assert with_seam > bar + 1200
 

@@ -1,11 +1,13 @@
-"""Kills a command again and again with SIGKILL, resumes it until it is done, and compares what it made with an undisturbed run.
+"""Kills a command again and again with SIGKILL, resumes it until it is done, and compares what it
+made with an undisturbed run.
 
     undisturbed = run_whole(command)                     once
     story = run_killed(command, resumed, delays_s)       killed after delays_s[0], resumed, killed after delays_s[1], …, then left alone
     differing_files(whole, killed, names)                []
 
-Every run is a session of its own, and the whole process group is killed, so that no worker outlives it. A run that ends before its kill
-ends the story. Kills come at moments that only the seed decides, in seconds since the start of each process, or when a file appears.
+Every run is a session of its own, and the whole process group is killed, so that no worker outlives
+it. A run that ends before its kill ends the story. Kills come at moments that only the seed
+decides, in seconds since the start of each process, or when a file appears.
 """
 
 from __future__ import annotations
@@ -104,5 +106,6 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 def _environment(more: dict[str, str] | None) -> dict[str, str]:
-    # One thread, so that a run takes its time whatever else the machine does, and the same for every run.
+    # One thread, so that a run takes its time whatever else the machine does, and the same for
+    # every run.
     return {**os.environ, "OMP_NUM_THREADS": "1", **(more or {})}

@@ -1,17 +1,20 @@
-"""Mutation testing: are there tests for what the planner, the readers and the upload protocol do? Run by hand, in minutes.
+"""Mutation testing: are there tests for what the planner, the readers and the upload protocol do?
+Run by hand, in minutes.
 
     python tests/stress/mutation.py --seed 0 --sample 60 --json mutants.json
 
-Draws mutants at random from all there are and runs, for each, the tests that reach its lines: those of the module's own file first, then
-the quickest. Killed: a test fails, or takes ten times its processor time. What each of it costs:
+Draws mutants at random from all there are and runs, for each, the tests that reach its lines: those
+of the module's own file first, then the quickest. Killed: a test fails, or takes ten times its
+processor time. What each of it costs:
 
     once per part      all tests of the part, traced: which lines does each reach, in what time; a failure ends it all
     once per mutant    a fork of a session whose tests are imported and collected: the code objects of the changed functions are exchanged
     constants, defaults, and what runs at import    a fork of a process that has the heavy libraries alone: everything is imported anew
 
-A mutant that no test reaches survives at once. The changes are of mutmut's kinds; those that hardly any test could miss (every assignment
-to None, arguments left out) are not drawn, which lowers the score. Left alone: docstrings, annotations, decorators, the sentences of errors
-and other texts with a blank.
+A mutant that no test reaches survives at once. The changes are of mutmut's kinds; those that hardly
+any test could miss (every assignment to None, arguments left out) are not drawn, which lowers the
+score. Left alone: docstrings, annotations, decorators, the sentences of errors and other texts with
+a blank.
 """
 
 from __future__ import annotations
@@ -286,8 +289,8 @@ class Reach:
     at_import: dict[str, list[int]] = field(default_factory=dict)
 
     def tests_for(self, mutant: Mutant) -> list[str]:
-        """The tests that reach a mutant's statement, in the order to run them; where it runs at import, all that reach anything of its
-        file or stand in a file that names its module."""
+        """The tests that reach a mutant's statement, in the order to run them; where it runs at
+        import, all that reach anything of its file or stand in a file that names its module."""
         path, wanted = str(ROOT / mutant.path), set(range(mutant.first, mutant.last + 1))
         if self.is_exchangeable(mutant):
             found = [test for test, lines in self.lines.items() if wanted & set(lines.get(path, ()))]

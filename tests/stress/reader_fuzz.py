@@ -1,10 +1,11 @@
-"""Mutated files for the strict readers: seeded, so that a finding can be found again by its format and number.
+"""Mutated files for the strict readers: seeded, so that a finding can be found again by its format
+and number.
 
     report = fuzz("ply", count, seed, folder)     every mutated file is read once
     report.surprises                              [] where each was read or refused with BadInput
 
-Measured besides: the longest reading in CPU seconds of this process, and by how much its peak memory grew. By hand:
-`python -m tests.stress.reader_fuzz ply 1000000`.
+Measured besides: the longest reading in CPU seconds of this process, and by how much its peak
+memory grew. By hand: `python -m tests.stress.reader_fuzz ply 1000000`.
 """
 
 from __future__ import annotations
@@ -76,8 +77,9 @@ class FuzzReport:
     longest_number: int
     """CPU seconds of one reading, and which it was."""
     grown_bytes: int
-    """Peak resident memory within some `PER_LOOK` of them over that before, without the decoded pixels of the largest picture. Not over
-    all: every listing of a folder starts threads, which leave 1 kB each time in OpenCV, whatever the files."""
+    """Peak resident memory within some `PER_LOOK` of them over that before, without the decoded
+    pixels of the largest picture. Not over all: every listing of a folder starts threads, which
+    leave 1 kB each time in OpenCV, whatever the files."""
     seconds: float
 
 
@@ -114,7 +116,8 @@ def fuzz(name: str, count: int, seed: int, folder: Path, first: int = 0) -> Fuzz
     for number, data in enumerate(target.seeds):
         (folder / target.place(number)).write_bytes(data)
         target.read(folder, number)
-    # What was there before is not the reader's: walking through all of it took 0.16 s of some reading.
+    # What was there before is not the reader's: walking through all of it took 0.16 s of some
+    # reading.
     gc.collect()
     gc.freeze()
     surprises: list[str] = []

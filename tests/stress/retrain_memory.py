@@ -1,4 +1,5 @@
-"""A separate process that retrains two synthetic edge models as the cloud does and prints how far its peak memory grew.
+"""A separate process that retrains two synthetic edge models as the cloud does and prints how far
+its peak memory grew.
 
 python -m tests.stress.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE         the constants of `aggregate/cloud_choice.py`
 python -m tests.stress.retrain_memory GAUSSIANS VIEWS LONG_SIDE_PX SH_DEGREE BYTES   the peak itself, within a limit of so many bytes

@@ -22,7 +22,8 @@ def test_bounds_hold_about_as_often_as_they_say(seeds: int, images: int, spreads
         d = seed_effect + of_image * rng.normal(size=images) + of_both * rng.normal(size=(seeds, images))
         found = paired_bootstrap(d, np.zeros_like(d), num_draws=1000, seed=repeat)
         held += [found.low <= 0 <= found.high, found.at_least <= 0]
-    # 2,000 repeats scatter by 0.005. Residuals are counted twice, so that bounds may hold too often, up to always.
+    # 2,000 repeats scatter by 0.005. Residuals are counted twice, so that bounds may hold too
+    # often, up to always.
     assert (held / repeats >= 0.925).all()
     if of_both < max(of_seed, of_image) / 2:
         assert (held / repeats <= 0.98).all()

@@ -1,7 +1,9 @@
-"""Watermarks in every photograph and pose, looked for in all files and sent bytes of the other tiers: 0 found, under both executors.
+"""Watermarks in every photograph and pose, looked for in all files and sent bytes of the other
+tiers: 0 found, under both executors.
 
-The kinds, how they may be packed and the search stand in tests/app/canary.py; tests/app/test_canary.py leaks each on purpose. Here whole
-runs are searched, and each kind is planted once more in a file of the cloud, so that finding nothing means something. Figures:
+The kinds, how they may be packed and the search stand in tests/app/canary.py;
+tests/app/test_canary.py leaks each on purpose. Here whole runs are searched, and each kind is
+planted once more in a file of the cloud, so that finding nothing means something. Figures:
 docs/experiments/privacy.md.
 """
 

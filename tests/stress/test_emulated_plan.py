@@ -29,5 +29,6 @@ def test_the_plan_for_unequal_machines_beats_the_even_one_by_what_was_predicted(
         planned_s[method], emulated_s[method] = metrics["planned_makespan_s"], metrics["emulated_makespan_s"]
     predicted, played = (seconds["even"] / seconds["exact"] for seconds in (planned_s, emulated_s))
     assert predicted > 2.5
-    # The costs in the system file are of one machine; on another all of them change by about one factor, and the links do not.
+    # The costs in the system file are of one machine; on another all of them change by about one
+    # factor, and the links do not.
     assert played == pytest.approx(predicted, rel=0.25), (planned_s, emulated_s)

@@ -1,6 +1,6 @@
-"""What an executor costs over the bare stages: the nodes of a finished run of four devices, one at a time, as plain processes, by the local
-executor (all threads) and by Ray with one CPU (one thread); interleaved, wall and CPU seconds side by side. Figures:
-docs/experiments/faults.md.
+"""What an executor costs over the bare stages: the nodes of a finished run of four devices, one at
+a time, as plain processes, by the local executor (all threads) and by Ray with one CPU (one
+thread); interleaved, wall and CPU seconds side by side. Figures: docs/experiments/faults.md.
 """
 
 from __future__ import annotations
@@ -93,15 +93,18 @@ def test_executors_cost_at_most_a_twentieth(run: tuple[Tree, dict[str, NodeTask]
         for name in ways:
             print(f"{name}: wall {np.median(walls_s[name]):.2f} s {walls_s[name]}, CPU {np.median(cpus_s[name]):.2f} s {cpus_s[name]}")
     for name, base in (("local", "bare"), ("ray", "bare, one thread")):
-        # CPU, since other work on this machine changes the wall time of equal work by more than a twentieth.
+        # CPU, since other work on this machine changes the wall time of equal work by more than a
+        # twentieth.
         share = np.median(cpus_s[name]) / np.median(cpus_s[base])
         assert 0.8 < share <= 1 + MAX_OVERHEAD, (name, share, cpus_s)
 
 
 class _Spent:
-    """CPU seconds within the block: of this process, its children that ended, and all of the cluster with its ended children.
+    """CPU seconds within the block: of this process, its children that ended, and all of the
+    cluster with its ended children.
 
-    Ray ends a job's workers with the job and nobody waits for them, so that they are looked at while they live.
+    Ray ends a job's workers with the job and nobody waits for them, so that they are looked at
+    while they live.
     """
 
     def __init__(self, cluster: Cluster) -> None:

@@ -54,9 +54,10 @@ def _sexagesimal(angle_deg: float) -> tuple[float, float, float]:
 
 
 def frame_errors(out: Path, known: Cameras) -> dict[str, tuple[float, float, float, float]]:
-    """Per device the error of scale, of rotation in degrees, and of place as a share of the extent, once the similarity that all devices
-    have in common is taken off: only better GPS could fix that one. Last what its own structure from motion leaves open of its scale,
-    σ / √Σ‖x‖² of the residuals after the best similarity: no frame can mend that."""
+    """Per device the error of scale, of rotation in degrees, and of place as a share of the extent,
+    once the similarity that all devices have in common is taken off: only better GPS could fix that
+    one. Last what its own structure from motion leaves open of its scale, σ / √Σ‖x‖² of the
+    residuals after the best similarity: no frame can mend that."""
     placed = {
         device: cameras.named([name for name in cameras.names if name in known.names]) for device, cameras in placed_cameras(out).items()
     }
@@ -133,9 +134,11 @@ def test_a_real_set_is_placed_or_refused(name: str, tmp_path: Path) -> None:
     metrics = run(config).metrics
     errors = frame_errors(tmp_path / "run", cameras_of(read_model(DATA / name / "sparse_undistorted" / "0")))
     print(f"\n{name}: {errors}, missing {metrics['missing']}, {metrics['psnr_db']:.2f} dB")
-    # Models of 7 to 12 photographs with focal lengths of their own are bent by per cents; a wrong place is off by tens of per cent.
+    # Models of 7 to 12 photographs with focal lengths of their own are bent by per cents; a wrong
+    # place is off by tens of per cent.
     for device, (scale, turn_deg, offset, _) in errors.items():
         assert scale <= 0.04 and turn_deg <= 4 and offset <= 0.02, (device, scale, turn_deg, offset)
-    # What was merged must agree: a wrongly placed device shows nothing of the photographs it holds out.
+    # What was merged must agree: a wrongly placed device shows nothing of the photographs it holds
+    # out.
     for row in metrics["images"]:
         assert row["psnr_db"] > row["initial_psnr_db"], row

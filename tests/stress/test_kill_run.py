@@ -1,8 +1,10 @@
-"""150 of 150: the process of a device, an edge or the cloud, killed with SIGKILL at 50 random moments each, is tried again and ends with
-the bytes of a run left alone; and so does a run whose main process is killed and resumed.
+"""150 of 150: the process of a device, an edge or the cloud, killed with SIGKILL at 50 random
+moments each, is tried again and ends with the bytes of a run left alone; and so does a run whose
+main process is killed and resumed.
 
-A tiny scene of three devices, retrained at an edge and at the cloud, checkpoints every 0.1 s. Up to five kills hit one stage of one run: in
-the start of its process, in its training, in a checkpoint, while it seals. The counts go to docs/experiments/faults.md.
+A tiny scene of three devices, retrained at an edge and at the cloud, checkpoints every 0.1 s. Up to
+five kills hit one stage of one run: in the start of its process, in its training, in a checkpoint,
+while it seals. The counts go to docs/experiments/faults.md.
 """
 
 from __future__ import annotations
@@ -87,7 +89,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, flo
     def note(event: Event) -> None:
         nonlocal before_s
         if isinstance(event, StageDone):
-            # One worker at a time, so that what children took since the last one ended is this one's.
+            # One worker at a time, so that what children took since the last one ended is this
+            # one's.
             used = resource.getrusage(resource.RUSAGE_CHILDREN)
             seconds[event.stage] = used.ru_utime + used.ru_stime - before_s
             before_s += seconds[event.stage]
@@ -97,8 +100,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, flo
 
 
 class Killer:
-    """Listens to a run and kills the process of one stage at the moments given, in CPU seconds of that process: other work on this
-    machine moves no kill from one part of a stage to another."""
+    """Listens to a run and kills the process of one stage at the moments given, in CPU seconds of
+    that process: other work on this machine moves no kill from one part of a stage to another."""
 
     def __init__(self, stage: str, folder: Path, moments: list[float]) -> None:
         self.stage, self.folder, self.moments = stage, folder, list(moments)

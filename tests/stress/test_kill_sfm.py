@@ -1,6 +1,8 @@
-"""Structure from motion killed with SIGKILL at random moments, resumed each time: the features and matches of a run left alone.
+"""Structure from motion killed with SIGKILL at random moments, resumed each time: the features and
+matches of a run left alone.
 
-The moments are CPU seconds of the process, over what a whole one takes. Figures: docs/experiments/faults.md.
+The moments are CPU seconds of the process, over what a whole one takes. Figures:
+docs/experiments/faults.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""50 of 50: `radiant train` on the hamlet, killed at random moments and resumed until it is done, ends with the bytes of a run left alone.
+"""50 of 50: `radiant train` on the hamlet, killed at random moments and resumed until it is done,
+ends with the bytes of a run left alone.
 
-Jobs of up to five kills each: some in structure from motion or while libraries load, most in training or in a checkpoint.
+Jobs of up to five kills each: some in structure from motion or while libraries load, most in
+training or in a checkpoint.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ def test_fifty_kills_of_fifty_end_with_the_same_bytes(tmp_path: Path) -> None:
     num_kills, job = 0, 0
     while num_kills < NUM_KILLS:
         killed = tmp_path / f"killed-{job}"
-        # Each process takes up where the last one stopped, so a job of several kills sees moments over all of its length.
+        # Each process takes up where the last one stopped, so a job of several kills sees moments
+        # over all of its length.
         moments = random_moments(job, min(KILLS_PER_JOB, NUM_KILLS - num_kills), 0.9 * seconds)
         story = run_killed(radiant_train(project, killed), radiant_train(project, killed, "--resume"), moments)
         assert differing_files(whole, killed, RESULTS) == [], (job, moments)

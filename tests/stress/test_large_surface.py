@@ -1,4 +1,5 @@
-"""A surface of more blocks than Open3D can make a mesh of at once: its extraction ends a process by SIGSEGV from 32,768 on.
+"""A surface of more blocks than Open3D can make a mesh of at once: its extraction ends a process by
+SIGSEGV from 32,768 on.
 
 Two directions into slopes of all depths: some 50,000 blocks, 9 GB.
 """

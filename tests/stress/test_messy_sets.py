@@ -1,5 +1,6 @@
-"""What people really have: photographs without EXIF, and two sites in one folder. A result or a clear refusal, on every real set. Minutes;
-`python -m pytest -m stress tests/stress/test_messy_sets.py -s` prints what became of each (docs/experiments/frames.md)."""
+"""What people really have: photographs without EXIF, and two sites in one folder. A result or a
+clear refusal, on every real set. Minutes; `python -m pytest -m stress
+tests/stress/test_messy_sets.py -s` prints what became of each (docs/experiments/frames.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""A scene of the paper's size, 1,600 photographs over 500 × 250 m, and a quarter of it: generated, read, planned and dealt to 4 edges
-with 4 devices each. Every stage runs in a process of its own, which tells its time and its peak memory. Some ten minutes on one core;
-`python -m pytest -m stress tests/stress/test_paper_size.py -s` prints the table of docs/experiments/paper_size.md.
+"""A scene of the paper's size, 1,600 photographs over 500 × 250 m, and a quarter of it: generated,
+read, planned and dealt to 4 edges with 4 devices each. Every stage runs in a process of its own,
+which tells its time and its peak memory. Some ten minutes on one core; `python -m pytest -m stress
+tests/stress/test_paper_size.py -s` prints the table of docs/experiments/paper_size.md.
 """
 
 from __future__ import annotations
@@ -189,7 +190,8 @@ def test_the_generated_scene_is_what_was_asked_for(scenes) -> None:
         scene = load_scene(folder / "scene.safetensors")
         assert len(scene.cameras) == num_cameras and scene.frame.kind == "metric"
         assert len(scene.points) > 0.7 * KNOWN_POINTS_PER_CAMERA * num_cameras, "points that two cameras see"
-        # Rows end half a spacing (under 10 m) inside the border; with 3 m of GPS noise the frame is good to far less than a metre.
+        # Rows end half a spacing (under 10 m) inside the border; with 3 m of GPS noise the frame is
+        # good to far less than a metre.
         assert (np.ptp(scene.cameras.centers[:, :2], axis=0) > np.array(SIZES[num_cameras]) - 20).all()
 
 
@@ -280,9 +282,11 @@ def test_devices_get_their_own_photographs_and_no_others(scenes, planned) -> Non
 def test_neither_planning_nor_dealing_holds_photographs(scenes) -> None:
     (_, small), (folder, large) = scenes[400], scenes[1600]
     sparse_bytes = (folder / "scene.safetensors").stat().st_size
-    # What grows is the owner's sparse scene (points and who sees them) while its training part is taken out: some six copies of it.
+    # What grows is the owner's sparse scene (points and who sees them) while its training part is
+    # taken out: some six copies of it.
     assert large["plan"].peak_bytes - small["plan"].peak_bytes < 8 * sparse_bytes
-    # Dealing then adds one device's part at a time and no photograph: all of them decoded would be 88 MiB.
+    # Dealing then adds one device's part at a time and no photograph: all of them decoded would be
+    # 88 MiB.
     assert large["deal"].peak_bytes - large["plan"].peak_bytes < 16 * MIB
     assert large["plan"].peak_bytes < 512 * MIB
     assert large["plan"].seconds < 20 and large["generate"].peak_bytes < 2048 * MIB

@@ -13,7 +13,8 @@ import pytest
 NATIVE = Path(__file__).parents[2] / "core" / "radiant_core" / "native"
 IS_X86 = platform.machine() in ("x86_64", "AMD64")
 FLAGS = ["-std=c++17", "-g", "-O1", "-Wno-psabi", f"-I{NATIVE}", *(["-DRADIANT_X86"] if IS_X86 else [])]
-# Only float divisions by zero and casts of what is out of range are defined on every CPU here and used on purpose.
+# Only float divisions by zero and casts of what is out of range are defined on every CPU here and
+# used on purpose.
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize=float-divide-by-zero", "-fno-sanitize-recover=all"]
 BUILDS = {"portable": [], **({"avx2": ["-march=x86-64-v3"], "avx512": ["-march=x86-64-v4"]} if IS_X86 else {})}
 

@@ -1,5 +1,6 @@
-"""A worker, a machine and the head of a Ray cluster die in the middle of a run: it finishes, or resumes, and trains nothing twice that was
-finished. All machines of the cluster are on this computer, each with processes of its own; a machine dies by SIGKILL of all of them.
+"""A worker, a machine and the head of a Ray cluster die in the middle of a run: it finishes, or
+resumes, and trains nothing twice that was finished. All machines of the cluster are on this
+computer, each with processes of its own; a machine dies by SIGKILL of all of them.
 """
 
 from __future__ import annotations

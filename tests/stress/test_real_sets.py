@@ -31,7 +31,8 @@ def test_a_real_set_becomes_a_scene(name: str, tmp_path: Path) -> None:
     assert len(load_ply(out / "scene.ply")) == metrics["num_gaussians"]
     gains = np.array([[row["psnr_db"] - row["initial_psnr_db"], row["psnr_db"] - row["mean_color_psnr_db"]] for row in metrics["images"]])
     assert (gains[:, 0] >= 3).all(), "every photograph beyond the untrained Gaussians"
-    # The mean colour knows each photograph's exposure, the model does not: 3 dB beyond it hold for the set, not for each photograph.
+    # The mean colour knows each photograph's exposure, the model does not: 3 dB beyond it hold for
+    # the set, not for each photograph.
     assert np.median(gains[:, 1]) >= 1.5, np.round(gains[:, 1], 2)
     # Nothing limits joining but the machine; what a limit leaves is worth no more.
     ample, cut = (joined_again(out, tmp_path / str(limit), memory_bytes=limit) for limit in (1.6e10, 1e8))

@@ -1,7 +1,9 @@
-"""The peaks of a run's own worker processes, devices, edges and the cloud, against what the system file allows them.
+"""The peaks of a run's own worker processes, devices, edges and the cloud, against what the system
+file allows them.
 
-Growth is made so fast that every device gets to its limit of Gaussians. A cloud that may hold enough retrains what edges pool; one that may
-not leaves retraining to the edges, within their own limits, and merges. Figures: docs/experiments/faults.md.
+Growth is made so fast that every device gets to its limit of Gaussians. A cloud that may hold
+enough retrains what edges pool; one that may not leaves retraining to the edges, within their own
+limits, and merges. Figures: docs/experiments/faults.md.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Structure from motion within limits of memory: the peak of its process, six photographs of 2,000 × 1,500 px and the town's sixty small
-ones, whose mapping takes more than finding features.
+"""Structure from motion within limits of memory: the peak of its process, six photographs of 2,000
+× 1,500 px and the town's sixty small ones, whose mapping takes more than finding features.
 
 Figures: docs/experiments/faults.md.
 """

@@ -15,8 +15,8 @@ from radiant_core.sfm.world_frame.align import compare_centers
 
 DATA = Path(os.environ.get("RADIANT_DATA", Path(__file__).parents[3] / "shared" / "data"))
 MAX_GPS_RESIDUAL_M = {"brighton": 0.5, "lewis": 6.5, "caliterra": 25.0}
-"""Altitudes of lewis lean by 8° against the horizon in its photographs (tests/core/sfm/test_up.py), so up is the scene's: 6.2 m, where a
-scene that leans with them has 5.8 m."""
+"""Altitudes of lewis lean by 8° against the horizon in its photographs (tests/core/sfm/test_up.py),
+so up is the scene's: 6.2 m, where a scene that leans with them has 5.8 m."""
 
 
 @pytest.mark.stress

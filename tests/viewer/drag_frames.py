@@ -1,9 +1,11 @@
-"""What a frame of a border's drag costs in the real window: 2,000 cameras, 16 edges, solving, report and drawing of the map included.
+"""What a frame of a border's drag costs in the real window: 2,000 cameras, 16 edges, solving,
+report and drawing of the map included.
 
     xvfb-run -a -s "-screen 0 1280x800x24" env OMP_NUM_THREADS=1 python -m tests.viewer.drag_frames
 
-Every frame's cells are checked to be convex and disjoint. CPU is told by thread: the window's own waits for the others, so their sum,
-of the rasterizer's the longest, is what a frame takes on a free machine.
+Every frame's cells are checked to be convex and disjoint. CPU is told by thread: the window's own
+waits for the others, so their sum, of the rasterizer's the longest, is what a frame takes on a free
+machine.
 """
 
 from __future__ import annotations

@@ -41,8 +41,9 @@ def made_up_town(
     quarry_levels: float = 0.0,
     grid: tuple[int, int] = (8, 3),
 ) -> Town:
-    """The town, moved by `shift` metres, with the regions "harbour" and "quarry" brighter by `step_levels` and `quarry_levels` of 255,
-    planted seams, and a grid of so many cameras east by north."""
+    """The town, moved by `shift` metres, with the regions "harbour" and "quarry" brighter by
+    `step_levels` and `quarry_levels` of 255, planted seams, and a grid of so many cameras east by
+    north."""
     rng = np.random.default_rng(3)
     offset = np.array([*shift, 0.0])
     xy = np.array([(x, y) for y in np.linspace(-45, 45, grid[1]) for x in np.linspace(-90, 90, grid[0])])

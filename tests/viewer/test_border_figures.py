@@ -126,7 +126,8 @@ def test_a_step_that_drowns_in_texture_is_not_told() -> None:
 def test_the_shares_are_those_of_the_images_that_show_a_place() -> None:
     town = made_up_town()
     centers = town.scene.cameras.centers
-    # From 60 m above a camera sees 38.4 m to either side: the last one of its row alone sees 30 m beyond itself.
+    # From 60 m above a camera sees 38.4 m to either side: the last one of its row alone sees 30 m
+    # beyond itself.
     east = float(centers[:, 0].max())
     places: FloatArray = np.array([[0.0, 0.0], [east + 8, 0.0], [east + 30, 0.0], [400.0, 0.0]])
     middle, rim, seen_once, far = observed_coverage(places, town.scene, 10.0)

@@ -30,7 +30,8 @@ def test_a_moving_cloud_keeps_sparse_ground_beside_a_dense_spot() -> None:
     assert 1900 <= len(kept) <= 2000
     squares = {tuple(cell) for cell in (points[:, :2] // 5).astype(int)}
     shown = {tuple(cell) for cell in (kept[:, :2] // 5).astype(int)}
-    # All 400 squares of the ground hold a point; taking every 20th point would leave 235 of 400 without one.
+    # All 400 squares of the ground hold a point; taking every 20th point would leave 235 of 400
+    # without one.
     assert len(squares) == 400
     assert len(shown) == 400
     every = {tuple(cell) for cell in (points[::20, :2] // 5).astype(int)}
@@ -47,13 +48,15 @@ def test_thinning_is_the_same_every_time_and_whole_where_all_fits() -> None:
 
 def test_thinning_bears_strays_equal_points_and_map_coordinates_and_refuses_poison() -> None:
     points = ground_with_a_dense_spot(6000)
-    # The octree's cells move by a rounding, so single points differ; the number and the spread do not.
+    # The octree's cells move by a rounding, so single points differ; the number and the spread do
+    # not.
     moved = even_subset(points + np.array([500_000.0, 5_400_000.0, 0]), 900)
     assert 850 <= len(moved) <= 900
     assert len({tuple(cell) for cell in (points[moved, :2] // 10).astype(int)}) == 100
     points[0] = (1e7, -1e7, 1e5)
     assert 0 in even_subset(points, 900)
-    # A stray 1e7 m off leaves cells of 305 m: the rest is spread along the curve, and no limit is broken.
+    # A stray 1e7 m off leaves cells of 305 m: the rest is spread along the curve, and no limit is
+    # broken.
     assert len(even_subset(points, 900)) <= 900
     assert len(even_subset(np.ones((50, 3)), 7)) == 7
     assert even_subset(np.zeros((0, 3)), 5).tolist() == []
@@ -103,8 +106,9 @@ def test_a_picture_at_rest_is_that_of_all_points(monkeypatch: pytest.MonkeyPatch
         with monkeypatch.context() as patch:
             patch.setattr("radiant_viewer.layers.point_detail.WHOLE_POINTS", 1000)
             thinned, far = draw(layers, (160, 100)).image, draw(moved, (160, 100)).image
-        # 3 levels on average: of two points in one cell the farther one may have peeped out beside the nearer. A map drew the last
-        # instead of the highest of all, whose shades differ by their height alone.
+        # 3 levels on average: of two points in one cell the farther one may have peeped out beside
+        # the nearer. A map drew the last instead of the highest of all, whose shades differ by
+        # their height alone.
         limit = 12 if draw is draw_map else 3
         assert np.abs(whole.astype(int) - thinned).mean() < limit
         # At UTM coordinates the same picture: no jitter.

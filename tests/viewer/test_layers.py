@@ -69,7 +69,8 @@ def test_every_colour_of_a_category_is_its_own_up_to_21_regions() -> None:
 @given(st.lists(st.floats(-1e9, 1e9), min_size=2, max_size=20), st.floats(-1e6, 1e6), st.floats(0, 1e6))
 def test_a_higher_value_is_never_darker_on_the_heat_scale(values: list[float], low: float, span: float) -> None:
     ordered = heat_colors(np.sort(values), low, low + span).astype(float)
-    # 3 levels: neighbouring colours of the table are rounded to 8 bits, so their luminance may dip by that.
+    # 3 levels: neighbouring colours of the table are rounded to 8 bits, so their luminance may dip
+    # by that.
     assert (np.diff(ordered @ [0.2126, 0.7152, 0.0722]) >= -3).all()
 
 
@@ -162,7 +163,8 @@ def test_seams_are_the_inner_borders_once_each_and_never_the_outer_edge() -> Non
     assert lengths.max() <= 5.0
     outer = 2 * sum(2 * side for side in HALF_WH)
     borders = sum(np.linalg.norm(np.roll(border, -1, axis=0) - border, axis=1).sum() for border in TOWN.cloud_plan.borders)
-    # Both regions have an inner side, one has an outer side. The corner where three regions meet is shared exactly.
+    # Both regions have an inner side, one has an outer side. The corner where three regions meet is
+    # shared exactly.
     assert lengths.sum() == pytest.approx((borders - outer) / 2, rel=1e-9)
     middles = pieces.ends.mean(axis=1)
     distances = np.linalg.norm(middles[:, None] - TOWN.cloud_plan.sites, axis=2)
@@ -175,7 +177,8 @@ def test_a_planted_seam_of_30_levels_is_found_and_the_border_without_one_is_not(
     pieces = seam_pieces(town.cloud_plan, 10.0)
     steps = color_steps(town.splats, pieces, 10.0).levels
     beside_harbour = (pieces.edge_pairs == 1).any(axis=1)
-    # Bands hold some 20 Gaussians of 12 levels noise: two means differ by 4 levels without any seam.
+    # Bands hold some 20 Gaussians of 12 levels noise: two means differ by 4 levels without any
+    # seam.
     assert np.nanmedian(steps[beside_harbour]) == pytest.approx(30, abs=4)
     assert np.nanmedian(steps[~beside_harbour]) < 4
 

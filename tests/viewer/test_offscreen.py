@@ -39,7 +39,8 @@ def test_a_regions_share_of_the_pixels_is_its_share_of_the_area() -> None:
     fills = tint(category_colors(3), WHITE, FILL_TINT)
     counted = np.array([share_of_color(drawing.image, fill) for fill in fills])
     areas = np.array([Polygon(border).area for border in TOWN.cloud_plan.borders])
-    # 2 %: the border line hides a strip along each region's rim, longer for its area in smaller regions.
+    # 2 %: the border line hides a strip along each region's rim, longer for its area in smaller
+    # regions.
     assert counted / counted.sum() == pytest.approx(areas / areas.sum(), rel=0.02)
 
 
@@ -74,7 +75,8 @@ def test_borders_show_through_what_stands_before_them_in_a_view() -> None:
     for in_front in (False, True):
         layer = Layer(name="line", segments=line, segment_colors=colors([0, 0, 0]), line_width_px=5, in_front=in_front)
         image = draw_view([wall, layer], (120, 90), (180, 0)).image
-        # A region is see-through by 0.6, so a black line behind it is red at full depth and black in front.
+        # A region is see-through by 0.6, so a black line behind it is red at full depth and black
+        # in front.
         darkest = image[..., 0].min()
         assert (darkest < 20) == in_front
 

@@ -21,7 +21,8 @@ def test_no_two_curves_look_alike() -> None:
     styles = [curve_style(index) for index in range(308)]
     assert len({(style.color, style.dash, style.marker) for style in styles}) == 308
     assert len({style.marker for style in styles[:11]}) == 11
-    # On white, by the relative luminance of WCAG 2: 3:1 for graphics, but for the two pale ones that a marker tells.
+    # On white, by the relative luminance of WCAG 2: 3:1 for graphics, but for the two pale ones
+    # that a marker tells.
     for color in CURVE_COLORS:
         linear = (np.array(color) / 255) ** 2.2 @ [0.2126, 0.7152, 0.0722]
         assert 1.05 / (linear + 0.05) > 1.9

@@ -130,7 +130,8 @@ def test_a_dragged_border_moves_as_far_as_the_pointer_and_the_rest_is_dealt_anew
         return apart / 2 + float(plan.weights[0] - plan.weights[1]) / (2 * apart)
 
     editor.apply(drag(editor, "edge-1", "edge-2", 30.0))
-    # It is drawn midway between the cameras it parts, which stand 3 m apart along the way on average.
+    # It is drawn midway between the cameras it parts, which stand 3 m apart along the way on
+    # average.
     assert place(editor.state.cloud) - place(cloud) == pytest.approx(30, abs=3)
     # Independent of the planner: the cameras on the near side of the moved line.
     along = (editor.subject.on_map - cloud.sites[0]) @ toward

@@ -1,4 +1,5 @@
-"""Five tasks of docs/inspector.md, done in the real window by keys, mouse and dialogs alone: at most five actions each, counted and timed.
+"""Five tasks of docs/inspector.md, done in the real window by keys, mouse and dialogs alone: at
+most five actions each, counted and timed.
 
 What came of them is checked here, from the files and by other means than the window's.
 """

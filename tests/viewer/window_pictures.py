@@ -2,7 +2,8 @@
 
     xvfb-run -a -s "-screen 0 1280x800x24" python -m tests.viewer.window_pictures RUN docs/pictures
 
-The run itself stays as it is: a copy of it is worked on. Take them on a free machine: the splat panel notes how long it drew.
+The run itself stays as it is: a copy of it is worked on. Take them on a free machine: the splat
+panel notes how long it drew.
 """
 
 from __future__ import annotations

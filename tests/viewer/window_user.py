@@ -1,4 +1,5 @@
-"""A user of the real window: keys, clicks, drags and names given to dialogs, counted; needs an X server.
+"""A user of the real window: keys, clicks, drags and names given to dialogs, counted; needs an X
+server.
 
 Imported only in processes that show a window: pytest's own keep clear of Qt.
 """
@@ -79,8 +80,9 @@ class User:
         QTimer.singleShot(20, answer)
 
     def drag_border(self, num_cameras: int) -> tuple[int, int]:
-        """Drag the longest border of the slowest region into it until so many cameras change hands, as the panel says; how many did at
-        last, and after how many frames. The plan is being edited."""
+        """Drag the longest border of the slowest region into it until so many cameras change hands,
+        as the panel says; how many did at last, and after how many frames. The plan is being
+        edited."""
         self.actions.append(f"drag the border into the slowest region until {num_cameras} cameras change hands")
         planning, view = self.window.planning, self.window.map.plotter
         assert planning is not None and planning.session is not None

@@ -1,12 +1,13 @@
-"""Which of several models contradict the others where they show the same: poisoned ones are left out before anything is joined. Per join.
+"""Which of several models contradict the others where they show the same: poisoned ones are left
+out before anything is joined. Per join.
 
 Every model is rendered at some cameras of every other, as a guest:
 
     agree(i, j):  PSNR of i's and j's pictures at j's cameras where both are opaque  ≥  MIN_AGREEMENT_DB
 
-The model with the largest share of contradicting neighbours goes if that is most of them, then the rest is counted again without it.
-Models that contradict each other where no third model covers the place both stay: nothing shows which is wrong. Attackers need about
-half of a model's neighbours.
+The model with the largest share of contradicting neighbours goes if that is most of them, then the
+rest is counted again without it. Models that contradict each other where no third model covers the
+place both stay: nothing shows which is wrong. Attackers need about half of a model's neighbours.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ def _agreement_db(home: Sequence, guest: Sequence) -> float:
 
 
 def measure_agreement_db(model: Splats, cameras: Cameras, views: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]]) -> float:
-    """PSNR of some of the views, image (H,W,3) and weight (H,W) at V cameras, against what the model shows there, where both are opaque;
-    infinity where that is nowhere."""
+    """PSNR of some of the views, image (H,W,3) and weight (H,W) at V cameras, against what the
+    model shows there, where both are opaque; infinity where that is nowhere."""
     rows = np.unique(np.linspace(0, len(cameras) - 1, min(NUM_ASKED, len(cameras))).astype(np.int64))
     squares, count = 0.0, 0
     for own, row in zip(render_views(model, cameras.select(rows)), rows.tolist(), strict=True):
@@ -93,8 +94,8 @@ def measure_agreement_db(model: Splats, cameras: Cameras, views: Sequence[tuple[
 def _outvoted(agreement_db: FloatArray) -> dict[int, str]:
     """Models to leave out, from what pairs say of each other in both directions.
 
-    In rounds the model with the largest share of contradicting neighbours, or all that are equal in that; only those that most of their
-    neighbours outside of these contradict.
+    In rounds the model with the largest share of contradicting neighbours, or all that are equal in
+    that; only those that most of their neighbours outside of these contradict.
     """
     # Of a pair the worse direction counts, NaN where they share no place.
     pairs = np.fmin(agreement_db, agreement_db.T)

@@ -1,9 +1,11 @@
-"""Exposures that differ between models: one gain and offset per model and channel, from the places that two of them show. Once per join.
+"""Exposures that differ between models: one gain and offset per model and channel, from the places
+that two of them show. Once per join.
 
     c' = g c + b     g, b = argmin Σ over pairs of pixels  ρ(g_i c_i + b_i − g_j c_j − b_j),   Σ over models of g = M, of b = 0
 
-over pixels at some cameras of every model where both models are opaque and their depths agree; ρ is Cauchy's, by least squares with
-weights 1 / (1 + (r / s)²), s the median |r|, since models differ by more than exposure. The gauge keeps the mean of all models.
+over pixels at some cameras of every model where both models are opaque and their depths agree; ρ is
+Cauchy's, by least squares with weights 1 / (1 + (r / s)²), s the median |r|, since models differ by
+more than exposure. The gauge keeps the mean of all models.
 """
 
 from __future__ import annotations
@@ -22,9 +24,10 @@ from radiant_core.render.rendered_view import render_views
 from radiant_core.splats import SH_C0, Splats
 
 MIN_LEVELS = 8.0
-"""Models are balanced where their exposures differ from the mean by at least so much of 255 at mid grey. On three sets as they were taken
-it was 1 to 6, and balancing gained nothing on those where it was tried; with one device's photographs three quarters as bright it was 22
-and gained 0.4 dB, 0.8 dB beside one colour map per picture (docs/experiments/aggregation.md)."""
+"""Models are balanced where their exposures differ from the mean by at least so much of 255 at mid
+grey. On three sets as they were taken it was 1 to 6, and balancing gained nothing on those where it
+was tried; with one device's photographs three quarters as bright it was 22 and gained 0.4 dB, 0.8
+dB beside one colour map per picture (docs/experiments/aggregation.md)."""
 MIN_PAIRS = 2_000
 """Pairs of pixels of a model with the others, below which nothing is said of it."""
 DEPTH_TOLERANCE, OPAQUE = 0.03, 0.95

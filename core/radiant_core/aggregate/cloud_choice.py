@@ -1,18 +1,21 @@
-"""Whether models are retrained together, from predicted memory and time (paper Sec. III-D: else they are cut). Once per join.
+"""Whether models are retrained together, from predicted memory and time (paper Sec. III-D: else
+they are cut). Once per join.
 
     memory = 0.39 GB + N (7 b + 500) + 4 Σ_v p_v + 136 max_v p_v        bytes, at least
     kept   = up to min(36 Σ_v p_v, 1 GiB) more, which saves time alone
     time   = Σ_e T_e N / N_e                                            seconds
 
-N Gaussians of b bytes each, p_v pixels of view v, T_e seconds that edge e took (or is said to take) to aggregate its N_e Gaussians: a
-step of dense Adam touches all of them. 0.39 GB is a worker with its libraries and its inbox (three clouds of real sets held 356 to 383 MB
-beside the rest); seven copies are the models, their sum, the tensors
-that move with gradient and two moments, and the result; 500 bytes are the rasterizer's; a view keeps 4 bytes a pixel, the step on one view
-takes 100 and its loss 36; the loss may keep those 36 of every view (`StatisticsCache`), in what memory is left.
-`python -m tests.stress.retrain_memory` measures it; tests/stress/test_cloud_memory.py compares.
+N Gaussians of b bytes each, p_v pixels of view v, T_e seconds that edge e took (or is said to take)
+to aggregate its N_e Gaussians: a step of dense Adam touches all of them. 0.39 GB is a worker with
+its libraries and its inbox (three clouds of real sets held 356 to 383 MB beside the rest); seven
+copies are the models, their sum, the tensors
+that move with gradient and two moments, and the result; 500 bytes are the rasterizer's; a view
+keeps 4 bytes a pixel, the step on one view takes 100 and its loss 36; the loss may keep those 36 of
+every view (`StatisticsCache`), in what memory is left. `python -m tests.stress.retrain_memory`
+measures it; tests/stress/test_cloud_memory.py compares.
 
-Views are never made smaller to fit: pictures of half the size teach about as much as a cut leaves, smaller ones less
-(docs/experiments/aggregation.md).
+Views are never made smaller to fit: pictures of half the size teach about as much as a cut leaves,
+smaller ones less (docs/experiments/aggregation.md).
 """
 
 from __future__ import annotations
@@ -89,7 +92,8 @@ def pooled_needs(models: Sequence[Splats], cameras: Sequence[Cameras], long_side
 
 
 def choose_at_cloud(needs: CloudNeeds, cloud: Cloud, stage: str, *, memory_of: str = "the cloud's limit") -> tuple[bool, Decision]:
-    """Whether the cloud retrains (else it cuts), and the decision with the figure that came nearest to its limit or beyond.
+    """Whether the cloud retrains (else it cuts), and the decision with the figure that came nearest
+    to its limit or beyond.
 
     `memory_of` says in words whose limit that of memory is.
     """

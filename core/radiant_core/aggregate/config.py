@@ -8,8 +8,8 @@ from typing import Literal, get_args
 from radiant_core.errors import BadInput
 
 AggregatePreset = Literal["default", "paper"]
-"""default: ours; paper: concatenate and retrain everything at full rate, at the edges and then at the cloud, nothing skipped
-(paper Sec. III-D)."""
+"""default: ours; paper: concatenate and retrain everything at full rate, at the edges and then at
+the cloud, nothing skipped (paper Sec. III-D)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +21,9 @@ class AggregateConfig:
     num_epochs: int = 5
     """How often each synthetic view is shown where models are retrained, at edges and at the cloud (paper Sec. IV-B: 10)."""
     edges: Literal["pool", "retrain"] = "pool"
-    """pool: an edge whose cloud retrains sends its devices' models as one, each fainter where another owns the place, with their
-    pictures at its virtual cameras, so that the cloud learns from devices at first hand; retrain: it joins them itself. default only."""
+    """pool: an edge whose cloud retrains sends its devices' models as one, each fainter where
+    another owns the place, with their pictures at its virtual cameras, so that the cloud learns
+    from devices at first hand; retrain: it joins them itself. default only."""
     max_num_steps: int | None = None
     """Upper limit of steps whatever the number of views; None for none."""
     retrain_single: bool = False
@@ -32,13 +33,14 @@ class AggregateConfig:
     faint_opacity: float = 0.15
     """What fades below this opacity where another model owns the place is left out at once; 0 keeps all; default only."""
     agreement_db: float | None = 48.0
-    """Models are only cut where their pictures agree with those of the cut at least so well, about one step of 8 bits; None: they are
-    always retrained. default only."""
+    """Models are only cut where their pictures agree with those of the cut at least so well, about
+    one step of 8 bits; None: they are always retrained. default only."""
     weight_by_alpha: bool = True
     """Whether a synthetic pixel counts as much as its teacher is opaque there; the paper takes the pictures as they are."""
     cloud: Literal["crop_merge", "retrain"] = "retrain"
-    """retrain: the cloud does what the edges do, on views from virtual cameras, and cuts models at their borders where that would exceed
-    its limits; crop_merge: it always cuts them at the plan's borders."""
+    """retrain: the cloud does what the edges do, on views from virtual cameras, and cuts models at
+    their borders where that would exceed its limits; crop_merge: it always cuts them at the plan's
+    borders."""
     fill_blind_spots: bool = False
     """Whether crop-merge keeps a neighbour's Gaussian where the region's owner has nothing near it."""
 

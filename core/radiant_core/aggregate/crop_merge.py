@@ -1,7 +1,9 @@
-"""Crop-merge: keep of each model what lies in its own region and concatenate (paper Sec. III-D, the cloud's fallback). Once per merge.
+"""Crop-merge: keep of each model what lies in its own region and concatenate (paper Sec. III-D, the
+cloud's fallback). Once per merge.
 
-A region's owner may be blind in a part of it that only a neighbour's oblique cameras saw. On request, the neighbour's Gaussians
-stay there: those with no Gaussian of the owner within `BLIND_FACTOR` times their own size.
+A region's owner may be blind in a part of it that only a neighbour's oblique cameras saw. On
+request, the neighbour's Gaussians stay there: those with no Gaussian of the owner within
+`BLIND_FACTOR` times their own size.
 """
 
 from __future__ import annotations
@@ -32,11 +34,12 @@ class MergeResult:
 
 
 def crop_merge(models: Sequence[Splats], sites: FloatArray, weights: FloatArray, *, fill_blind_spots: bool = False) -> MergeResult:
-    """Merge M models by the power diagram of `sites` (M,2) m with `weights` (M,) m²: Gaussian x belongs to argmin ‖x − s‖² − w.
+    """Merge M models by the power diagram of `sites` (M,2) m with `weights` (M,) m²: Gaussian x
+    belongs to argmin ‖x − s‖² − w.
 
-    Regions reach to infinity, so every place has exactly one owner. Without `fill_blind_spots` it is a plain cut; with it, two scenes of
-    trained models came out 0.5 and 2.2 dB lower (docs/experiments/aggregation.md). Raises BadInput when the counts differ or there is
-    no model.
+    Regions reach to infinity, so every place has exactly one owner. Without `fill_blind_spots` it
+    is a plain cut; with it, two scenes of trained models came out 0.5 and 2.2 dB lower
+    (docs/experiments/aggregation.md). Raises BadInput when the counts differ or there is no model.
     """
     if not models:
         raise BadInput("no models to merge: pass at least one.")

@@ -1,4 +1,5 @@
-"""A region's new model joins a finished scene: the scene beyond a margin keeps its bits. Once per new region.
+"""A region's new model joins a finished scene: the scene beyond a margin keeps its bits. Once per
+new region.
 
 d(x) is how far a place lies inside the new region, negative outside, m the margin:
 
@@ -6,8 +7,9 @@ d(x) is how far a place lies inside the new region, negative outside, m the marg
     |d| ≤ m   both, each faint where the other one owns the ground, fitted together
     d > m     the new model, untouched; of the scene only what lies where the new model has nothing
 
-What they are fitted to are pictures in which both blend over the margin, the scene counting (1 − b) and the new model
-b(d) = 3t² − 2t³ with t = (d/m + 1)/2, at the new model's cameras: those of the finished scene need not be known any more.
+What they are fitted to are pictures in which both blend over the margin, the scene counting (1 − b)
+and the new model b(d) = 3t² − 2t³ with t = (d/m + 1)/2, at the new model's cameras: those of the
+finished scene need not be known any more.
 """
 
 from __future__ import annotations
@@ -89,7 +91,8 @@ class Extended:
 def extend_scene(
     scene: Splats, addition: Teacher, region: NewRegion, train: TrainConfig, aggregate: AggregateConfig, options: FitOptions
 ) -> Extended:
-    """`scene` with the new model `addition` in `region`, both in one frame; only what lies within the margin is fitted.
+    """`scene` with the new model `addition` in `region`, both in one frame; only what lies within
+    the margin is fitted.
 
     Raises BadInput where the new model has nothing inside the region.
     """

@@ -37,9 +37,11 @@ class Ownership:
 
 
 def ownership(places: ArrayLike, cameras: Sequence[Cameras], claims: Claims | None = None) -> Ownership:
-    """Owners of places (P,3) m among models with these cameras; without `claims` of regions, the model that covers it best.
+    """Owners of places (P,3) m among models with these cameras; without `claims` of regions, the
+    model that covers it best.
 
-    A place that no camera sees belongs to the region's owner, to the first model without claims. Raises BadInput without models.
+    A place that no camera sees belongs to the region's owner, to the first model without claims.
+    Raises BadInput without models.
     """
     if not cameras:
         raise BadInput("no cameras of any model were given to say whose a place is: pass one set per model.")

@@ -1,8 +1,10 @@
-"""What an edge does that leaves joining to the cloud: its devices' models as one, and their pictures at its virtual cameras. Once per edge.
+"""What an edge does that leaves joining to the cloud: its devices' models as one, and their
+pictures at its virtual cameras. Once per edge.
 
-Two tiers that both retrain lose: the cloud then learns from an edge's model that itself had only learnt from pictures, and that had
-filled in what another edge models better. With pictures of the devices' models and all steps at the cloud the same work gives 0.2 to 0.5 dB
-more (docs/experiments/aggregation.md). It costs the pictures' way up, and no Gaussian more.
+Two tiers that both retrain lose: the cloud then learns from an edge's model that itself had only
+learnt from pictures, and that had filled in what another edge models better. With pictures of the
+devices' models and all steps at the cloud the same work gives 0.2 to 0.5 dB more
+(docs/experiments/aggregation.md). It costs the pictures' way up, and no Gaussian more.
 """
 
 from __future__ import annotations
@@ -41,9 +43,11 @@ def pool_teachers(teachers: Sequence[Teacher], aggregate: AggregateConfig, claim
 def render_pictures(
     teachers: Sequence[Teacher], virtual: Cameras, near: NDArray[np.int64], long_side_px: int, backend: Backend = "auto"
 ) -> dict[int, ViewBytes]:
-    """Each virtual camera's picture and weight, reduced to `long_side_px`, of the teacher near whose camera it stands.
+    """Each virtual camera's picture and weight, reduced to `long_side_px`, of the teacher near
+    whose camera it stands.
 
-    `near` (C,) are rows into all teachers' cameras in order. Raises BadInput where a row is none of them.
+    `near` (C,) are rows into all teachers' cameras in order. Raises BadInput where a row is none of
+    them.
     """
     ends = np.cumsum([len(teacher.cameras) for teacher in teachers])
     if len(near) != len(virtual) or (len(near) and not (near.min() >= 0 and near.max() < ends[-1])):

@@ -1,9 +1,12 @@
-"""Joining models at an edge or the cloud: all of them together, taught by what each shows at its own cameras. Once per node.
+"""Joining models at an edge or the cloud: all of them together, taught by what each shows at its
+own cameras. Once per node.
 
-`paper` concatenates and retrains everything (paper Sec. III-D, Fig. 6). `default` begins near the end instead: every model fades where
-another one speaks for the place (`ownership`), so that the first picture is about that of a clean cut, then all of them are fitted
-together in a few epochs at falling rates. Views before which nothing is contested are not shown, and what only they see keeps its bits.
-Gaussians are neither added nor densified: the paper densifies on devices, from step 500 of their 20,000 on.
+`paper` concatenates and retrains everything (paper Sec. III-D, Fig. 6). `default` begins near the
+end instead: every model fades where another one speaks for the place (`ownership`), so that the
+first picture is about that of a clean cut, then all of them are fitted together in a few epochs at
+falling rates. Views before which nothing is contested are not shown, and what only they see keeps
+its bits. Gaussians are neither added nor densified: the paper densifies on devices, from step 500
+of their 20,000 on.
 """
 
 from __future__ import annotations
@@ -70,9 +73,11 @@ class Joined:
 def retrain_on_synthetic_views(
     teachers: Sequence[Teacher], train: TrainConfig, aggregate: AggregateConfig, options: FitOptions, claims: Claims | None = None
 ) -> Joined:
-    """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a place lies in.
+    """Join the teachers' models by what each shows at its own cameras; `claims` say whose region a
+    place lies in.
 
-    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single` or pooled. Raises BadInput without any.
+    A single model is its own teacher and comes back unchanged unless `aggregate.retrain_single` or
+    pooled. Raises BadInput without any.
     """
     if not teachers:
         raise BadInput("no models to join: give at least one, with the cameras it is asked at.")
@@ -211,8 +216,9 @@ def _agreement_db(joined: Splats, views: TrainingViews, backend: Backend) -> flo
 
 
 def retraining_config(train: TrainConfig, aggregate: AggregateConfig, merged: Splats, num_views: int) -> TrainConfig:
-    """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is added, grown or exposed anew, and rates fall
-    as joining has it, not as a device's. `paper` retrains at the rates of 3DGS, however its devices were trained."""
+    """A device's settings for `aggregate.num_epochs` over so many synthetic views: nothing is
+    added, grown or exposed anew, and rates fall as joining has it, not as a device's. `paper`
+    retrains at the rates of 3DGS, however its devices were trained."""
     num_steps = aggregate.num_epochs * num_views
     if aggregate.max_num_steps is not None:
         num_steps = min(num_steps, aggregate.max_num_steps)

@@ -1,6 +1,8 @@
-"""Synthetic views: what a trained model shows at given cameras, the edge's only teacher (paper Sec. III-D). Once per device and edge.
+"""Synthetic views: what a trained model shows at given cameras, the edge's only teacher (paper Sec.
+III-D). Once per device and edge.
 
-A teacher has no information where it is transparent: each pixel weighs as much as the model's alpha there.
+A teacher has no information where it is transparent: each pixel weighs as much as the model's alpha
+there.
 """
 
 from __future__ import annotations

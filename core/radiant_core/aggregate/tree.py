@@ -1,7 +1,8 @@
-"""`Tree`: the whole computation, cloud over edges over devices, folded from the leaves up. Pure: who runs a node is not its business.
+"""`Tree`: the whole computation, cloud over edges over devices, folded from the leaves up. Pure:
+who runs a node is not its business.
 
-Between an edge of several devices and each of them stands a teacher: the edge's rendering of that device's views, which can begin before
-the others have arrived.
+Between an edge of several devices and each of them stands a teacher: the edge's rendering of that
+device's views, which can begin before the others have arrived.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""Virtual cameras: where the cloud looks at an edge's model from, without learning where a device stood. Once per edge.
+"""Virtual cameras: where the cloud looks at an edge's model from, without learning where a device
+stood. Once per edge.
 
     centre ← centre + r u,  r ≤ 2 % of the camera's median distance to the model;  rotation ← turn by at most 1° about u'
 
-They come in a random order under names of their own, all with one size and one pinhole, so that neither their order, nor a name, nor
-the optics tells which device took which picture. What is not hidden: their number, and roughly where photographs were taken.
+They come in a random order under names of their own, all with one size and one pinhole, so that
+neither their order, nor a name, nor the optics tells which device took which picture. What is not
+hidden: their number, and roughly where photographs were taken.
 """
 
 from __future__ import annotations
@@ -24,10 +26,11 @@ MAX_DISTANCES = 10_000
 
 
 def virtual_cameras(cameras: Cameras, means: NDArray[np.floating], rng: np.random.Generator) -> tuple[Cameras, NDArray[np.int64]]:
-    """One virtual camera per camera (C) for a model with centres (N,3) m, and the camera (C,) that each stands near, for the edge alone.
+    """One virtual camera per camera (C) for a model with centres (N,3) m, and the camera (C,) that
+    each stands near, for the edge alone.
 
-    `rng` must be seeded by what the cloud does not know. Size and focal length are those of the camera with the median angle of view.
-    Raises BadInput without cameras or Gaussians.
+    `rng` must be seeded by what the cloud does not know. Size and focal length are those of the
+    camera with the median angle of view. Raises BadInput without cameras or Gaussians.
     """
     count = len(cameras)
     if not count or not len(means):

@@ -1,8 +1,10 @@
-"""What a model looks like from straight above along a border: a strip of pixels aligned with it. One small render per border.
+"""What a model looks like from straight above along a border: a strip of pixels aligned with it.
+One small render per border.
 
-A pinhole `ALTITUDE` strip lengths above the ground stands for an orthographic camera, which the rasterizer lacks: its rays are off the
-vertical by at most 1 / (2 · `ALTITUDE`) at the ends of the strip. Gaussians are moved to the middle of the border in
-float64 first, so that neither a far origin nor the altitude costs digits.
+A pinhole `ALTITUDE` strip lengths above the ground stands for an orthographic camera, which the
+rasterizer lacks: its rays are off the vertical by at most 1 / (2 · `ALTITUDE`) at the ends of the
+strip. Gaussians are moved to the middle of the border in float64 first, so that neither a far
+origin nor the altitude costs digits.
 """
 
 from __future__ import annotations
@@ -31,10 +33,12 @@ _REACH_SIGMAS = 3.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderStrip:
-    """T rows across the border, S columns along it; the border lies between rows T/2 − 1 and T/2, its left side in the upper rows.
+    """T rows across the border, S columns along it; the border lies between rows T/2 − 1 and T/2,
+    its left side in the upper rows.
 
-    image (T,S,3) in 0..1 over black; alpha (T,S); height_m (T,S) in the world, NaN where nothing was hit; density (T,S) Gaussians per m² of
-    those that show (weighted by opacity), at their centres; px_m metres per pixel; ends (2,2) m.
+    image (T,S,3) in 0..1 over black; alpha (T,S); height_m (T,S) in the world, NaN where nothing
+    was hit; density (T,S) Gaussians per m² of those that show (weighted by opacity), at their
+    centres; px_m metres per pixel; ends (2,2) m.
     """
 
     image: NDArray[np.float32]
@@ -46,10 +50,11 @@ class BorderStrip:
 
 
 def render_border_strip(splats: Splats, ends: ArrayLike, *, half_width_m: float, px_m: float, backend: Backend = "auto") -> BorderStrip:
-    """The strip within `half_width_m` of the straight border between `ends` (2,2) m, both rounded down to whole pixels.
+    """The strip within `half_width_m` of the straight border between `ends` (2,2) m, both rounded
+    down to whole pixels.
 
-    Raises BadInput where the border is shorter than a pixel, a width or pixel is not positive and finite, or the strip would have more
-    than 20 million pixels.
+    Raises BadInput where the border is shorter than a pixel, a width or pixel is not positive and
+    finite, or the strip would have more than 20 million pixels.
     """
     ends = checked_array("ends", ends, (2, 2))
     if not (0 < px_m < np.inf and px_m <= half_width_m < np.inf):

@@ -1,10 +1,13 @@
-"""Where the ground of regions meets: the owner of a ground position, the nearest other owner, and its distance. Once per mask.
+"""Where the ground of regions meets: the owner of a ground position, the nearest other owner, and
+its distance. Once per mask.
 
-Ownership depends on x and y alone, so a border is a wall that stands on its line: what is seen of ground, roof or facade within a
-width of the line belongs to it. Two kinds: between edges, cells of a power diagram (sites P, weights w), where x in cell i is away by
+Ownership depends on x and y alone, so a border is a wall that stands on its line: what is seen of
+ground, roof or facade within a width of the line belongs to it. Two kinds: between edges, cells of
+a power diagram (sites P, weights w), where x in cell i is away by
     min over j ≠ i of (‖x − Pj‖² − wj − ‖x − Pi‖² + wi) / (2‖Pi − Pj‖)
-exactly, without a search through polygons: a half-plane that does not touch the cell is never the nearest. And between the devices of
-an edge, strips of its cell cut by lines, where it is the least distance to a cut. P positions, R regions.
+exactly, without a search through polygons: a half-plane that does not touch the cell is never the
+nearest. And between the devices of an edge, strips of its cell cut by lines, where it is the least
+distance to a cut. P positions, R regions.
 """
 
 from __future__ import annotations

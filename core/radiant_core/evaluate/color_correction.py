@@ -1,10 +1,14 @@
-"""The part of a render's error that one colour transform of the whole image takes away. Once per held-out image.
+"""The part of a render's error that one colour transform of the whole image takes away. Once per
+held-out image.
 
-A photograph's exposure and white balance are unknown to a model that was not trained on it. The corrected render is
+A photograph's exposure and white balance are unknown to a model that was not trained on it. The
+corrected render is
     clip(M x + b),   M (3,3), b (3,) = argmin Σ over pixels ‖M x + b − y‖² + λ ‖M − I‖²
-for colours x of the render and y of the photograph. RawNeRF (Mildenhall et al. 2022) scores so with a diagonal M; the quadratic terms that
-mip-NeRF 360 adds are left out. It is fitted to the very photograph it is scored on: its figures flatter and stand beside the plain ones.
-The term with λ keeps M = I where a flat image leaves M open. Since M = I, b = 0 is allowed, the squared error never rises.
+for colours x of the render and y of the photograph. RawNeRF (Mildenhall et al. 2022) scores so with
+a diagonal M; the quadratic terms that mip-NeRF 360 adds are left out. It is fitted to the very
+photograph it is scored on: its figures flatter and stand beside the plain ones. The term with λ
+keeps M = I where a flat image leaves M open. Since M = I, b = 0 is allowed, the squared error never
+rises.
 """
 
 from __future__ import annotations

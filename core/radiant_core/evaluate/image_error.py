@@ -1,9 +1,12 @@
-"""How far a render is from its photograph: PSNR, SSIM, FLIP, LPIPS, and the first two after colour correction. Once per held-out image.
+"""How far a render is from its photograph: PSNR, SSIM, FLIP, LPIPS, and the first two after colour
+correction. Once per held-out image.
 
-PSNR = −10 log10(mean squared error), peak 1. SSIM (Wang et al. 2004, Eqn. 13) per channel with an 11×11 Gaussian
-window, σ 1.5 px, K1 0.01, K2 0.03, averaged over the windows that lie wholly inside the image: no border is made up. FLIP
-(Andersson et al. 2020) by the authors' package at its default 67 pixels per degree, images taken as sRGB. LPIPS as in `lpips.py`, where
-its weights are given. `_cc` figures take the render as `color_correction.py` corrects it; they stand beside the plain ones, never for them.
+PSNR = −10 log10(mean squared error), peak 1. SSIM (Wang et al. 2004, Eqn. 13) per channel with an
+11×11 Gaussian window, σ 1.5 px, K1 0.01, K2 0.03, averaged over the windows that lie wholly inside
+the image: no border is made up. FLIP (Andersson et al. 2020) by the authors' package at its default
+67 pixels per degree, images taken as sRGB. LPIPS as in `lpips.py`, where its weights are given.
+`_cc` figures take the render as `color_correction.py` corrects it; they stand beside the plain
+ones, never for them.
 """
 
 from __future__ import annotations
@@ -76,7 +79,8 @@ def psnr_db_of_mse(mean_squared_error: float) -> float:
 
 
 def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
-    """SSIM of two images (H,W,3) in 0..1, float64; of the windows about `used` pixels, the others being taken for equal.
+    """SSIM of two images (H,W,3) in 0..1, float64; of the windows about `used` pixels, the others
+    being taken for equal.
 
     BadInput on other shapes or values, a side under 11 px, or where no such window is left.
     """
@@ -94,7 +98,8 @@ def ssim(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float:
 
 
 def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float | None:
-    """Mean FLIP of two sRGB images (H,W,3) in 0..1 at their `used` pixels, the others being taken for equal, or None without the package.
+    """Mean FLIP of two sRGB images (H,W,3) in 0..1 at their `used` pixels, the others being taken
+    for equal, or None without the package.
 
     BadInput on other shapes or values.
     """
@@ -109,10 +114,12 @@ def flip(render: ArrayLike, photograph: ArrayLike, used: Used = None) -> float |
 
 
 def image_errors(name: str, render: ArrayLike, photograph: ArrayLike, lpips: Distance | None = None, used: Used = None) -> ImageErrors:
-    """All figures of one image (H,W,3) in 0..1 against its photograph; BadInput on other shapes or values.
+    """All figures of one image (H,W,3) in 0..1 against its photograph; BadInput on other shapes or
+    values.
 
-    `lpips` is a `radiant_core.evaluate.lpips.Lpips`, where weights are at hand. Where `used` (H,W) is False nothing is scored; LPIPS alone
-    is a mean of the whole image, in which those pixels are equal.
+    `lpips` is a `radiant_core.evaluate.lpips.Lpips`, where weights are at hand. Where `used` (H,W)
+    is False nothing is scored; LPIPS alone is a mean of the whole image, in which those pixels are
+    equal.
     """
     corrected = correct_colors(render, photograph, used)
     return ImageErrors(

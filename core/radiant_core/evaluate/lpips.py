@@ -1,10 +1,13 @@
-"""LPIPS (Zhang et al. 2018), version 0.1: distance of two images in the features of a trained network. Once per image.
+"""LPIPS (Zhang et al. 2018), version 0.1: distance of two images in the features of a trained
+network. Once per image.
 
     LPIPS(a, b) = Σ over taps l of mean over pixels of Σ over channels c of w_lc (â_lc − b̂_lc)²
 
-with â the features after a ReLU, divided at every pixel by their length over the channels, and inputs x in 0..1 scaled to
-(2x − 1 − shift) / scale. The networks are the convolutions of torchvision's VGG16 or AlexNet with five taps. Trained weights are the
-user's to bring (`load_lpips`): a backbone as torchvision publishes it and the heads w as the authors' package `lpips` does.
+with â the features after a ReLU, divided at every pixel by their length over the channels, and
+inputs x in 0..1 scaled to (2x − 1 − shift) / scale. The networks are the convolutions of
+torchvision's VGG16 or AlexNet with five taps. Trained weights are the user's to bring
+(`load_lpips`): a backbone as torchvision publishes it and the heads w as the authors' package
+`lpips` does.
 """
 
 from __future__ import annotations
@@ -129,11 +132,12 @@ class Lpips:
 
 
 def load_lpips(path: Path, network: LpipsNetwork) -> Lpips:
-    """The network with weights from `path`: a folder that holds torchvision's backbone (`vgg16*.pth` or `alexnet*.pth`) and the heads
-    of `lpips` version 0.1 (`vgg.pth` or `alex.pth`), or one safetensors file with the tensors of both.
+    """The network with weights from `path`: a folder that holds torchvision's backbone
+    (`vgg16*.pth` or `alexnet*.pth`) and the heads of `lpips` version 0.1 (`vgg.pth` or `alex.pth`),
+    or one safetensors file with the tensors of both.
 
-    Nothing in a .pth is executed. Raises BadInput when a file is missing, ambiguous, broken, over 1 GiB, or has a tensor that is
-    missing, of another shape, not of a floating type or not finite.
+    Nothing in a .pth is executed. Raises BadInput when a file is missing, ambiguous, broken, over 1
+    GiB, or has a tensor that is missing, of another shape, not of a floating type or not finite.
     """
     if network not in get_args(LpipsNetwork):
         raise BadInput(f"LPIPS network {network!r} is unknown: use one of {', '.join(get_args(LpipsNetwork))}.")
@@ -197,7 +201,8 @@ def _read_pth(path: Path) -> dict[Any, Any]:
     """What a file of `torch.save` holds, if that is a dictionary; the names it may hold besides are not looked at."""
     _require_size(path)
     try:
-        # weights_only: a pickle that asks for anything but tensors and plain containers is refused, not run.
+        # weights_only: a pickle that asks for anything but tensors and plain containers is refused,
+        # not run.
         with warnings.catch_warnings():
             # It warns of odd pickles; what comes of them is checked below.
             warnings.simplefilter("ignore")

@@ -1,7 +1,9 @@
-"""`Metric`: one measured figure with its unit, what counts as better, and how much worse is still the same.
+"""`Metric`: one measured figure with its unit, what counts as better, and how much worse is still
+the same.
 
 A few hundred per run or benchmark; compared once against a blessed list:
-worse_by = (new − blessed) for "lower", (blessed − new) for "higher"; a regression is worse_by > tolerance of the new metric.
+worse_by = (new − blessed) for "lower", (blessed − new) for "higher"; a regression is worse_by >
+tolerance of the new metric.
 """
 
 from __future__ import annotations
@@ -66,9 +68,11 @@ def metrics_from_json(rows: Any) -> tuple[Metric, ...]:
 
 
 def regressions(new: Sequence[Metric], blessed: Sequence[Metric]) -> tuple[str, ...]:
-    """One sentence per blessed metric that is now worse by more than its tolerance or no longer measured; empty when fine.
+    """One sentence per blessed metric that is now worse by more than its tolerance or no longer
+    measured; empty when fine.
 
-    A key that is only in `new` is no regression. BadInput when unit or direction of a key changed: bless the list anew.
+    A key that is only in `new` is no regression. BadInput when unit or direction of a key changed:
+    bless the list anew.
     """
     new_by_key = _by_key(new)
     sentences = []

@@ -1,15 +1,18 @@
-"""How much worse a model is along the borders of a plan than elsewhere. Masks once per scene, plan and image, then sums once per render.
+"""How much worse a model is along the borders of a plan than elsewhere. Masks once per scene, plan
+and image, then sums once per render.
 
-A pixel belongs to a band when the surface it sees, x = world_from_cam · (z K⁻¹ (u, v, 1)), lies within half a band of a border, measured
-horizontally, and to the nearest of all borders; what lies farther is the interior. Depths z are the generator's or the centralised model's,
-never the judged model's own, so that all methods are judged by the same pixels. A roof or facade counts by its own place, not by the
-ground it hides. Out are the sky and pixels whose place is not known to half of half a band: along the edge of what hides something
-else, depth mixes both. Inverse depth is affine over any plane, seen however flatly, so there its second differences
+A pixel belongs to a band when the surface it sees, x = world_from_cam · (z K⁻¹ (u, v, 1)), lies
+within half a band of a border, measured horizontally, and to the nearest of all borders; what lies
+farther is the interior. Depths z are the generator's or the centralised model's, never the judged
+model's own, so that all methods are judged by the same pixels. A roof or facade counts by its own
+place, not by the ground it hides. Out are the sky and pixels whose place is not known to half of
+half a band: along the edge of what hides something else, depth mixes both. Inverse depth is affine
+over any plane, seen however flatly, so there its second differences
     |q(u−1) − 2 q(u) + q(u+1)| z² ‖horizontal part of K⁻¹ (u, v, 1)‖,  q = 1 / z, and likewise for v
 are how far the place is unsure.
 
-The headline is (band − interior) of a method minus that of a reference, usually the centralised model: what is hard
-to learn along a border for anybody cancels out.
+The headline is (band − interior) of a method minus that of a reference, usually the centralised
+model: what is hard to learn along a border for anybody cancels out.
 """
 
 from __future__ import annotations
@@ -98,10 +101,12 @@ class SeamError:
 def seam_masks(
     cameras: Cameras, depths_m: Sequence[NDArray[np.floating]], borders: CloudPlan | Sequence[Borders], half_band_m: float
 ) -> SeamMasks:
-    """Masks of C images from their depths, C arrays (H,W) along the camera's z axis; 0, NaN or infinite means no ground.
+    """Masks of C images from their depths, C arrays (H,W) along the camera's z axis; 0, NaN or
+    infinite means no ground.
 
-    `borders` are those between the edges of a plan, or several kinds, as in `[EdgeBorders(…), DeviceBorders(…)]`: a pixel then
-    belongs to the nearest border of any kind. Raises BadInput when a depth is not of its camera's size or `half_band_m` not positive.
+    `borders` are those between the edges of a plan, or several kinds, as in `[EdgeBorders(…),
+    DeviceBorders(…)]`: a pixel then belongs to the nearest border of any kind. Raises BadInput when
+    a depth is not of its camera's size or `half_band_m` not positive.
     """
     if not 0 < half_band_m < np.inf:
         raise BadInput(f"half_band_m is {half_band_m}, expected a positive width of the band beside a border.")
@@ -116,9 +121,11 @@ def seam_masks(
 def band_and_interior_psnr_db(
     renders: Iterable[NDArray[np.floating]], photographs: Iterable[NDArray[np.floating]], masks: Iterable[SeamMask]
 ) -> SeamError:
-    """PSNR of the pixels near borders and of the others, pooled over images (H,W,3) in 0..1 that come one at a time.
+    """PSNR of the pixels near borders and of the others, pooled over images (H,W,3) in 0..1 that
+    come one at a time.
 
-    A part has a figure from 20,000 pixels in 10 images on. Raises BadInput when a render, photograph and mask differ in size.
+    A part has a figure from 20,000 pixels in 10 images on. Raises BadInput when a render,
+    photograph and mask differ in size.
     """
     return pooled_seam_error([seam_sums(renders, photographs, masks)])
 

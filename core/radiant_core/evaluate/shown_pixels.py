@@ -1,4 +1,5 @@
-"""How many pixels each Gaussian makes: what a model of fewer Gaussians can spare first. One render and its backward per view.
+"""How many pixels each Gaussian makes: what a model of fewer Gaussians can spare first. One render
+and its backward per view.
 
     shown of Gaussian i = Σ over views and pixels of  T_i α_i,      Σ over i of that = Σ over pixels of alpha
 

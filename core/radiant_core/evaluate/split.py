@@ -1,4 +1,5 @@
-"""Which photographs are kept apart. Computed once per scene, from names alone, so that it is the same in every run.
+"""Which photographs are kept apart. Computed once per scene, from names alone, so that it is the
+same in every run.
 
 held out: what the set itself keeps in val/ (Mill 19 does), else position 0, 8, 16, … by sorted name; used for scoring only.
 validation: position 0, 8, 16, … of what remains, from 8 training photographs on; used for choices inside training, never to score.
@@ -16,11 +17,13 @@ from radiant_core.errors import BadInput
 
 
 def held_out_mask(names: Sequence[str], every: int = 8, first: int = 0) -> NDArray[np.bool_]:
-    """Mask (C,) of the first, ninth, … of `names` (C) in sorted order; it moves with the names when they are reordered.
+    """Mask (C,) of the first, ninth, … of `names` (C) in sorted order; it moves with the names when
+    they are reordered.
 
-    `first` from 1 to `every` − 1 begins that many later: `every` splits of one set hold each photograph out once (cross-validation).
-    Where some names begin with "train/" and all others with "val/" the set brings its own split, and "val/" is held out.
-    Raises BadInput when `every` is below 2 (nothing would be left to train on), a name comes twice, or `first` is none of these or
+    `first` from 1 to `every` − 1 begins that many later: `every` splits of one set hold each
+    photograph out once (cross-validation). Where some names begin with "train/" and all others with
+    "val/" the set brings its own split, and "val/" is held out. Raises BadInput when `every` is
+    below 2 (nothing would be left to train on), a name comes twice, or `first` is none of these or
     asked of a set with its own split.
     """
     everything = _every_nth(names, np.ones(len(names), bool), every, first)
@@ -44,9 +47,11 @@ def validation_mask(names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
 
 
 def training_validation_mask(training_names: Sequence[str], every: int = 8) -> NDArray[np.bool_]:
-    """Mask (C,) of the validation part of training photographs (C), for a trainer that has none of the held-out ones.
+    """Mask (C,) of the validation part of training photographs (C), for a trainer that has none of
+    the held-out ones.
 
-    The first, ninth, … in sorted order: ⌈C / every⌉ of them, or none where C < `every`. Raises as `held_out_mask`.
+    The first, ninth, … in sorted order: ⌈C / every⌉ of them, or none where C < `every`. Raises as
+    `held_out_mask`.
     """
     mask = _every_nth(training_names, np.ones(len(training_names), bool), every)
     return mask if len(training_names) >= every else np.zeros(len(training_names), bool)

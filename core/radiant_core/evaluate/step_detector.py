@@ -1,15 +1,19 @@
-"""Finds a seam without a reference: does a model step at a border more than at lines beside it? One render and 0.3 s per straight border.
+"""Finds a seam without a reference: does a model step at a border more than at lines beside it? One
+render and 0.3 s per straight border.
 
-Of the strip seen from straight above and the Gaussians that show in it, four quantities are taken at the border and at parallels:
+Of the strip seen from straight above and the Gaussians that show in it, four quantities are taken
+at the border and at parallels:
     colour   mean of the 0.4 m to the left − to the right of every half metre of the border; grey and two differences of channels
     height   left − right of neighbouring Gaussians' centres that lie on either side
     density  log of the ratio of Gaussians, weighted by opacity, in the bands to either side
     gap      opacity beside the line − opacity on it
-the first two pooled along the border by a location that lets no piece decide: weights 1 / (s² + (x − v)²), the maximum of Cauchy's
-likelihood with the scale s of each piece's own surroundings, so that lawn counts more than hedges. With v(t) for the pooled figure at t,
+the first two pooled along the border by a location that lets no piece decide: weights 1 / (s² + (x
+− v)²), the maximum of Cauchy's likelihood with the scale s of each piece's own surroundings, so
+that lawn counts more than hedges. With v(t) for the pooled figure at t,
     score = |v(0) − median of v(t)| / root mean square of v(t) − median,  2 m ≤ |t| ≤ 7 m.
-Heights are those of centres, since rendered depth mixes surfaces: there, 5 cm vanish in the scatter of 20 cm. A seam is found where any
-score exceeds its threshold. They hold for metric models of towns from the air; `radiant_app/bench/step_detector.py` measured them.
+Heights are those of centres, since rendered depth mixes surfaces: there, 5 cm vanish in the scatter
+of 20 cm. A seam is found where any score exceeds its threshold. They hold for metric models of
+towns from the air; `radiant_app/bench/step_detector.py` measured them.
 """
 
 from __future__ import annotations
@@ -32,9 +36,11 @@ Quantity = Literal["colour", "height", "density", "gap"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 
 THRESHOLDS: dict[Quantity, float] = {"colour": 4.40, "height": 3.05, "density": 3.21, "gap": 3.34}
-"""Together 5 % false alarms on 216 virtual borders of 144 m in six centralised models (town, caliterra, lewis; 2 seeds, 640 px, 150 s):
-`python -m radiant_app.bench.step_detector --borders 36 MODEL…`. Cross-validated 6.9 %. Power by that command: height 5 cm 1.00 in the town,
-0.44 in caliterra, 0 in lewis; grey 20/255 0.61, 0.44, 0; grey 2/255 0 everywhere, since texture alone steps by more."""
+"""Together 5 % false alarms on 216 virtual borders of 144 m in six centralised models (town,
+caliterra, lewis; 2 seeds, 640 px, 150 s): `python -m radiant_app.bench.step_detector --borders 36
+MODEL…`. Cross-validated 6.9 %. Power by that command: height 5 cm 1.00 in the town, 0.44 in
+caliterra, 0 in lewis; grey 20/255 0.61, 0.44, 0; grey 2/255 0 everywhere, since texture alone steps
+by more."""
 
 PX_M = 0.1
 HALF_WIDTH_M = 10.0
@@ -42,8 +48,9 @@ PIECE_M = 0.5
 """Length of the border in which colours are averaged."""
 PARALLELS_M: FloatArray = np.concatenate([np.arange(-7.0, -1.9, 0.5), np.arange(2.0, 7.1, 0.5)])
 COLOR_WIDTH_M = 0.4
-"""Narrow, though a step is blurred over as much: texture grows faster with the distance than the step does. With 0.4 m a grey step of
-20/255 was found at 0.71 of 90 virtual borders, with 1 m at 0.54, with straight lines through 1.5 m on either side at 0.38."""
+"""Narrow, though a step is blurred over as much: texture grows faster with the distance than the
+step does. With 0.4 m a grey step of 20/255 was found at 0.71 of 90 virtual borders, with 1 m at
+0.54, with straight lines through 1.5 m on either side at 0.38."""
 DENSITY_WIDTH_M = 2.0
 GAP_WIDTH_M, BESIDE_GAP_M = 0.3, 1.0
 """Half the width of the line, and to where opacity beside it is taken."""
@@ -59,9 +66,10 @@ MIN_HEIGHT_SCALE_M, MIN_COLOR_SCALE = 0.01, 0.5 / 255
 class BorderSteps:
     """What was found at one border; NaN where there is too little to say.
 
-    steps: left − right in each quantity's unit: grey of 0..1, m, log ratio, opacity; responses (1 + 22,): deviation from the median of
-    the parallels in units of their scatter, at the border and at `PARALLELS_M`, of the strongest channel for colour; scatters: the root
-    mean square of the parallels' steps, in the unit of `steps`.
+    steps: left − right in each quantity's unit: grey of 0..1, m, log ratio, opacity; responses (1 +
+    22,): deviation from the median of the parallels in units of their scatter, at the border and at
+    `PARALLELS_M`, of the strongest channel for colour; scatters: the root mean square of the
+    parallels' steps, in the unit of `steps`.
     """
 
     steps: dict[Quantity, float]
@@ -76,9 +84,11 @@ class BorderSteps:
 
     @property
     def limits(self) -> dict[Quantity, float]:
-        """The least step that would have been found, in each quantity's unit, of colour that of grey; NaN where there is too little to say.
+        """The least step that would have been found, in each quantity's unit, of colour that of
+        grey; NaN where there is too little to say.
 
-        A step blurs over more than its bands: what was planted has to be larger, of grey about twice as large.
+        A step blurs over more than its bands: what was planted has to be larger, of grey about
+        twice as large.
         """
         return {quantity: THRESHOLDS[quantity] * self.scatters[quantity] for quantity in QUANTITIES}
 
@@ -89,9 +99,11 @@ class BorderSteps:
 
 
 def border_steps(splats: Splats, ends: ArrayLike, *, backend: Backend = "auto") -> BorderSteps:
-    """Look for a seam along the straight border between `ends` (2,2) m of a metric model; "left" is seen from the first to the second.
+    """Look for a seam along the straight border between `ends` (2,2) m of a metric model; "left" is
+    seen from the first to the second.
 
-    Raises BadInput for ends that are not finite or nearer than a pixel, or a strip of more than 20 million pixels (100 km).
+    Raises BadInput for ends that are not finite or nearer than a pixel, or a strip of more than 20
+    million pixels (100 km).
     """
     ends = checked_array("ends", ends, (2, 2))
     strip = render_border_strip(splats, ends, half_width_m=HALF_WIDTH_M, px_m=PX_M, backend=backend)
@@ -193,7 +205,8 @@ def _heights(splats: Splats, ends: FloatArray) -> FloatArray:
         across = (t[first] > offset_m) != (t[second] > offset_m)
         if across.sum() >= MIN_PAIRS:
             signs = np.where(t[first[across]] > offset_m, 1.0, -1.0)
-            # Of pairs on one side alone: a step itself would look rough where it adds to what is there.
+            # Of pairs on one side alone: a step itself would look rough where it adds to what is
+            # there.
             rough_m = _roughness_m(first[~across], second[~across], differences[~across], len(chosen))
             scales = np.maximum((rough_m[first[across]] + rough_m[second[across]]) / 2, MIN_HEIGHT_SCALE_M)
             values[index] = _location((signs * differences[across])[None], scales)[0]

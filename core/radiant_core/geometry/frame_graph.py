@@ -1,9 +1,11 @@
-"""All frames of neighbouring models at once: pairwise similarities and GPS, each with its error, in one least squares. Once per edge.
+"""All frames of neighbouring models at once: pairwise similarities and GPS, each with its error, in
+one least squares. Once per edge.
 
     min Σ_m ‖ξ(S_m)‖²_{G_m} + Σ_(a,b) ‖ξ(S_a M_ab S_b⁻¹)‖²_{C_ab}
-over one correction S_m per model. ξ = (shift m, rotation rad, ln scale) about the middle of a model's cameras, or of a pair's common
-ground; G_m comes from GPS and is the gauge, C_ab from the pair. 7 M unknowns, a few Gauss–Newton steps with differences for derivatives.
-Source: Strasdat, Montiel and Davison, Scale drift-aware large scale monocular SLAM, RSS (2010).
+over one correction S_m per model. ξ = (shift m, rotation rad, ln scale) about the middle of a
+model's cameras, or of a pair's common ground; G_m comes from GPS and is the gauge, C_ab from the
+pair. 7 M unknowns, a few Gauss–Newton steps with differences for derivatives. Source: Strasdat,
+Montiel and Davison, Scale drift-aware large scale monocular SLAM, RSS (2010).
 """
 
 from __future__ import annotations
@@ -62,7 +64,8 @@ def solve_frames(centers: FloatArray, priors: Sequence[FrameUncertainty], edges:
 
     if not len(priors):
         return SolvedFrames(corrections=(), covariance=np.zeros((0, 0)))
-    # x in units of its own uncertainty: what GPS fixes to 1 m and to 1 % differentiates equally well.
+    # x in units of its own uncertainty: what GPS fixes to 1 m and to 1 % differentiates equally
+    # well.
     solved = least_squares(residuals, np.zeros(7 * len(priors)), method="trf", x_scale=1.0, max_nfev=50)
     moves = tuple(similarity_about(center, xi) for center, xi in zip(centers, (solved.x * sigmas).reshape(-1, 7), strict=True))
     covariance = np.linalg.inv(solved.jac.T @ solved.jac) * np.outer(sigmas, sigmas)

@@ -1,8 +1,10 @@
-"""Pairs of one place in two models, found in pictures that the models render; no photograph is read. Once per pair of neighbours.
+"""Pairs of one place in two models, found in pictures that the models render; no photograph is
+read. Once per pair of neighbours.
 
-Coarse, at the frames that GPS gives: both models are rendered at the same cameras, SIFT features matched, lifted by the rendered depths
-and the similarity taken that most agree with. Fine: points are followed through several cameras of each model and triangulated in
-each model by itself (`model_views.py`). Source of the features: Lowe, IJCV 60 (2004).
+Coarse, at the frames that GPS gives: both models are rendered at the same cameras, SIFT features
+matched, lifted by the rendered depths and the similarity taken that most agree with. Fine: points
+are followed through several cameras of each model and triangulated in each model by itself
+(`model_views.py`). Source of the features: Lowe, IJCV 60 (2004).
 """
 
 from __future__ import annotations
@@ -55,8 +57,9 @@ IDENTITY = Sim3(scale=1.0, rotation=np.eye(3), translation=np.zeros(3))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlap:
-    """The cameras of either model that see the other's surface, best first, and `share`: of what one model covers, by three cameras near
-    enough, the other covers that much (the larger of both ways)."""
+    """The cameras of either model that see the other's surface, best first, and `share`: of what
+    one model covers, by three cameras near enough, the other covers that much (the larger of both
+    ways)."""
 
     a_cameras: Cameras
     b_cameras: Cameras
@@ -102,16 +105,18 @@ def match_models(a: Splats, b: Splats, overlap: Overlap, seed: int) -> PairFit |
 
 
 def without_background(splats: Splats, cameras: Cameras) -> Splats:
-    """The Gaussians near enough to the cameras to be the ground: a sky behind it would bend the mean depth of every pixel through which
-    a hundredth of it shines."""
+    """The Gaussians near enough to the cameras to be the ground: a sky behind it would bend the
+    mean depth of every pixel through which a hundredth of it shines."""
     distances = KDTree(cameras.centers).query(splats.means)[0]
     return splats.select(distances <= MAX_GROUND_DISTANCES * np.median(distances))
 
 
 def coarse_match(a: Splats, b: Splats, overlap: Overlap, seed: int) -> Sim3 | str:
-    """The similarity a ← b that most features agree with, good to a few decimetres, or why there is none.
+    """The similarity a ← b that most features agree with, good to a few decimetres, or why there is
+    none.
 
-    First both are rendered at the same cameras, where features look alike; then each at its own, which finds what lies far from its GPS.
+    First both are rendered at the same cameras, where features look alike; then each at its own,
+    which finds what lies far from its GPS.
     """
     reason = ""
     for together in (True, False):
@@ -145,7 +150,8 @@ def _at_own_cameras(a: Splats, b: Splats, overlap: Overlap) -> list[_Matched]:
         ModelViews.of(*one) for one in ((a, _first(overlap.a_cameras, MAX_COARSE_VIEWS)), (b, _first(overlap.b_cameras, MAX_COARSE_VIEWS)))
     ]
     features = [[_features(of_one, index) for index in range(len(of_one.cameras))] for of_one in views]
-    # The consensus below asks for a share of all pairs: pairs of views without a common place would only water it down.
+    # The consensus below asks for a share of all pairs: pairs of views without a common place would
+    # only water it down.
     matched = [_matched(one, other) for one in features[0] for other in features[1]]
     return sorted(matched, key=lambda pairs: -len(pairs[0]))[: 2 * MAX_COARSE_VIEWS]
 

@@ -1,10 +1,14 @@
-"""Device models brought into one frame through what they show of common ground, never through photographs. Once per edge.
+"""Device models brought into one frame through what they show of common ground, never through
+photographs. Once per edge.
 
 1. Neighbours: models that know common ground (`frame_matches.find_overlap`), the best four of each.
-2. Per pair: the similarity between both, from points followed through renders of both (`frame_matches`), or by ICP (`surface_matches`).
-3. A pair that disagrees with the GPS of both by more than four standard deviations contradicts; what agrees holds models together. Of
-   two groups that contradict each other the one with fewer photographs is refused, with the figures.
-4. All agreeing pairs and GPS in one least squares (`frame_graph`); pairs that the loops contradict are left out.
+2. Per pair: the similarity between both, from points followed through renders of both
+  (`frame_matches`), or by ICP (`surface_matches`).
+3. A pair that disagrees with the GPS of both by more than four standard deviations contradicts;
+   what agrees holds models together. Of two groups that contradict each other the one with fewer
+   photographs is refused, with the figures.
+4. All agreeing pairs and GPS in one least squares (`frame_graph`); pairs that the loops contradict
+  are left out.
 GPS stays the gauge: an error common to all models of a group is only averaged down.
 """
 
@@ -34,8 +38,9 @@ MAX_SIGMAS = 4.0
 BEND = np.array([0.3, 0.3, 0.3, 0.005, 0.005, 0.005, 0.005])
 """What models bend by (m, rad, 1) beyond the errors of their pairs: loops may stay open by this."""
 LENS_BEND = np.array([0.0, 0.0, 0.0, 0.01, 0.01, 0.01, 0.01])
-"""Standard deviations (m, rad, 1) of common ground against the whole of a model: from few photographs a camera calibrates itself badly
-(brighton: two halves with focal lengths 3 % apart bent so that their common strip differed by 3 % of scale)."""
+"""Standard deviations (m, rad, 1) of common ground against the whole of a model: from few
+photographs a camera calibrates itself badly (brighton: two halves with focal lengths 3 % apart bent
+so that their common strip differed by 3 % of scale)."""
 MIN_SHARE = 0.05
 EXPECTED_SHARE = 0.35
 """Models that have so much known ground in common match: on the town all pairs from 0.36 on did, one with 0.10 did not."""
@@ -70,10 +75,11 @@ class PlacedModel:
 class RefinedFrame:
     """What became of one model's frame.
 
-    ok: `correction` moves it to its neighbours. alone: no neighbour shares enough ground, it stays where GPS puts it. refused: do not
-    merge it.
-    `uncertainty` is what is left, GPS's own included; `residual_m` the distance left to its neighbours on common ground, None without any;
-    `neighbours` are the indices of the models it was joined with; `reason` is one sentence.
+    ok: `correction` moves it to its neighbours. alone: no neighbour shares enough ground, it stays
+    where GPS puts it. refused: do not merge it.
+    `uncertainty` is what is left, GPS's own included; `residual_m` the distance left to its
+    neighbours on common ground, None without any; `neighbours` are the indices of the models it was
+    joined with; `reason` is one sentence.
     """
 
     status: FrameStatus
@@ -213,9 +219,11 @@ def _groups(num_models: int, used: Sequence[_Pair]) -> list[int]:
 
 
 def _refusals(pairs: Sequence[_Pair], dropped: Sequence[_Pair], group: list[int], sizes: list[int], named: list[str]) -> dict[int, str]:
-    """The models that must not be merged, with the reason: of two groups that contradict each other the one with fewer photographs.
+    """The models that must not be merged, with the reason: of two groups that contradict each other
+    the one with fewer photographs.
 
-    Contradiction: a pair that disagrees with GPS or with the loops, or, for a model joined to no other, one that should match and does not.
+    Contradiction: a pair that disagrees with GPS or with the loops, or, for a model joined to no
+    other, one that should match and does not.
     """
     photographs = {number: sum(size for size, other in zip(sizes, group, strict=True) if other == number) for number in set(group)}
     refusals: dict[int, str] = {}

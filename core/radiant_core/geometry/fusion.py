@@ -1,8 +1,10 @@
-"""Depth views fused into a mesh in a process of its own, sized before: `python -m radiant_core.geometry.fusion FOLDER`. Once per surface.
+"""Depth views fused into a mesh in a process of its own, sized before: `python -m
+radiant_core.geometry.fusion FOLDER`. Once per surface.
 
     bytes = `BASE_BYTES` + blocks · `BYTES_PER_BLOCK`,  blocks of 16³ voxels ∝ 1 / voxel² for a surface
-Open3D ends the process by a signal where its tables are too small; here that is a sentence. The views lie in a temporary folder, some 2 MB
-each at 640 px, beside the result where the caller says so, since /tmp may be memory: they are counted first, then fused, 0.2 s each.
+Open3D ends the process by a signal where its tables are too small; here that is a sentence. The
+views lie in a temporary folder, some 2 MB each at 640 px, beside the result where the caller says
+so, since /tmp may be memory: they are counted first, then fused, 0.2 s each.
 """
 
 from __future__ import annotations
@@ -63,9 +65,11 @@ def fuse_apart(
 ) -> Fusion:
     """The mesh of depth views, made by another process; `report` gets views fused and their total.
 
-    The views go into a hidden folder in `scratch`, by default the system's for temporary files, and are removed in the end.
+    The views go into a hidden folder in `scratch`, by default the system's for temporary files, and
+    are removed in the end.
 
-    Raises BadInput, which names a resolution that would do, where a fixed one takes too many blocks and where that process ends early.
+    Raises BadInput, which names a resolution that would do, where a fixed one takes too many blocks
+    and where that process ends early.
     """
     with tempfile.TemporaryDirectory(prefix=".radiant-surface-", dir=scratch) as name:
         folder = Path(name)
@@ -171,7 +175,8 @@ def fitting_voxel(count: Callable[[float], int], settings: FusionSettings) -> tu
     voxel = settings.voxel
     first = num_blocks = count(voxel)
     while num_blocks > settings.max_blocks:
-        # A surface's blocks fall with the square; 5 % more, so that the next count is not one too many.
+        # A surface's blocks fall with the square; 5 % more, so that the next count is not one too
+        # many.
         voxel *= 1.05 * max(1.05, float(np.sqrt(num_blocks / settings.max_blocks)))
         num_blocks = count(voxel)
     return voxel, first if settings.is_fixed else num_blocks

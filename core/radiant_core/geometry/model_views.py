@@ -1,10 +1,13 @@
-"""Rendered views of a model at its own cameras, and what a point in one of them shows in another. Once per pair of models and round.
+"""Rendered views of a model at its own cameras, and what a point in one of them shows in another.
+Once per pair of models and round.
 
-A point u of a hub view is followed into another view in two steps: the rendered depth predicts where every pixel of the hub lies there,
-the other view is warped by that into the hub, and Lucas–Kanade finds what is left between the two, forth and back. The rendered depth need
-only be near: what counts is which rays meet, and `triangulate` intersects them. Measured on the town, depth itself is off by 0.2 to 0.6 m,
-the intersection by 0.06 m (docs/experiments/frames.md).
-Sources: Lucas and Kanade, IJCAI (1981); Hartley and Sturm, Triangulation (1997) for the least squares over reprojection errors.
+A point u of a hub view is followed into another view in two steps: the rendered depth predicts
+where every pixel of the hub lies there, the other view is warped by that into the hub, and
+Lucas–Kanade finds what is left between the two, forth and back. The rendered depth need only be
+near: what counts is which rays meet, and `triangulate` intersects them. Measured on the town, depth
+itself is off by 0.2 to 0.6 m, the intersection by 0.06 m (docs/experiments/frames.md).
+Sources: Lucas and Kanade, IJCAI (1981); Hartley and Sturm, Triangulation (1997) for the least
+squares over reprojection errors.
 """
 
 from __future__ import annotations
@@ -37,8 +40,8 @@ MIN_Z = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelViews:
-    """V cameras of at most 400 px with what the model shows there; grey (H,W) uint8 has its local brightness and contrast taken out, so
-    that exposures do not matter."""
+    """V cameras of at most 400 px with what the model shows there; grey (H,W) uint8 has its local
+    brightness and contrast taken out, so that exposures do not matter."""
 
     cameras: Cameras
     views: tuple[RenderedView, ...]
@@ -120,9 +123,11 @@ class Rays:
 
 
 def follow(hub: Hub, other: ModelViews, index: int, other_from_hub: Sim3, max_depth_error: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) were found there and back.
+    """Where the hub's points (N,2) lie in view `index` of `other` (N,2) px, and which (N,) were
+    found there and back.
 
-    A pixel is hidden where the other view's rendered depth differs by more than the share `max_depth_error`.
+    A pixel is hidden where the other view's rendered depth differs by more than the share
+    `max_depth_error`.
     """
     grey = hub.views.grey[hub.index]
     height, width = grey.shape
@@ -173,7 +178,8 @@ def triangulate(cameras: Cameras, rays: Rays, start: FloatArray) -> tuple[FloatA
         gradient = np.zeros((num_points, 3))
         np.add.at(H, seen, np.einsum("o,oki,okj->oij", weights, jacobian, jacobian) / SIGMA_PX**2)
         np.add.at(gradient, seen, np.einsum("o,oki,ok->oi", weights, jacobian, residuals) / SIGMA_PX**2)
-        # A ray alone, or parallel ones, leave a direction open: 1e-6/m² holds it and the covariance of 1000² m² says so.
+        # A ray alone, or parallel ones, leave a direction open: 1e-6/m² holds it and the covariance
+        # of 1000² m² says so.
         H += 1e-6 * np.eye(3)
         points = points + np.linalg.solve(H, gradient[..., None])[..., 0]
     counts = np.maximum(1, np.bincount(seen, minlength=num_points))

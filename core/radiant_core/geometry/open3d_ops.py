@@ -1,9 +1,10 @@
-"""What Open3D computes for core besides file formats: ICP with scale between two sets of surface points, once per pair of models; a mesh
-from depth views by a truncated signed distance, and its heights, once per surface model.
+"""What Open3D computes for core besides file formats: ICP with scale between two sets of surface
+points, once per pair of models; a mesh from depth views by a truncated signed distance, and its
+heights, once per surface model.
 
     (s, R, t) = argmin Σ ‖s R x_i + t − y_c(i)‖²,  c(i) the nearest target within the radius, anew in each iteration; radii fall.
-A free scale may collapse: a shrunken cloud has a near neighbour everywhere. So the result says how it fared both ways.
-Sources: Besl and McKay, PAMI 14 (1992); Umeyama, PAMI 13 (1991).
+A free scale may collapse: a shrunken cloud has a near neighbour everywhere. So the result says how
+it fared both ways. Sources: Besl and McKay, PAMI 14 (1992); Umeyama, PAMI 13 (1991).
 """
 
 from __future__ import annotations
@@ -55,15 +56,16 @@ class IcpFit:
 
 
 def surface_points(splats: Splats, largest_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Means (K,3) m of the Gaussians that make a surface, and which (N,) those are: opaque, and at most
-    `largest_m` wide, so no sky and no haze."""
+    """Means (K,3) m of the Gaussians that make a surface, and which (N,) those are: opaque, and at
+    most `largest_m` wide, so no sky and no haze."""
     opaque = splats.logit_opacities > np.log(SURFACE_OPACITY / (1 - SURFACE_OPACITY))
     chosen = opaque & (splats.log_scales.max(axis=1, initial=-np.inf) < np.log(largest_m))
     return splats.means[chosen].astype(np.float64), chosen
 
 
 def icp_with_scale(source: ArrayLike, target: ArrayLike, start: Sim3, radii_m: Sequence[float]) -> IcpFit | None:
-    """Align source (N,3) to target (M,3) from `start` with falling radii; None with under 50 points or when the scale runs away (20 %).
+    """Align source (N,3) to target (M,3) from `start` with falling radii; None with under 50 points
+    or when the scale runs away (20 %).
 
     Raises BadInput on shapes or values that are not finite.
     """
@@ -108,8 +110,8 @@ class Mesh:
 def count_blocks(views: Iterable[DepthView], voxel: float, max_depth: float) -> int:
     """For how many blocks of 16³ voxels `fused_mesh` needs room; some 20 ms a view.
 
-    These are all that views see, and once more those of the largest view: Open3D adds a view's blocks to what it holds before it looks
-    which of them are new.
+    These are all that views see, and once more those of the largest view: Open3D adds a view's
+    blocks to what it holds before it looks which of them are new.
     """
     import open3d as o3d
 
@@ -126,10 +128,12 @@ def count_blocks(views: Iterable[DepthView], voxel: float, max_depth: float) -> 
 def fused_mesh(
     views: Iterable[DepthView], voxel: float, max_depth: float, num_blocks: int = 10_000, blocks_at_once: int = BLOCKS_AT_ONCE
 ) -> Mesh:
-    """The surface that depth views agree on: their truncated signed distances averaged in voxels, then marching cubes; pieces smaller than
-    a square of `MIN_PIECE_VOXELS` are left out. May be empty. Source: Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
+    """The surface that depth views agree on: their truncated signed distances averaged in voxels,
+    then marching cubes; pieces smaller than a square of `MIN_PIECE_VOXELS` are left out. May be
+    empty. Source: Curless and Levoy, SIGGRAPH 1996; Open3D's voxel block grid.
 
-    `num_blocks` as `count_blocks` says spares the grid to grow, which doubles it; the mesh is made of `blocks_at_once` and less.
+    `num_blocks` as `count_blocks` says spares the grid to grow, which doubles it; the mesh is made
+    of `blocks_at_once` and less.
     """
     import open3d as o3d
 
@@ -183,8 +187,9 @@ def _seen_blocks(grid: Any, view: DepthView, max_depth: float) -> Any:
 
 
 def _pieces(grid: Any, voxel: float, blocks_at_once: int) -> Iterator[tuple[FloatArray, NDArray[np.int32], FloatArray]]:
-    """The mesh in boxes of blocks: vertices (V,3), triangles (T,3), colors (V,3). Each is made with the blocks around its box and holds
-    the triangles whose middle lies in it, so that the next box goes on at the very same vertices."""
+    """The mesh in boxes of blocks: vertices (V,3), triangles (T,3), colors (V,3). Each is made with
+    the blocks around its box and holds the triangles whose middle lies in it, so that the next box
+    goes on at the very same vertices."""
     rows = grid.hashmap().active_buf_indices().numpy().astype(np.int64)
     keys = grid.hashmap().key_tensor().numpy()[rows].astype(np.int64)
     for low, high in _boxes(keys, blocks_at_once):
@@ -199,8 +204,8 @@ def _pieces(grid: Any, voxel: float, blocks_at_once: int) -> Iterator[tuple[Floa
 
 
 def _boxes(keys: NDArray[np.int64], blocks_at_once: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Boxes, lower corner inclusive and upper one exclusive, that hold all blocks `keys` (B,3), each with those around it no more than so
-    many, or a single block."""
+    """Boxes, lower corner inclusive and upper one exclusive, that hold all blocks `keys` (B,3),
+    each with those around it no more than so many, or a single block."""
     if not len(keys):
         return
     waiting = [(keys.min(axis=0), keys.max(axis=0) + 1)]

@@ -1,9 +1,11 @@
-"""The similarity between two models from pairs of 3D points with covariances. Once per pair of neighbouring models and round.
+"""The similarity between two models from pairs of 3D points with covariances. Once per pair of
+neighbouring models and round.
 
     min Σ_i ρ(r_iᵀ C_i⁻¹ r_i),   r_i = a_i − S b_i,   C_i = A_i + s² R B_i Rᵀ,   ρ Geman–McClure, by reweighted Gauss–Newton
-in the seven unknowns ξ = (shift m, rotation rad, ln scale) about the middle of the pairs. The pairs of one patch of ground err together, so
-the covariance is the cluster-robust one, H⁻¹ (Σ_c g_c g_cᵀ) H⁻¹ with the gradients g_c summed over patches c, never under a floor.
-Sources: Umeyama, PAMI 13 (1991); Liang and Zeger, Biometrika 73 (1986).
+in the seven unknowns ξ = (shift m, rotation rad, ln scale) about the middle of the pairs. The pairs
+of one patch of ground err together, so the covariance is the cluster-robust one, H⁻¹ (Σ_c g_c g_cᵀ)
+H⁻¹ with the gradients g_c summed over patches c, never under a floor. Sources: Umeyama, PAMI 13
+(1991); Liang and Zeger, Biometrika 73 (1986).
 """
 
 from __future__ import annotations
@@ -71,9 +73,11 @@ def xi_about(center: FloatArray, similarity: Sim3) -> FloatArray:
 
 
 def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int = 0) -> tuple[Sim3, FloatArray] | None:
-    """The similarity a ← b through three random pairs that most of the pairs (P,3) agree with, within tolerances (P,), and a mask (P,).
+    """The similarity a ← b through three random pairs that most of the pairs (P,3) agree with,
+    within tolerances (P,), and a mask (P,).
 
-    None under 3 pairs or where no three give a scale within 25 % of 1. Source: Fischler and Bolles, RANSAC (1981).
+    None under 3 pairs or where no three give a scale within 25 % of 1. Source: Fischler and Bolles,
+    RANSAC (1981).
     """
     a, b = checked_array("a", a, (None, 3)), checked_array("b", b, (len(a), 3))
     if len(a) < 3:
@@ -84,7 +88,8 @@ def consensus(a: FloatArray, b: FloatArray, tolerances_m: FloatArray, seed: int 
     for _ in range(NUM_TRIALS):
         picked = rng.choice(len(a), 3, replace=False)
         sides = [np.linalg.norm(points[picked] - points[np.roll(picked, 1)], axis=1) for points in (a, b)]
-        # Three pairs near each other fix no rotation; sides of another ratio are no similarity: both are cheaper to see here.
+        # Three pairs near each other fix no rotation; sides of another ratio are no similarity:
+        # both are cheaper to see here.
         if min(sides[0].min(), sides[1].min()) <= MIN_SIDE_SHARE * spread or (np.abs(np.log(sides[1] / sides[0])) > MAX_SCALE_CHANGE).any():
             continue
         fit = fit_sim3(b[picked], a[picked])

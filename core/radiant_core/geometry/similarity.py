@@ -25,10 +25,12 @@ SHORTEST_QUAT, LONGEST_QUAT = 1e-30, 1e30
 
 
 def move_splats(splats: Splats, similarity: Sim3) -> Splats:
-    """N Gaussians in the target frame of `similarity`; opacities stay, quaternions keep their length, degree 0 to 3 its colours.
+    """N Gaussians in the target frame of `similarity`; opacities stay, quaternions keep their
+    length, degree 0 to 3 its colours.
 
-    Computed in float64 and rounded to float32 once: colours in turned directions agree to 1e-6 of the coefficients.
-    A zero quaternion, which is drawn unturned, becomes the rotation itself. Raises BadInput when a result leaves float32.
+    Computed in float64 and rounded to float32 once: colours in turned directions agree to 1e-6 of
+    the coefficients. A zero quaternion, which is drawn unturned, becomes the rotation itself.
+    Raises BadInput when a result leaves float32.
     """
     means = similarity.apply(splats.means)
     log_scales = splats.log_scales.astype(np.float64) + np.log(similarity.scale)

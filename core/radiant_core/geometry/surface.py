@@ -1,10 +1,13 @@
-"""A model's surface: rendered depth of many cameras fused into a mesh, and the heights of that mesh as a grid. Once per surface model.
+"""A model's surface: rendered depth of many cameras fused into a mesh, and the heights of that mesh
+as a grid. Once per surface model.
 
     reach R = median over views of the median depth;  box = the cameras', R wider on each side;  depth counts up to `MAX_DEPTH` · R in it
     o' = 1 / (1 + exp(−4 (logit o − logit 0.3)))
-Rendered depth is a mean over all that a ray meets, haze before the surface included, so depth is rendered with opacities o' that are nearly
-0 or 1: then it is that of the first surface. A pixel counts where the model is opaque and where depth does not jump: at an edge the mean
-lies between the surfaces, where there is none. C renders of `long_side_px`, then some 0.2 s of fusion each, in a process of its own.
+Rendered depth is a mean over all that a ray meets, haze before the surface included, so depth is
+rendered with opacities o' that are nearly 0 or 1: then it is that of the first surface. A pixel
+counts where the model is opaque and where depth does not jump: at an edge the mean lies between the
+surfaces, where there is none. C renders of `long_side_px`, then some 0.2 s of fusion each, in a
+process of its own.
 """
 
 from __future__ import annotations
@@ -29,8 +32,9 @@ from radiant_core.render.rendered_view import RenderedView, render_views
 from radiant_core.splats import Splats
 
 SHARPENING, MIDDLE_OPACITY = 4.0, 0.3
-"""Of the demo's town, 320 px: median error of depth at its sparse points 0.35 % in 0.82 of the pixels; with opacities as they are 1.14 %
-in 0.82; without the Gaussians below 0.3 0.32 % in 0.41 (docs/experiments/surface.md)."""
+"""Of the demo's town, 320 px: median error of depth at its sparse points 0.35 % in 0.82 of the
+pixels; with opacities as they are 1.14 % in 0.82; without the Gaussians below 0.3 0.32 % in 0.41
+(docs/experiments/surface.md)."""
 MIN_ALPHA = 0.5
 MAX_JUMP = 0.04
 """Greatest range of depth among a pixel's neighbours, as a share of it: seen from straight above, 640 px in 60°, a slope of 85°."""
@@ -42,9 +46,11 @@ _REACH_VIEWS, _REACH_PX = 12, 96
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
-    """The mesh in the model's frame; voxel, its resolution, in the model's unit; num_views that saw something.
+    """The mesh in the model's frame; voxel, its resolution, in the model's unit; num_views that saw
+    something.
 
-    finest_voxel: what the photographs or the caller asked for, below `voxel` where that did not fit; num_blocks of 16³ voxels it took.
+    finest_voxel: what the photographs or the caller asked for, below `voxel` where that did not
+    fit; num_blocks of 16³ voxels it took.
     """
 
     mesh: Mesh
@@ -72,11 +78,13 @@ def extract_surface(  # noqa: PLR0913
     scratch: Path | None = None,
     report: Callable[[int, int], None] = lambda done, total: None,
 ) -> Surface:
-    """The surface that C cameras see of a model; `resolution` by default two pixels on the ground at the usual depth, or what is
-    possible in `memory_bytes`. `scratch` is the folder for temporary files, some 2 MB per camera.
+    """The surface that C cameras see of a model; `resolution` by default two pixels on the ground
+    at the usual depth, or what is possible in `memory_bytes`. `scratch` is the folder for temporary
+    files, some 2 MB per camera.
 
-    Raises BadInput without cameras, for a resolution that is no positive number, finer than 2,000 voxels across the reach or more than
-    fits, and where no camera sees the model. `report` gets views done, rendered and then fused, and their total.
+    Raises BadInput without cameras, for a resolution that is no positive number, finer than 2,000
+    voxels across the reach or more than fits, and where no camera sees the model. `report` gets
+    views done, rendered and then fused, and their total.
     """
     if not len(cameras):
         raise BadInput("there is no camera to look at the model from: give those of its scene.")
@@ -86,7 +94,8 @@ def extract_surface(  # noqa: PLR0913
     if not (np.isfinite(voxel) and voxel > reach / 2000):
         raise BadInput(f"a resolution of {voxel} was asked for, expected a number above {reach / 2000:.3g}: choose a coarser one.")
     centers = cameras.centers
-    # Open3D and the rasterizer keep float32: near the middle of the cameras steps are below a micrometre.
+    # Open3D and the rasterizer keep float32: near the middle of the cameras steps are below a
+    # micrometre.
     middle = np.round(centers.mean(axis=0))
     local, moved = _moved(sharpen_opacities(splats), small, middle)
     low, high = (centers.min(axis=0) - middle - reach)[:2], (centers.max(axis=0) - middle + reach)[:2]
@@ -148,8 +157,9 @@ def trusted_depth(view: RenderedView, max_depth: float) -> NDArray[np.float32]:
 def surface_grid(surface: Surface, frame: Frame, cell: float | None = None) -> HeightGrid:
     """Heights of the topmost surface over cells of `cell`, by default the surface's resolution.
 
-    With GPS the grid is the UTM zone's and heights are those of the photographs' GPS, above the ellipsoid where it gives such; else both
-    are the model's own. Raises BadInput where the grid would have more than 100 million cells.
+    With GPS the grid is the UTM zone's and heights are those of the photographs' GPS, above the
+    ellipsoid where it gives such; else both are the model's own. Raises BadInput where the grid
+    would have more than 100 million cells.
     """
     cell = surface.voxel if cell is None else cell
     mesh = surface.mesh

@@ -1,7 +1,9 @@
-"""The similarity between two models from their surfaces alone, by ICP, where their renders have no texture to match. Once per such pair.
+"""The similarity between two models from their surfaces alone, by ICP, where their renders have no
+texture to match. Once per such pair.
 
-ICP with a free scale finds many wrong answers (on the town from GPS-like errors it was right for 1 of 4 pairs, and one collapsed by 94 %:
-docs/experiments/frames.md). So it is run both ways, and only where both ways are each other's inverse and most points meet is it accepted.
+ICP with a free scale finds many wrong answers (on the town from GPS-like errors it was right for 1
+of 4 pairs, and one collapsed by 94 %: docs/experiments/frames.md). So it is run both ways, and only
+where both ways are each other's inverse and most points meet is it accepted.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ MAX_POINTS = 20_000
 
 
 def icp_match(a: FloatArray, b: FloatArray, first_radius_m: float) -> PairFit | str:
-    """The similarity a ← b of surface points (N,3), (M,3) m that both see, in nearly one frame, or one clause that
-    says why there is none."""
+    """The similarity a ← b of surface points (N,3), (M,3) m that both see, in nearly one frame, or
+    one clause that says why there is none."""
     a, b = _thinned(a), _thinned(b)
     radii_m = [radius_m for radius_m in first_radius_m * 0.5 ** np.arange(12) if radius_m > LAST_RADIUS_M]
     radii_m.append(LAST_RADIUS_M)

@@ -39,7 +39,8 @@ def join_cloud(task: CloudTask, models: Mapping[str, EdgeModel | str], reporter:
 
     Args:
         task: regions, settings and limits.
-        models: by edge, in the order of the task; text where the transport refuses one, with the reason.
+        models: by edge, in the order of the task; text where the transport refuses one, with the
+            reason.
         reporter: hears decisions, warnings and progress.
         machine: free memory, which limits the join where the task does not, and checkpoints.
 
@@ -114,7 +115,8 @@ def _join(
         for decision in join_decisions(reporter.stage, task.aggregate, len(teachers), joined):
             reporter.decide(decision)
         return joined
-    # What an edge only pooled, for a cloud that was expected to join, is still joined by itself where that fits.
+    # What an edge only pooled, for a cloud that was expected to join, is still joined by itself
+    # where that fits.
     alone = replace(options, checkpoints=NoCheckpoints())
     for index, teacher in enumerate(teachers):
         if teacher.pooled and (left := _statistics_bytes(task, [teacher], most_bytes)) is not None:

@@ -1,10 +1,12 @@
-"""What an edge does: join its devices' models, or pool them for a cloud that joins everything (paper Sec. III-D). Once per edge.
+"""What an edge does: join its devices' models, or pool them for a cloud that joins everything
+(paper Sec. III-D). Once per edge.
 
     admit ─→ pool    where the cloud will retrain: the models as one, with pictures of each at virtual cameras
           ├→ retrain on what each model shows at its own cameras
           └→ cut     at the borders of the strips, where the edge's memory forbids retraining; a warning says so
 
-A device's model meets its neighbour's here; where the edge pools, the two are retrained together in `join_cloud`.
+A device's model meets its neighbour's here; where the edge pools, the two are retrained together in
+`join_cloud`.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
 
     Args:
         task: regions and settings.
-        models: by device, in the order of the task; text where the transport refuses one, with the reason.
+        models: by device, in the order of the task; text where the transport refuses one, with the
+            reason.
         reporter: hears decisions, warnings and progress.
         machine: checkpoints of the retraining.
 
@@ -63,7 +66,8 @@ def join_edge(task: EdgeTask, models: Mapping[str, DeviceModel | str], reporter:
     else:
         options = fit_options(task.backend, reporter, machine, lambda: join_key(task, models))
         joined = _join(task, teachers, strips, options, reporter)
-    # Along a Z curve the order of the Gaussians no longer says how many devices there were and which is whose.
+    # Along a Z curve the order of the Gaussians no longer says how many devices there were and
+    # which is whose.
     splats = joined.trained.splats.select(morton_order(joined.trained.splats.means))
     cameras, views = NO_CAMERAS, ()
     if task.aggregate.cloud == "retrain" or arrivals.uncertainty is not None:
@@ -89,9 +93,9 @@ def _rendered(model: DeviceModel | str) -> Mapping[int, Any]:
 def _left_to_cloud(task: EdgeTask, arrivals: Arrivals, stage: str) -> Decision | None:
     """That the edge leaves joining to the cloud, with the figure; None where it joins.
 
-    It does where the cloud is expected to retrain: by the edge's own models, the whole scene taken to be like them. Where
-    frames are uncertain the models are fitted to each other first, and a cloud with a limit of time has to see what
-    retraining takes.
+    It does where the cloud is expected to retrain: by the edge's own models, the whole scene taken
+    to be like them. Where frames are uncertain the models are fitted to each other first, and a
+    cloud with a limit of time has to see what retraining takes.
     """
     cloud = task.cloud
     if cloud is None or len(arrivals.models) < 2 or arrivals.uncertainty is not None or cloud.limits.time_s is not None:
@@ -143,10 +147,11 @@ def _statistics_bytes(task: EdgeTask, teachers: Sequence[Teacher], reporter: Rep
 def virtual_cameras_of(
     models: Mapping[str, DeviceModel | str], cameras: Sequence[Cameras], splats: Splats
 ) -> tuple[Cameras, NDArray[np.int64]]:
-    """Virtual cameras (C) of an edge for its devices' `cameras` and its own model; which camera each stands near (C,).
+    """Virtual cameras (C) of an edge for its devices' `cameras` and its own model; which camera
+    each stands near (C,).
 
-    They are drawn by a seed made of what the edge received: the same run gives the same cameras, and the cloud cannot undo
-    the draw.
+    They are drawn by a seed made of what the edge received: the same run gives the same cameras,
+    and the cloud cannot undo the draw.
     """
     rng = np.random.default_rng(int(key_of_files(received_files(models))[:32], 16))
     return virtual_cameras(concatenate_cameras(cameras), splats.means, rng)

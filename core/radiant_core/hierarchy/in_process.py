@@ -1,4 +1,5 @@
-"""The whole hierarchy in one process: devices, edges and the cloud as plain calls, the oracle of every executor. Once per scene.
+"""The whole hierarchy in one process: devices, edges and the cloud as plain calls, the oracle of
+every executor. Once per scene.
 
 What crosses between two nodes passes through the codec, so that the bits are those of a delivery.
 """

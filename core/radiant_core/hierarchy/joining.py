@@ -1,7 +1,9 @@
-"""What both joining tiers do with the models that arrive: refuse, bring into one frame, leave out what contradicts. Once per join.
+"""What both joining tiers do with the models that arrive: refuse, bring into one frame, leave out
+what contradicts. Once per join.
 
-With frames by GPS each sender's frame is off by a few metres, degrees and per cent: the overlapping geometry of the models
-brings them together, and a sender whose geometry contradicts its neighbours' is left out.
+With frames by GPS each sender's frame is off by a few metres, degrees and per cent: the overlapping
+geometry of the models brings them together, and a sender whose geometry contradicts its neighbours'
+is left out.
 """
 
 from __future__ import annotations
@@ -94,8 +96,9 @@ def _given(splats: Splats | None) -> Splats:
 def model_problem(model: DeviceModel | EdgeModel, num_dealt: int) -> str | None:
     """Why a model is refused by itself, one sentence, or None.
 
-    More cameras than photographs were dealt are refused: joining takes time and memory per camera, so that one sender could
-    spend what is there for all. Fewer are usual: some photographs are held out, have no pose, or add nothing.
+    More cameras than photographs were dealt are refused: joining takes time and memory per camera,
+    so that one sender could spend what is there for all. Fewer are usual: some photographs are held
+    out, have no pose, or add nothing.
     """
     if len(model.cameras) > num_dealt:
         return f"it sends {len(model.cameras):,} cameras, where {num_dealt:,} photographs were dealt to it."
@@ -121,7 +124,8 @@ def _in_one_frame(usable: Mapping[str, tuple[Splats, Cameras, FrameUncertainty |
             reporter.decide(_refinement_decision(reporter.stage, name, frame))
     corrections = [None if frame.status == "refused" else frame.correction for frame in refined]
     refused = {name: frame.reason for name, frame in zip(senders, refined, strict=True) if frame.status == "refused"}
-    # Joined, they are as sure of their place as the surest of them; beside each other, the next tier can move them as one body only.
+    # Joined, they are as sure of their place as the surest of them; beside each other, the next
+    # tier can move them as one body only.
     left = [asdict(frame.uncertainty) for frame in refined if frame.status != "refused"]
     surest = min if are_one_group([frame.neighbours for frame in refined], [frame.status != "refused" for frame in refined]) else max
     common = FrameUncertainty(**{key: surest(one[key] for one in left) for key in left[0]}) if left else None

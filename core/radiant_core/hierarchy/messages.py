@@ -1,11 +1,13 @@
-"""The messages between the tiers: what a node is asked to do, and the model it answers with. Once per node.
+"""The messages between the tiers: what a node is asked to do, and the model it answers with. Once
+per node.
 
     DeviceTask, photographs  ── train_device ──→  DeviceModel
     EdgeTask, DeviceModels   ── join_edge ─────→  EdgeModel
     CloudTask, EdgeModels    ── join_cloud ────→  SceneModel
 
-`radiant_core.io.messages` writes and reads them. A field that is `UNKEYED` changes no bit of a node's result and stands
-in no key; one that is `in_file` travels as a file of that name beside the JSON; one that is `LOCAL` does not travel.
+`radiant_core.io.messages` writes and reads them. A field that is `UNKEYED` changes no bit of a
+node's result and stands in no key; one that is `in_file` travels as a file of that name beside the
+JSON; one that is `LOCAL` does not travel.
 """
 
 from __future__ import annotations

@@ -81,7 +81,8 @@ class Recipe:
 
         Args:
             num_dealt: photographs dealt below each edge.
-            joined: summary of each edge's join, whose seconds count where the cloud's time is limited.
+            joined: summary of each edge's join, whose seconds count where the cloud's time is
+                limited.
         """
         rows = [self.cloud_plan.edge_ids.index(edge) for edge in num_dealt]
         retrains, limits = self.aggregate.cloud == "retrain", self.system.cloud

@@ -1,4 +1,5 @@
-"""A file of arrays: safetensors with one entry of metadata that says schema, version and what else is known about the arrays.
+"""A file of arrays: safetensors with one entry of metadata that says schema, version and what else
+is known about the arrays.
 
 Strict when read: another schema, version, name or number type is refused. Runs once per file.
 """
@@ -40,7 +41,8 @@ def stream_arrays(path: Path, schema: str, arrays: Mapping[str, NDArray], about:
 
 
 def _metadata(schema: str, about: Mapping[str, Any]) -> dict[str, str]:
-    # One entry only: safetensors writes several in an order that differs from process to process, and keys hash these bytes.
+    # One entry only: safetensors writes several in an order that differs from process to process,
+    # and keys hash these bytes.
     record = {"schema": schema, "version": VERSION, "about": dict(about)}
     return {METADATA_NAME: json.dumps(record, allow_nan=False, sort_keys=True)}
 
@@ -51,7 +53,8 @@ def _record(file: Any) -> Any:
 
 
 def load_arrays(path: Path, schema: str, dtypes: Mapping[str, str] | None) -> tuple[dict[str, NDArray], dict[str, Any]]:
-    """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes are exactly these; None: any names.
+    """Arrays and the parsed "about" of a safetensors file whose schema, version, names and dtypes
+    are exactly these; None: any names.
 
     Raises StoreDamaged when the file is missing or broken, BadInput when it holds something else.
     """

@@ -1,9 +1,10 @@
-"""What the head of a safetensors file says, checked against the file's length before anything is allocated. Once per file.
+"""What the head of a safetensors file says, checked against the file's length before anything is
+allocated. Once per file.
 
     8 bytes: length of the header, little-endian; the header: JSON, name → {dtype, shape, data_offsets}; then the numbers
 
-The library checks much of this too; here the header is bounded, no name comes twice, and the arrays fill the file exactly.
-Layout: https://github.com/huggingface/safetensors#format
+The library checks much of this too; here the header is bounded, no name comes twice, and the arrays
+fill the file exactly. Layout: https://github.com/huggingface/safetensors#format
 """
 
 from __future__ import annotations

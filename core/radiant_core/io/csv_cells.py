@@ -1,7 +1,8 @@
-"""Cells of CSV that people open in spreadsheets: no name in them is a formula. Once per cell of text.
+"""Cells of CSV that people open in spreadsheets: no name in them is a formula. Once per cell of
+text.
 
-A spreadsheet computes whatever begins with = + - or @, also behind a semicolon where that separates cells; a formula can start programs
-and send files away. One ' before it makes it text:
+A spreadsheet computes whatever begins with = + - or @, also behind a semicolon where that separates
+cells; a formula can start programs and send files away. One ' before it makes it text:
 
     =1+1  →  '=1+1        a;-2  →  a;'-2        '=1  →  ''=1
 

@@ -1,11 +1,12 @@
-"""The codec of messages: the only place that writes and reads what crosses between nodes. Once per node and message.
+"""The codec of messages: the only place that writes and reads what crosses between nodes. Once per
+node and message.
 
     a task       task.json, and files of the arrays that its fields name (`in_file`)
     DeviceModel  model.safetensors in the format of the upload, cameras.safetensors, frame.json where its frame is uncertain
     EdgeModel    the same with virtual_cameras.safetensors, virtual_views.safetensors
 
-Types and unknown keys are refused by pydantic in its strict mode: no number as text, nothing infinite. Values are checked
-by the dataclasses themselves.
+Types and unknown keys are refused by pydantic in its strict mode: no number as text, nothing
+infinite. Values are checked by the dataclasses themselves.
 """
 
 from __future__ import annotations
@@ -70,10 +71,12 @@ def message_record(message: Any) -> dict[str, Any]:
 
 
 def message_of(kind: type[Message], record: Mapping[str, Any], name: str = "message") -> Message:
-    """The message of the dataclass `kind` that `message_record` wrote, for dataclasses without files.
+    """The message of the dataclass `kind` that `message_record` wrote, for dataclasses without
+    files.
 
     Raises:
-        BadInput: a field is missing, unknown or of another kind; `name` is what the sentence calls the message.
+        BadInput: a field is missing, unknown or of another kind; `name` is what the sentence calls
+            the message.
     """
     return kind(**_parsed(kind, json.dumps(record).encode(), name))
 
@@ -99,7 +102,8 @@ def load_task(kind: type[Message], folder: Path, name: str = "task") -> Message:
     """The task that `save_task` wrote into a node's folder.
 
     Raises:
-        BadInput: a file is missing, damaged, or no task of this kind; `name` is what the sentence calls the task.
+        BadInput: a file is missing, damaged, or no task of this kind; `name` is what the sentence
+            calls the task.
     """
     path = folder / TASK_NAME
     data = read_bounded(path, MAX_JSON_BYTES)

@@ -1,11 +1,12 @@
 """A Mill 19 / Mega-NeRF folder as posed pinhole photographs.
 
-Read once per scene. Layout: coordinates.pt {origin_drb (3,), pose_scale_factor}, and for train and val each
-rgbs/NNNNNN.jpg and metadata/NNNNNN.pt {H, W, intrinsics (fx, fy, cx, cy), c2w (3,4)}. The world's axes are down, right,
-back; the camera's right, up, back; images are undistorted already, so `distortion` is not applied again. Hence
+Read once per scene. Layout: coordinates.pt {origin_drb (3,), pose_scale_factor}, and for train and
+val each rgbs/NNNNNN.jpg and metadata/NNNNNN.pt {H, W, intrinsics (fx, fy, cx, cy), c2w (3,4)}. The
+world's axes are down, right, back; the camera's right, up, back; images are undistorted already, so
+`distortion` is not applied again. Hence
     centre = pose_scale_factor · R · c2w[:, 3],   R the matrix with rows right, −back, −down: x right, y forward, z up.
-The place of the middle, origin_drb, is left out: it has no latitude or longitude and only costs digits.
-Source: Turki et al., Mega-NeRF, CVPR 2022, and the layout of its published data.
+The place of the middle, origin_drb, is left out: it has no latitude or longitude and only costs
+digits. Source: Turki et al., Mega-NeRF, CVPR 2022, and the layout of its published data.
 """
 
 from __future__ import annotations
@@ -27,10 +28,12 @@ _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 def read_mill19(folder: Path) -> Cameras:
-    """The posed photographs of a Mill 19 folder, lengths in its own unit (published ones: metres), z up, middle near the origin.
+    """The posed photographs of a Mill 19 folder, lengths in its own unit (published ones: metres),
+    z up, middle near the origin.
 
-    Named by their path in the folder ("train/rgbs/000001.jpg"); `held_out_mask` selects those in val/.
-    Raises BadInput naming the file when one is missing, is no such file, or holds values that make no camera.
+    Named by their path in the folder ("train/rgbs/000001.jpg"); `held_out_mask` selects those in
+    val/. Raises BadInput naming the file when one is missing, is no such file, or holds values that
+    make no camera.
     """
     coordinates_path = folder / "coordinates.pt"
     coordinates = _load(coordinates_path)
@@ -64,7 +67,8 @@ def _camera(path: Path, scale: float) -> tuple[FloatArray, FloatArray, tuple[int
     fx, fy, cx, cy = _numbers(metadata, "intrinsics", (4,), path)
     world_from_camera = _numbers(metadata, "c2w", (3, 4), path)
     rotation = _OPENGL_FROM_OPENCV @ world_from_camera[:, :3].T @ _WORLD_FROM_DRB.T
-    # float32 rotations are orthonormal to 1e-7 only; the nearest rotation keeps the rest of the pipeline exact.
+    # float32 rotations are orthonormal to 1e-7 only; the nearest rotation keeps the rest of the
+    # pipeline exact.
     U, singular, Vt = np.linalg.svd(rotation)
     if np.abs(singular - 1).max() > 1e-3 or round(np.linalg.det(U @ Vt)) != 1:
         raise BadInput(f"{path}: the first three columns of c2w are no rotation: export the metadata again.")
@@ -108,7 +112,8 @@ def _unpacked_bytes(path: Path) -> int:
 def _numbers(loaded: dict[str, Any], key: str, shape: tuple[int, ...], path: Path) -> FloatArray:
     """The finite numbers of `shape` under `key`."""
     found = tuple(getattr(loaded.get(key), "shape", shape))
-    # Asked before anything is converted: by its strides a tensor of a few bytes holds billions of numbers.
+    # Asked before anything is converted: by its strides a tensor of a few bytes holds billions of
+    # numbers.
     if found != shape and (shape or any(side != 1 for side in found)):
         raise BadInput(f"{path}: {key!r} has shape {found}, expected {shape}.")
     try:

@@ -1,8 +1,10 @@
-"""Models as Open3D draws them and as it packs them into SPZ: the only module with its attribute names. Once per model.
+"""Models as Open3D draws them and as it packs them into SPZ: the only module with its attribute
+names. Once per model.
 
-SPZ (version 4) keeps a Gaussian in 20 bytes and one per harmonic and channel, then compresses them: centres in fixed point of 1/4096
-within ±2048, log scales in steps of 1/16 within −10 … 5.9375, opacities in 1/255, sh0 in steps of 0.026 within ±3.33, shN in steps of
-1/16 (degree 1) and 1/8 within ±1, quaternions in 32 bits. Sizes as seen in files of open3d 0.20.
+SPZ (version 4) keeps a Gaussian in 20 bytes and one per harmonic and channel, then compresses them:
+centres in fixed point of 1/4096 within ±2048, log scales in steps of 1/16 within −10 … 5.9375,
+opacities in 1/255, sh0 in steps of 0.026 within ±3.33, shN in steps of 1/16 (degree 1) and 1/8
+within ±1, quaternions in 32 bits. Sizes as seen in files of open3d 0.20.
 """
 
 from __future__ import annotations
@@ -42,9 +44,10 @@ _END_ALPHA = 0.25 / 255
 def open3d_point_cloud(splats: Splats, max_sh_degree: int = 2) -> o3d.t.geometry.PointCloud:
     """N Gaussians as Open3D's tensor point cloud, as its shader "gaussianSplat" wants them.
 
-    positions (N,3); scale (N,3) linear; rot (N,4) wxyz of length 1; opacity (N,1) logit; f_dc (N,3); f_rest (N,K-1,3).
-    Its shader draws spherical harmonics up to degree 2, so higher ones are cut. Raises BadInput on a degree outside 0 to 3
-    or a scale that float32 cannot hold. Source: the attributes that open3d 0.20 gives when it reads a 3DGS PLY.
+    positions (N,3); scale (N,3) linear; rot (N,4) wxyz of length 1; opacity (N,1) logit; f_dc
+    (N,3); f_rest (N,K-1,3). Its shader draws spherical harmonics up to degree 2, so higher ones are
+    cut. Raises BadInput on a degree outside 0 to 3 or a scale that float32 cannot hold. Source: the
+    attributes that open3d 0.20 gives when it reads a 3DGS PLY.
     """
     import open3d as o3d
 
@@ -82,7 +85,8 @@ def spz_bytes(splats: Splats) -> bytes:
 
 
 def splats_from_spz(data: bytes, num_splats: int, sh_degree: int) -> Splats:
-    """The model in `data`, which must be SPZ of exactly so many Gaussians; StoreDamaged when it is not.
+    """The model in `data`, which must be SPZ of exactly so many Gaussians; StoreDamaged when it is
+    not.
 
     Opacities of 0 and 1 come from Open3D as infinite logits and become ±6.9.
     """

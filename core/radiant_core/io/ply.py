@@ -1,9 +1,11 @@
-"""Models as PLY files in the layout of the original 3D Gaussian Splatting code, which most viewers open.
+"""Models as PLY files in the layout of the original 3D Gaussian Splatting code, which most viewers
+open.
 
-One binary little-endian float32 record per Gaussian: x y z, nx ny nz (zero), f_dc_0..2, f_rest_* (all bases of red, then of
-green, then of blue), opacity (logit), scale_0..2 (ln m), rot_0..3 (wxyz). The comment "antialiased" says that the model is so. Layout:
-Kerbl et al., 3D Gaussian Splatting (2023), its published models. The reader is strict, because PLY files come from strangers. Runs
-once per model.
+One binary little-endian float32 record per Gaussian: x y z, nx ny nz (zero), f_dc_0..2, f_rest_*
+(all bases of red, then of green, then of blue), opacity (logit), scale_0..2 (ln m), rot_0..3
+(wxyz). The comment "antialiased" says that the model is so. Layout: Kerbl et al., 3D Gaussian
+Splatting (2023), its published models. The reader is strict, because PLY files come from strangers.
+Runs once per model.
 """
 
 from __future__ import annotations
@@ -57,9 +59,11 @@ def save_ply(path: Path, splats: Splats) -> None:
 
 
 def load_ply(path: Path) -> Splats:
-    """The Gaussians of a 3DGS PLY file; properties it does not need are skipped when they are scalars.
+    """The Gaussians of a 3DGS PLY file; properties it does not need are skipped when they are
+    scalars.
 
-    Raises BadInput naming the file when it is missing, not such a file, shorter or longer than its header says, or not finite.
+    Raises BadInput naming the file when it is missing, not such a file, shorter or longer than its
+    header says, or not finite.
     """
     try:
         with open(path, "rb", opener=open_without_waiting) as file:
@@ -143,7 +147,8 @@ def _columns(rows: NDArray[np.void], names: Sequence[str]) -> NDArray[np.float32
     """The named properties as an array (N,len(names)); a double beyond float32 becomes infinite and is refused with the NaNs."""
     columns = np.empty((len(rows), len(names)), np.float32)
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        # Rows that fit the cache: property after property of all of them would read the whole file once for each.
+        # Rows that fit the cache: property after property of all of them would read the whole file
+        # once for each.
         for start in range(0, len(rows), CACHED_ROWS):
             part = slice(start, start + CACHED_ROWS)
             for column, name in zip(columns[part].T, names, strict=True):

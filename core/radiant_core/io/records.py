@@ -1,7 +1,8 @@
-"""What flows between stages, as files: arrays as safetensors, plans as readable JSON; no pickle, nothing lost.
+"""What flows between stages, as files: arrays as safetensors, plans as readable JSON; no pickle,
+nothing lost.
 
-Every file says in its metadata which schema and version it is. Reading takes no more memory than the file is long.
-Runs once per stage.
+Every file says in its metadata which schema and version it is. Reading takes no more memory than
+the file is long. Runs once per stage.
 """
 
 from __future__ import annotations
@@ -56,8 +57,9 @@ def save_cameras(path: Path, cameras: Cameras) -> None:
 
 
 def load_cameras(path: Path) -> Cameras:
-    """The cameras that `save_cameras` wrote; StoreDamaged when the file is broken, BadInput when it holds something else, a name that
-    would lead a reader or writer out of its folder, or a camera that is larger than any photograph."""
+    """The cameras that `save_cameras` wrote; StoreDamaged when the file is broken, BadInput when it
+    holds something else, a name that would lead a reader or writer out of its folder, or a camera
+    that is larger than any photograph."""
     arrays, about = load_arrays(path, "radiant.cameras", CAMERAS_DTYPES)
     with name_file_in_errors(path):
         return _cameras(about["names"], arrays)
@@ -107,9 +109,10 @@ def save_plan(  # noqa: PLR0913
     warnings: Sequence[str] = (),
     content: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera indices point into where it was made
-    from some, what slacks would buy where it was computed, what its predictions are to be taken with, and what `content_record` says of
-    footprints; BadInput when their number is another, else raises as `write_atomic`."""
+    """Write both levels of a plan as readable JSON, atomically, with the waypoints its camera
+    indices point into where it was made from some, what slacks would buy where it was computed,
+    what its predictions are to be taken with, and what `content_record` says of footprints;
+    BadInput when their number is another, else raises as `write_atomic`."""
     record = plan_record(cloud, edges)
     if slack_curve:
         record["slack_curve"] = [asdict(point) for point in slack_curve]
@@ -144,8 +147,8 @@ def plan_of_record(record: Mapping[str, Any]) -> tuple[CloudPlan, tuple[EdgePlan
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanFile:
-    """What a plan's file holds for those that draw it: both levels, the waypoints it was made from, and the altitude of the ground (m)
-    that their altitudes count with, where it was given."""
+    """What a plan's file holds for those that draw it: both levels, the waypoints it was made from,
+    and the altitude of the ground (m) that their altitudes count with, where it was given."""
 
     cloud: CloudPlan
     edges: tuple[EdgePlan, ...]

@@ -1,7 +1,8 @@
 """Files of a run: written whole or not at all, sealed by hashes, held by one writer at a time.
 
-A stage writes its files, then `seal` records its key (hash of all it was made from) and the SHA-256 of every file; a later run
-skips the stage when `is_sealed` says that key and bytes are still the same. Runs once per stage and file, never per step.
+A stage writes its files, then `seal` records its key (hash of all it was made from) and the SHA-256
+of every file; a later run skips the stage when `is_sealed` says that key and bytes are still the
+same. Runs once per stage and file, never per step.
 """
 
 from __future__ import annotations
@@ -47,10 +48,12 @@ def require_room(folder: Path) -> None:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A name beside `path` for a library that writes files itself; what it wrote takes the place of `path` when the block ends well.
+    """A name beside `path` for a library that writes files itself; what it wrote takes the place of
+    `path` when the block ends well.
 
-    Temporary file in the same folder, fsync, replace, fsync of the folder: after a power cut the old or the new file is there.
-    Raises CannotWrite when the system refuses (disk full, no such folder, not allowed); the old file is then untouched.
+    Temporary file in the same folder, fsync, replace, fsync of the folder: after a power cut the
+    old or the new file is there. Raises CannotWrite when the system refuses (disk full, no such
+    folder, not allowed); the old file is then untouched.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
@@ -110,9 +113,11 @@ def read_bounded(path: Path, max_bytes: int) -> bytes:
 
 
 def read_json(path: Path, keys: Sequence[str] = (), max_bytes: int = MAX_JSON_BYTES) -> Any:
-    """The value of a JSON file of at most `max_bytes`; an object that has all `keys` where some are named.
+    """The value of a JSON file of at most `max_bytes`; an object that has all `keys` where some are
+    named.
 
-    Raises StoreDamaged when it is missing, larger, malformed, has a number that is not finite, a key twice or one too few.
+    Raises StoreDamaged when it is missing, larger, malformed, has a number that is not finite, a
+    key twice or one too few.
     """
     data = read_bounded(path, max_bytes)
     try:
@@ -142,11 +147,12 @@ def file_sha256(path: Path) -> str:
 
 
 def content_key(*parts: Any) -> str:
-    """Stable SHA-256 (64 hexadecimal digits) of what a stage is made from, equal in every process and on every machine.
+    """Stable SHA-256 (64 hexadecimal digits) of what a stage is made from, equal in every process
+    and on every machine.
 
-    Takes None, bool, int, float, str, bytes, lists, tuples, mappings with text keys (order does not matter), numpy arrays,
-    dataclasses, and Paths: a file counts by its bytes, a folder by the names and bytes of its files, never by where it lies.
-    Raises TypeError on anything else.
+    Takes None, bool, int, float, str, bytes, lists, tuples, mappings with text keys (order does not
+    matter), numpy arrays, dataclasses, and Paths: a file counts by its bytes, a folder by the names
+    and bytes of its files, never by where it lies. Raises TypeError on anything else.
     """
     return _digest_of(_canonical_bytes(list(parts)))
 
@@ -164,9 +170,11 @@ def _digest_of(pieces: Iterable[bytes]) -> str:
 
 
 def seal(folder: Path, key: str, names: Sequence[str]) -> None:
-    """Write folder/done.json: `key` and the SHA-256 of each file `names` (relative, "/" between parts), all forced to disk.
+    """Write folder/done.json: `key` and the SHA-256 of each file `names` (relative, "/" between
+    parts), all forced to disk.
 
-    Raises StoreDamaged when a file is missing, BadInput when a name leaves the folder, CannotWrite when done.json cannot be written.
+    Raises StoreDamaged when a file is missing, BadInput when a name leaves the folder, CannotWrite
+    when done.json cannot be written.
     """
     folder = Path(folder)
     for name in names:
@@ -208,7 +216,8 @@ def is_sealed(folder: Path, key: str) -> bool:
 class RunLock:
     """Held by the one process that writes a run folder: `with RunLock(folder): ...`.
 
-    The kernel frees it when the process ends, however it ends. Raises BadInput when another process holds it.
+    The kernel frees it when the process ends, however it ends. Raises BadInput when another process
+    holds it.
     """
 
     def __init__(self, folder: Path) -> None:

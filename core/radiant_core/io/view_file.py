@@ -1,10 +1,12 @@
 """Synthetic views on disk. Once per view.
 
-`save_view`: one view, lossless, for who works beside: image and weight as the four channels of one PNG inside a file of arrays.
-400 × 300 px: 275 kB instead of 480, 10 ms to write and 4 ms to read where rendering took 28 (docs/experiments/uploads.md).
+`save_view`: one view, lossless, for who works beside: image and weight as the four channels of one
+PNG inside a file of arrays. 400 × 300 px: 275 kB instead of 480, 10 ms to write and 4 ms to read
+where rendering took 28 (docs/experiments/uploads.md).
 
-`save_views`: all views of an edge, on their way up, not lossless: images as JPEG, weights in 16 steps as PNG, one after the other.
-384 × 288 px: 33 + 22 kB; with a quality of 95 and every step of the weights it was 43 + 66 kB.
+`save_views`: all views of an edge, on their way up, not lossless: images as JPEG, weights in 16
+steps as PNG, one after the other. 384 × 288 px: 33 + 22 kB; with a quality of 95 and every step of
+the weights it was 43 + 66 kB.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ def save_view(path: Path, image: NDArray[np.uint8], weight: NDArray[np.uint8]) -
 def load_view(path: Path, width: int, height: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Image (H,W,3) and weight (H,W) that `save_view` wrote.
 
-    Raises StoreDamaged when the file is broken, BadInput when it holds something else or a view of another size.
+    Raises StoreDamaged when the file is broken, BadInput when it holds something else or a view of
+    another size.
     """
     arrays, about = load_arrays(path, SCHEMA, {"png": "U8"})
     with name_file_in_errors(path):
@@ -75,7 +78,8 @@ def load_views(path: Path, sizes_wh: Sequence[tuple[int, int]]) -> list[tuple[ND
         views = []
         for image, weight, (width, height) in zip(images, weights, sizes_wh, strict=True):
             for data in (image, weight):
-                # Before decoding, so that no more memory is taken than the view is expected to need.
+                # Before decoding, so that no more memory is taken than the view is expected to
+                # need.
                 if read_size_wh(data) != (width, height):
                     raise BadInput(f"it has a view of {read_size_wh(data)} px, expected {width} × {height}: send it anew.")
             pixels = decode_image(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)

@@ -1,4 +1,5 @@
-// The Python border of the native kernels: checks every array, lets go of the interpreter lock, calls the kernel.
+// The Python border of the native kernels: checks every array, lets go of the interpreter lock,
+// calls the kernel.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 

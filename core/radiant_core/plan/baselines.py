@@ -43,8 +43,9 @@ class ComparedPlan:
     """(E,), of the cameras in each region."""
     makespan_s: float
     over_bound: float
-    """Makespan over the geography-free bound, of all cameras; below 1 only where cameras were left out, or where equal shares happen to
-    send fewer bytes than those that train fastest, which the bound does not look for."""
+    """Makespan over the geography-free bound, of all cameras; below 1 only where cameras were left
+    out, or where equal shares happen to send fewer bytes than those that train fastest, which the
+    bound does not look for."""
     num_orphans: int
     squared_distance_m2: float
     """Σ ‖camera − edge‖² over cameras that have an edge."""

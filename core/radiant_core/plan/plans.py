@@ -13,19 +13,20 @@ from radiant_core.errors import BadInput
 from radiant_core.numerics import FloatArray, checked_array
 
 PlanStatus = Literal["optimal", "converged", "stopped", "infeasible", "slack", "constrained"]
-"""optimal: equals the lower bound with a certificate; converged: within the threshold; stopped: iteration limit; infeasible: the
-devices cannot hold all cameras; slack: least distance for a makespan that may be longer, with a certificate; constrained: least makespan
-and distance around what was fixed, locked or pinned."""
+"""optimal: equals the lower bound with a certificate; converged: within the threshold; stopped:
+iteration limit; infeasible: the devices cannot hold all cameras; slack: least distance for a
+makespan that may be longer, with a certificate; constrained: least makespan and distance around
+what was fixed, locked or pinned."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CloudPlan:
     """Regions of the edges: a power diagram of the edge positions and the cameras in each cell.
 
-    sites (E,2) m; weights (E,) m²: camera x belongs to argmin ‖x − sites_e‖² − weights_e;
-    borders: per edge a convex polygon (V,2) m, counter-clockwise, clipped to the scene; empty (0,2) for an empty cell;
-    edge_of_camera (C,); edge_time_s (E,); lower_bound_s: the best makespan any assignment of these counts can reach;
-    history: makespan in seconds after each iteration.
+    sites (E,2) m; weights (E,) m²: camera x belongs to argmin ‖x − sites_e‖² − weights_e; borders:
+    per edge a convex polygon (V,2) m, counter-clockwise, clipped to the scene; empty (0,2) for an
+    empty cell; edge_of_camera (C,); edge_time_s (E,); lower_bound_s: the best makespan any
+    assignment of these counts can reach; history: makespan in seconds after each iteration.
     """
 
     method: str
@@ -78,8 +79,9 @@ class CloudPlan:
 class EdgePlan:
     """One edge's cameras dealt to its devices by RTP (paper Sec. III-C).
 
-    camera_indices (K,) into the scene's cameras; device_of_camera (K,) into `device_ids`; strips: per device a polygon (V,2) m
-    inside the edge's border, empty (0,2) without cameras; device_time_s (D,).
+    camera_indices (K,) into the scene's cameras; device_of_camera (K,) into `device_ids`; strips:
+    per device a polygon (V,2) m inside the edge's border, empty (0,2) without cameras;
+    device_time_s (D,).
     """
 
     edge_id: str

@@ -56,9 +56,11 @@ class Device:
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """A machine that owns a region and joins its devices' models (paper: edge m at P^m with F_m and B^m).
+    """A machine that owns a region and joins its devices' models (paper: edge m at P^m with F_m and
+    B^m).
 
-    To the cloud it may be known by `time_s` and `max_cameras` alone: then it has no devices here and deals its cameras itself, later.
+    To the cloud it may be known by `time_s` and `max_cameras` alone: then it has no devices here
+    and deals its cameras itself, later.
     """
 
     id: str
@@ -68,9 +70,10 @@ class Edge:
     lat_lon_deg: tuple[float, float] | None = None
     """Latitude and longitude instead of `position`; turned into metres when the scene's origin is known."""
     aggregate_s: CostCurve
-    """F_m: seconds to aggregate against cameras. An edge whose cameras several devices share takes a + b · views whatever the cut, as it
-    retrains on every view, or pools and makes a picture per view; were only views at the borders shown, it would depend on where these
-    run, and makespan over bound could only be reported for this model."""
+    """F_m: seconds to aggregate against cameras. An edge whose cameras several devices share takes
+    a + b · views whatever the cut, as it retrains on every view, or pools and makes a picture per
+    view; were only views at the borders shown, it would depend on where these run, and makespan
+    over bound could only be reported for this model."""
     uplink_bytes_per_s: float
     """B^m: bandwidth to the cloud."""
     devices: tuple[Device, ...]

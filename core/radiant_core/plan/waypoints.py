@@ -1,9 +1,11 @@
-"""`Waypoints`: where photographs will be taken, on the globe and in metres about their middle. P waypoints.
+"""`Waypoints`: where photographs will be taken, on the globe and in metres about their middle. P
+waypoints.
 
-The origin is the mean position, longitudes counted from the first waypoint so that sites across the 180th meridian have one too.
-What can be detected of wrong positions: a latitude beyond 90° is certain; a waypoint more than 300 km from the median of all is on
-another site, and where exchanging its latitude and longitude brings it back, they were swapped. Where every waypoint is swapped
-and none exceeds 90° this cannot be detected: they make a plan of the same shape, mirrored, elsewhere.
+The origin is the mean position, longitudes counted from the first waypoint so that sites across the
+180th meridian have one too. What can be detected of wrong positions: a latitude beyond 90° is
+certain; a waypoint more than 300 km from the median of all is on another site, and where exchanging
+its latitude and longitude brings it back, they were swapped. Where every waypoint is swapped and
+none exceeds 90° this cannot be detected: they make a plan of the same shape, mirrored, elsewhere.
 Made once per plan.
 """
 
@@ -24,8 +26,8 @@ from radiant_core.numerics import FloatArray, checked_array
 MIN_ALTITUDE_M, MAX_ALTITUDE_M = -12_000.0, 100_000.0
 """From the deepest sea to the edge of space."""
 HIGHEST_FLIGHT_M = 500.0
-"""Drones are not allowed so high above the ground anywhere we know of, and flight planners take no more above take-off: larger altitudes
-are absolute."""
+"""Drones are not allowed so high above the ground anywhere we know of, and flight planners take no
+more above take-off: larger altitudes are absolute."""
 NO_ALTITUDES = "planned by horizontal positions alone, and the lists hold no height to fly at"
 MAX_NAME_CHARACTERS = 255
 SAME_SPOT_SCALE = np.array([1e8, 1e8, 1e3])
@@ -35,18 +37,20 @@ _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Waypoints:
-    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres in whatever height the pilot's tool uses.
+    """names (P) unique; lat_lon_alt (P,3) degrees north, degrees east, metres in whatever height
+    the pilot's tool uses.
 
-    What that is: above take-off, as flight planners count, unless they are `absolute` or the ground lies at `ground_m` of them.
-    Raises BadInput, naming the first offender and how many there are, for positions that are not finite, off the globe, probably
-    swapped or more than 300 km from the others, for no waypoint at all, and for names that are empty, come twice, or cannot be written.
+    What that is: above take-off, as flight planners count, unless they are `absolute` or the ground
+    lies at `ground_m` of them. Raises BadInput, naming the first offender and how many there are,
+    for positions that are not finite, off the globe, probably swapped or more than 300 km from the
+    others, for no waypoint at all, and for names that are empty, come twice, or cannot be written.
     """
 
     names: tuple[str, ...]
     lat_lon_alt: FloatArray
     heading_pitch_deg: FloatArray | None = None
-    """Where the camera looks (P,2): degrees clockwise from north, and −90 down to 90 up; NaN where a flight plan does not say, None where
-    it says nothing at all."""
+    """Where the camera looks (P,2): degrees clockwise from north, and −90 down to 90 up; NaN where
+    a flight plan does not say, None where it says nothing at all."""
     absolute: bool = False
     """Whether altitudes count from the sea or the ellipsoid, as those that GPS gives."""
     altitude_known: bool = True
@@ -104,11 +108,13 @@ class Waypoints:
 def clean_waypoints(
     names: Sequence[str], lat_lon_alt: ArrayLike, no_altitude: ArrayLike | None = None, heading_pitch_deg: FloatArray | None = None
 ) -> tuple[Waypoints, tuple[str, ...]]:
-    """`Waypoints` as a surveyor would mend a list, with one warning per kind of repair; BadInput as `Waypoints`.
+    """`Waypoints` as a surveyor would mend a list, with one warning per kind of repair; BadInput as
+    `Waypoints`.
 
-    A position that comes twice is planned once, under its first name; a name that comes twice or is empty gets a number, without a warning
-    where nothing has a name, as in a flight planner's file; where `no_altitude` (P,) bool is true the altitude becomes 0, which moves a
-    plan by less than 0.1 % of its size up to 6,000 m; where it is true everywhere, altitudes are not known.
+    A position that comes twice is planned once, under its first name; a name that comes twice or is
+    empty gets a number, without a warning where nothing has a name, as in a flight planner's file;
+    where `no_altitude` (P,) bool is true the altitude becomes 0, which moves a plan by less than
+    0.1 % of its size up to 6,000 m; where it is true everywhere, altitudes are not known.
     """
     positions = np.array(lat_lon_alt, dtype=np.float64)
     warnings: list[str] = []

@@ -1,9 +1,11 @@
-"""The contract of every rasterizer: what goes in, what comes out, which constants decide (EWA splatting, Zwicker 2002; 3DGS, Kerbl 2023).
+"""The contract of every rasterizer: what goes in, what comes out, which constants decide (EWA
+splatting, Zwicker 2002; 3DGS, Kerbl 2023).
 
     image(p) = Σ_i c_i w_i + background · (1 − Σ_i w_i)        w_i = α_i Π_{k<i} (1 − α_k)              (paper Eqn. 2)
     α_i = min(α_max, o_i exp(−½ (p − m_i)ᵀ Σ'_i⁻¹ (p − m_i))), Σ' = J W Σ Wᵀ Jᵀ + 0.3 px² I            (paper Eqns. 1, 3)
 
-`rasterize.py` checks the arguments and chooses the backend. C cameras, N Gaussians, K SH bases, H W pixels.
+`rasterize.py` checks the arguments and chooses the backend. C cameras, N Gaussians, K SH bases, H W
+pixels.
 """
 
 from __future__ import annotations
@@ -28,8 +30,9 @@ TRANSMITTANCE_CUT = 1e-4
 
 Renderer = Literal["gsplat", "native", "reference"]
 Backend = Literal["auto", Renderer]
-"""auto: gsplat for tensors on CUDA, native on the CPU, reference where neither can be used. gsplat: CUDA kernels, an optional extra;
-native: C++ for float32 on the CPU; reference: plain PyTorch on any device in any type, the oracle."""
+"""auto: gsplat for tensors on CUDA, native on the CPU, reference where neither can be used. gsplat:
+CUDA kernels, an optional extra; native: C++ for float32 on the CPU; reference: plain PyTorch on any
+device in any type, the oracle."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,8 +81,9 @@ class RenderOutput:
     means2d: Tensor
     """(C,N,2) projected centres. Densification takes their gradient in pixels: `register_hook`, or `retain_grad`, which copies it."""
     absgrad: Tensor | None = None
-    """(C,N,2) Σ over pixels p of |∂loss_p/∂means2d|, where it was requested: the loss by way of pixel p, so that nothing cancels (AbsGS, Ye
-    2024). Zeros until a backward pass through the pictures, which overwrites it before the gradient of `means2d` comes to its hooks."""
+    """(C,N,2) Σ over pixels p of |∂loss_p/∂means2d|, where it was requested: the loss by way of
+    pixel p, so that nothing cancels (AbsGS, Ye 2024). Zeros until a backward pass through the
+    pictures, which overwrites it before the gradient of `means2d` comes to its hooks."""
 
     @property
     def visible(self) -> Tensor:

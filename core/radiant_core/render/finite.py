@@ -1,6 +1,8 @@
-"""Finds values that are not finite in a tensor. Before every rendering and step of the optimizer, so it is one fast pass.
+"""Finds values that are not finite in a tensor. Before every rendering and step of the optimizer,
+so it is one fast pass.
 
-On the CPU by the native threads: torch's own would go on spinning after their part and take a core from the rasterizer's (libgomp).
+On the CPU by the native threads: torch's own would go on spinning after their part and take a core
+from the rasterizer's (libgomp).
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from radiant_core import _native
 def not_finite(tensor: Tensor, visible: Tensor | None = None, runs: NDArray[np.int32] | None = None) -> tuple[int, tuple[int, ...]]:
     """How many values are NaN or infinite and the index of the first; (0, ()) where none is.
 
-    `visible` (N,) limits this to its rows; `runs` are the same as (R,2) from `_native.visible_runs`, needed on the CPU.
+    `visible` (N,) limits this to its rows; `runs` are the same as (R,2) from
+    `_native.visible_runs`, needed on the CPU.
     """
     tensor = tensor.detach()
     if tensor.device.type == "cpu" and tensor.dtype == torch.float32 and tensor.ndim:

@@ -1,7 +1,8 @@
 """gsplat behind the contract: CUDA kernels for float32 (Ye et al. 2025), an optional extra.
 
-Its α_min, α_max, cut and low-pass filter are those of the contract. It culls a Gaussian by a box of its own, so pictures agree with the
-reference inside the frustum, up to pairs at a discrete decision. Once per image and training step.
+Its α_min, α_max, cut and low-pass filter are those of the contract. It culls a Gaussian by a box of
+its own, so pictures agree with the reference inside the frustum, up to pairs at a discrete
+decision. Once per image and training step.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ def missing_for_gsplat() -> str | None:
         return "no CUDA device that this PyTorch can use"
     if find_spec("gsplat") is None:
         return f"no package gsplat ({INSTALL})"
-    # gsplat builds its kernels when they are first imported, and keeps None in their place where it cannot.
+    # gsplat builds its kernels when they are first imported, and keeps None in their place where it
+    # cannot.
     from gsplat.cuda import _backend  # pyright: ignore[reportMissingImports]
 
     if getattr(_backend, "_C", None) is None:
@@ -42,7 +44,8 @@ def free_vram_bytes(backend: str) -> int | None:
 def rasterize_gsplat(splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions) -> RenderOutput:
     """`rasterize` for float32 tensors on one CUDA device; viewmats and Ks get no gradient.
 
-    Raises BadInput where gsplat or CUDA is missing, for another type or device, and where the cameras ask for gradients.
+    Raises BadInput where gsplat or CUDA is missing, for another type or device, and where the
+    cameras ask for gradients.
     """
     _check_gsplat(splats, viewmats, Ks)
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
@@ -83,7 +86,8 @@ def _absgrad(means2d: Tensor) -> Tensor:
     """Zeros that take what gsplat sets as `means2d.absgrad` in its backward pass, just before the gradient of means2d arrives."""
     absolute = torch.zeros_like(means2d, requires_grad=False)
     if means2d.requires_grad:
-        # A weak reference: a tensor that its own hook held would keep its graph until the next collection of garbage.
+        # A weak reference: a tensor that its own hook held would keep its graph until the next
+        # collection of garbage.
         reference = weakref.ref(means2d)
 
         def take(_: Tensor) -> None:

@@ -1,12 +1,13 @@
-"""The native rasterizer behind autograd: float32 on the CPU, C++ kernels for AVX-512, AVX2 or any CPU (`native/raster*`).
+"""The native rasterizer behind autograd: float32 on the CPU, C++ kernels for AVX-512, AVX2 or any
+CPU (`native/raster*`).
 
 Two autograd steps, so that `means2d` lies on the way of the gradients as it does in the reference:
 
     splats ──_Project──→ means2d, link ──_Blend──→ images, alphas, depths
 
-The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend` yields ∂loss/∂means2d and, as gradient of
-`link`, the sums over pixels that all other gradients come from; so passes through one graph know nothing of each other. Once per image and
-training step.
+The whole rendering is done in `_Project`; `_Blend` hands its pictures on. Going back, `_Blend`
+yields ∂loss/∂means2d and, as gradient of `link`, the sums over pixels that all other gradients come
+from; so passes through one graph know nothing of each other. Once per image and training step.
 """
 
 from __future__ import annotations
@@ -33,10 +34,12 @@ def instruction_sets() -> tuple[str, ...]:
 
 
 class _FreeViews:
-    """Rendered views whose memory waits for the next call: a model of 500,000 Gaussians would touch 60,000 fresh pages each time.
+    """Rendered views whose memory waits for the next call: a model of 500,000 Gaussians would touch
+    60,000 fresh pages each time.
 
-    The longest unused comes first, so that each in its turn finds out when it has become too large. No lock, which a forked child might
-    inherit locked: each operation of a deque is one step for all threads.
+    The longest unused comes first, so that each in its turn finds out when it has become too large.
+    No lock, which a forked child might inherit locked: each operation of a deque is one step for
+    all threads.
     """
 
     def __init__(self, most: int) -> None:
@@ -93,10 +96,12 @@ class _Call:
 def rasterize_native(
     splats: SplatTensors, viewmats: Tensor, Ks: Tensor, view: ViewOptions, *, instruction_set: str = "", threads: int | None = None
 ) -> RenderOutput:
-    """`rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64 and get no gradient.
+    """`rasterize` for float32 tensors on the CPU; viewmats and Ks may be float64 and get no
+    gradient.
 
-    `instruction_set` is one of `instruction_sets()`, the fastest by default; `threads` is torch.get_num_threads() by default.
-    Raises BadInput for another type or device, and where the cameras ask for gradients.
+    `instruction_set` is one of `instruction_sets()`, the fastest by default; `threads` is
+    torch.get_num_threads() by default. Raises BadInput for another type or device, and where the
+    cameras ask for gradients.
     """
     _check_native(splats, viewmats, Ks, instruction_set)
     cameras, count = viewmats.shape[0], len(splats)
@@ -224,7 +229,8 @@ def _blend_backward(
     outputs: tuple[Tensor, Tensor],
     into: tuple[Tensor, Tensor, Tensor | None],
 ) -> None:
-    """∂loss/∂means2d (C,N,2), the sums (C,N,M) and absgrad (C,N,2) `into` three tensors from gradients of the pictures.
+    """∂loss/∂means2d (C,N,2), the sums (C,N,M) and absgrad (C,N,2) `into` three tensors from
+    gradients of the pictures.
 
     `outputs` are the alphas and depths that were rendered.
     """

@@ -36,16 +36,19 @@ def rasterize(
     absgrad: bool = False,
     backend: Backend = "auto",
 ) -> RenderOutput:
-    """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background (3) or None for black.
+    """Render C cameras: viewmats (C,4,4) cam_from_world, world in metres, Ks (C,3,3) px, background
+    (3) or None for black.
 
-    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree; antialiased, by default as the model
-    says, scales opacities by √(det Σ / det Σ'), Σ before and Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting,
-    Yu 2024). absgrad asks for `RenderOutput.absgrad`. Tensors and pictures are of one floating type, viewmats and Ks may be of a finer one;
-    cameras and background may lie on another device than the splats.
+    Gaussians between near_m and far_m, at most 1e15 m, are drawn, with harmonics up to sh_degree;
+    antialiased, by default as the model says, scales opacities by √(det Σ / det Σ'), Σ before and
+    Σ' after dilation, so that what is smaller than a pixel fades (Mip-Splatting, Yu 2024). absgrad
+    asks for `RenderOutput.absgrad`. Tensors and pictures are of one floating type, viewmats and Ks
+    may be of a finer one; cameras and background may lie on another device than the splats.
 
-    Raises BadInput that names the tensor, how many values and the first index where one is not finite, and for a wrong shape or type, for
-    no camera, for one that is not rigid or no pinhole, for pictures without pixels or wider or higher than 1,000,000 px, for a degree
-    without bases, for near_m and far_m out of order, and for what `backend` cannot do.
+    Raises BadInput that names the tensor, how many values and the first index where one is not
+    finite, and for a wrong shape or type, for no camera, for one that is not rigid or no pinhole,
+    for pictures without pixels or wider or higher than 1,000,000 px, for a degree without bases,
+    for near_m and far_m out of order, and for what `backend` cannot do.
     """
     if backend not in get_args(Backend):
         raise BadInput(f"backend {backend!r} is unknown: use {', '.join(map(repr, get_args(Backend)))}.")

@@ -1,7 +1,9 @@
-"""The reference rasterizer: plain PyTorch in any floating type, no early termination, gradients by autograd. The oracle.
+"""The reference rasterizer: plain PyTorch in any floating type, no early termination, gradients by
+autograd. The oracle.
 
-Per image: project all Gaussians (O(N)), list for each 8×8 tile the Gaussians whose box touches it in order of depth, then blend
-groups of tiles with lists of similar length as one dense block (tiles × pixels × list). Cost: pairs of pixel and Gaussian.
+Per image: project all Gaussians (O(N)), list for each 8×8 tile the Gaussians whose box touches it
+in order of depth, then blend groups of tiles with lists of similar length as one dense block (tiles
+× pixels × list). Cost: pairs of pixel and Gaussian.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ PAIRS_PER_BLOCK = 2_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Projection:
-    """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), log_opacities (N,), extents (N,2) px,
-    depths (N,) m, visible (N,); absolute (N,2), where it is requested: zeros whose gradient is `RenderOutput.absgrad`."""
+    """N Gaussians in one image: means2d (N,2) px, conics (N,3) px⁻² (xx, xy, yy), log_opacities
+    (N,), extents (N,2) px, depths (N,) m, visible (N,); absolute (N,2), where it is requested:
+    zeros whose gradient is `RenderOutput.absgrad`."""
 
     means2d: Tensor
     conics: Tensor
@@ -123,11 +126,14 @@ def _project(splats: SplatTensors, viewmat: Tensor, K: Tensor, view: ViewOptions
 
 
 def _jacobians(K: Tensor, x_over_z: Tensor, y_over_z: Tensor, z: Tensor, view: ViewOptions) -> Tensor:
-    """Jacobians (N,2,3) px/m of the projection at points clamped to a window 1.3 times the image, K of any principal point.
+    """Jacobians (N,2,3) px/m of the projection at points clamped to a window 1.3 times the image, K
+    of any principal point.
 
-    Beyond it the linear projection of EWA is far from the true one and would smear a Gaussian over the picture. Clamped are x/z and y/z,
-    not x and y: J_xz = −fx clamp(x/z) / z still depends on z, and autograd follows it. The kernel of 3DGS holds the clamped x fixed there,
-    so that its gradient of J_xz by z is twice the picture's; and its window lies evenly about the optical axis for any principal point.
+    Beyond it the linear projection of EWA is far from the true one and would smear a Gaussian over
+    the picture. Clamped are x/z and y/z, not x and y: J_xz = −fx clamp(x/z) / z still depends on z,
+    and autograd follows it. The kernel of 3DGS holds the clamped x fixed there, so that its
+    gradient of J_xz by z is twice the picture's; and its window lies evenly about the optical axis
+    for any principal point.
     """
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     margin_x, margin_y = 0.15 * view.width / fx, 0.15 * view.height / fy
@@ -141,7 +147,8 @@ def _covariances_2d(splats: SplatTensors, viewmat: Tensor, jacobians: Tensor) ->
     """(N,3) xx, xy, yy of J W R S Sᵀ Rᵀ Wᵀ Jᵀ, before dilation, and whether it is within bounds (N,)."""
     scaled_axes = _rotations(splats.quats) * torch.exp(splats.log_scales)[:, None, :]
     half = jacobians @ viewmat[:3, :3] @ scaled_axes
-    # Zeroed before it is squared: an overflow there would turn into NaN on the way back, even if it is culled later.
+    # Zeroed before it is squared: an overflow there would turn into NaN on the way back, even if it
+    # is culled later.
     bounded = half.detach().abs().amax((1, 2)) < MAX_HALF_AXIS_PX
     row_x, row_y = torch.where(bounded[:, None, None], half, 0.0).unbind(1)
     return torch.stack([(row_x * row_x).sum(-1), (row_x * row_y).sum(-1), (row_y * row_y).sum(-1)], dim=-1), bounded
@@ -165,7 +172,8 @@ def _invert_dilated(cov2d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Inverse (N,3) of the dilated covariance, the opacity compensation √(det Σ / det Σ') (N,), and whether it is usable (N,)."""
     xx, xy, yy = cov2d.unbind(-1)
     dilated_xx, dilated_yy = xx + DILATION_PX2, yy + DILATION_PX2
-    # det(Σ + sI) = det Σ + s·tr Σ + s²: written out, since xx·yy − xy² alone cancels for long thin Gaussians.
+    # det(Σ + sI) = det Σ + s·tr Σ + s²: written out, since xx·yy − xy² alone cancels for long thin
+    # Gaussians.
     determinant = (xx * yy - xy * xy).clamp_min(0.0)
     dilated = determinant + DILATION_PX2 * (xx + yy) + DILATION_PX2**2
     usable = torch.isfinite(dilated) & torch.isfinite(1 / dilated)
@@ -239,7 +247,8 @@ def _blocks_of_tiles(tile_order: Tensor, counts: Tensor) -> list[Tensor]:
 def _blend_block(projection: _Projection, features: Tensor, lists: Tensor, starts: Tensor, counts: Tensor, centres: Tensor) -> Tensor:
     """Blend lists of Gaussians into tiles around `centres` (tiles, 2) px: (tiles, P, F).
 
-    ln α is a quadratic polynomial of the pixel, so all pairs of a block come from one matrix product of coefficients and monomials.
+    ln α is a quadratic polynomial of the pixel, so all pairs of a block come from one matrix
+    product of coefficients and monomials.
     """
     slots = torch.arange(int(counts.max()))
     present = slots < counts[:, None]

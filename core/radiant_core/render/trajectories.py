@@ -1,7 +1,9 @@
-"""Camera flights for films: an orbit, along a border, and smooth paths through keyframes. Pure geometry, once per film; V frames.
+"""Camera flights for films: an orbit, along a border, and smooth paths through keyframes. Pure
+geometry, once per film; V frames.
 
-Every frame looks from a position at a target with z up; where it looks straight down, north is up. Positions and targets between keyframes
-follow Akima's modified splines, which do not overshoot as cubic ones do (Akima, J. ACM 17, 1970).
+Every frame looks from a position at a target with z up; where it looks straight down, north is up.
+Positions and targets between keyframes follow Akima's modified splines, which do not overshoot as
+cubic ones do (Akima, J. ACM 17, 1970).
 """
 
 from __future__ import annotations
@@ -80,9 +82,11 @@ def orbit(center: ArrayLike, radius: float, elevation_deg: float, num_frames: in
 
 
 def middle_box(points: ArrayLike) -> FloatArray:
-    """Lower and upper corner (2,3) of where most of points (N,3) lie: median ± twice the median distance from it, axis by axis.
+    """Lower and upper corner (2,3) of where most of points (N,3) lie: median ± twice the median
+    distance from it, axis by axis.
 
-    Of points spread evenly that is all of them; a third of them far away, as sky and haze are, moves it little. BadInput without points.
+    Of points spread evenly that is all of them; a third of them far away, as sky and haze are,
+    moves it little. BadInput without points.
     """
     points = checked_array("points", points, (None, 3))
     if not len(points):

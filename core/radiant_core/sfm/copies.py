@@ -1,7 +1,9 @@
-"""Photographs that show another one's picture from its place: copies that were saved anew, renamed, rotated in their EXIF. Once per scene.
+"""Photographs that show another one's picture from its place: copies that were saved anew, renamed,
+rotated in their EXIF. Once per scene.
 
-Whatever scores a model leaves some photographs out of its training; a copy of one of them in the training part would be trained on what is
-scored. So they go before anything is split. Pictures are read only where two cameras stand in one place and look in one direction.
+Whatever scores a model leaves some photographs out of its training; a copy of one of them in the
+training part would be trained on what is scored. So they go before anything is split. Pictures are
+read only where two cameras stand in one place and look in one direction.
 """
 
 from __future__ import annotations
@@ -34,9 +36,11 @@ Picture = NDArray[np.uint8]
 
 
 def find_repeats(cameras: Cameras, points: FloatArray, picture_of: Callable[[int], Picture]) -> dict[int, int]:
-    """Repeat → the camera whose picture it shows from its place, as indices of C cameras above points (P,3).
+    """Repeat → the camera whose picture it shows from its place, as indices of C cameras above
+    points (P,3).
 
-    `picture_of` gives the picture (H,W,3) of a camera, of any size; it is called once for each camera that has another at its place.
+    `picture_of` gives the picture (H,W,3) of a camera, of any size; it is called once for each
+    camera that has another at its place.
     """
     centers, axes = cameras.centers, cameras.cam_from_world[:, :3, :3]
     lenses = cameras.Ks[:, :2] / cameras.sizes_wh[:, :, None]

@@ -1,4 +1,5 @@
-"""Poses that come with the photographs: a COLMAP model, or a Mill 19 folder. Read once per run, dealt to each device in part.
+"""Poses that come with the photographs: a COLMAP model, or a Mill 19 folder. Read once per run,
+dealt to each device in part.
 
 The world is that of the poses, as it is; z must be up for a plan of the ground.
 """

@@ -1,7 +1,8 @@
-"""Sparse points for photographs whose poses are known: features, neighbours by position, triangulation; poses stay.
+"""Sparse points for photographs whose poses are known: features, neighbours by position,
+triangulation; poses stay.
 
-Once per scene, for folders that come with poses and without points (Mill 19). Triangulation and the clean-up of points are
-COLMAP's; camera poses and intrinsics are not touched.
+Once per scene, for folders that come with poses and without points (Mill 19). Triangulation and the
+clean-up of points are COLMAP's; camera poses and intrinsics are not touched.
 """
 
 from __future__ import annotations
@@ -49,9 +50,11 @@ NO_POINTS = ColmapPoints(
 def scene_from_mill19(
     folder: Path, work_folder: Path, report: Report, config: SfmConfig = DEFAULT_CONFIG, masks: Path | None = None
 ) -> SfmResult:
-    """The scene of a Mill 19 / Mega-NeRF folder: its poses, and points triangulated from its photographs.
+    """The scene of a Mill 19 / Mega-NeRF folder: its poses, and points triangulated from its
+    photographs.
 
-    Raises BadInput when the folder is not in that layout, or an image or a mask in `masks` cannot be used.
+    Raises BadInput when the folder is not in that layout, or an image or a mask in `masks` cannot
+    be used.
     """
     cameras, copied = without_copies(read_mill19(folder), folder)
     scene = scene_from_poses(cameras, folder, work_folder, config, report, masks)
@@ -90,10 +93,12 @@ def pinhole_photographs(
 def scene_from_poses(
     cameras: Cameras, photo_folder: Path, work_folder: Path, config: SfmConfig, report: Report, masks: Path | None = None
 ) -> SfmScene:
-    """Points for C pinhole cameras with known poses and the photographs of the same names in `photo_folder`.
+    """Points for C pinhole cameras with known poses and the photographs of the same names in
+    `photo_folder`.
 
-    `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are 0.
-    Raises BadInput when a photograph is missing, has another size than its camera, or when no point can be triangulated.
+    `work_folder` gets masks/ where a folder of `masks` is given, and no point lies where they are
+    0. Raises BadInput when a photograph is missing, has another size than its camera, or when no
+    point can be triangulated.
     """
     report = number_phases(report, ("checking photographs", "features", "matching", "triangulating"))
     photographs = _photographs_of(cameras, list_usable(photo_folder, report, cameras.names).photographs)
@@ -121,7 +126,8 @@ def scene_from_poses(
 
 
 def without_copies(cameras: Cameras, photo_folder: Path) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras without those whose photograph in `photo_folder` holds the same bytes as another's, and the warnings about them.
+    """The cameras without those whose photograph in `photo_folder` holds the same bytes as
+    another's, and the warnings about them.
 
     Raises BadInput where they are all copies of one.
     """
@@ -196,7 +202,8 @@ def _posed_image(image: pycolmap.Image, cam_from_world: FloatArray) -> ColmapIma
     x, y, z, w = Rotation.from_matrix(cam_from_world[:3, :3]).as_quat()
     return ColmapImage(
         image_id=image.image_id,
-        # COLMAP's text reader cuts a name at its first space: numbers now, the real names once it is read.
+        # COLMAP's text reader cuts a name at its first space: numbers now, the real names once it
+        # is read.
         name=str(image.image_id),
         camera_id=image.camera_id,
         quat_wxyz=np.array([w, x, y, z]),

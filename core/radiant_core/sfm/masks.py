@@ -1,4 +1,5 @@
-"""Masks on their way through structure from motion: checked, kept from features, undistorted as their photographs are. Once per scene.
+"""Masks on their way through structure from motion: checked, kept from features, undistorted as
+their photographs are. Once per scene.
 
 work/masks.given/a/b.jpg.png      masks of the photographs as they were taken; gone at the end
 work/masks/a/b.jpg.png            masks of the scene's photographs, the result
@@ -24,7 +25,8 @@ GIVEN, UNDISTORTING, FINAL = "masks.given", "masks.part", "masks"
 
 
 def take_masks(folder: Path | None, photographs: Sequence[Photograph], work_folder: Path) -> Path | None:
-    """Copy the masks of `photographs`, checked, to where COLMAP looks for them; None without any. BadInput as `load_mask`.
+    """Copy the masks of `photographs`, checked, to where COLMAP looks for them; None without any.
+    BadInput as `load_mask`.
 
     A photograph without a file in `folder` takes its mask from its alpha channel, where it has one.
     """

@@ -1,16 +1,19 @@
-"""How structure from motion keeps to a limit of memory: fewer threads, then smaller photographs, and fewer features. Once per scene.
+"""How structure from motion keeps to a limit of memory: fewer threads, then smaller photographs,
+and fewer features. Once per scene.
 
     finding features   180 MB + t · 330 p + 7 q  bytes, t threads, p pixels of the largest photograph, reduced to `max_image_size_px`
     undistorting       180 MB + u · 7 q          q pixels as it is stored, u threads: as many of t as fit
     mapping            180 MB + 1,000 n f      bytes, n photographs with `max_num_features` f each; by the global mapper 2,000 n f
 
-Each thread holds the scale space of one photograph at twice its side; matching takes less. One photograph at a time is decoded whole for
-them, and each thread that undistorts holds one before and after: 12 photographs of 50 megapixels took 5.8 bytes a pixel to find features
-with one thread and with two, 6.0 to undistort with one and 5.9 with each of two. Mapping holds keypoints, and of each point who
-sees it and what bundle adjustment makes of that: 110 bytes a keypoint and 950 an observation. How many there will be is not known before;
-of each of 4,096 features asked for, brighton, lewis, caliterra and the town took 530 to 900 bytes, by the global mapper lewis and caliterra
-1,030 and 1,780 (18 to 75 photographs; beyond that it is extrapolated). A mapper that would not fit is not tried.
-tests/stress/test_sfm_memory.py measures the whole.
+Each thread holds the scale space of one photograph at twice its side; matching takes less. One
+photograph at a time is decoded whole for them, and each thread that undistorts holds one before and
+after: 12 photographs of 50 megapixels took 5.8 bytes a pixel to find features with one thread and
+with two, 6.0 to undistort with one and 5.9 with each of two. Mapping holds keypoints, and of each
+point who sees it and what bundle adjustment makes of that: 110 bytes a keypoint and 950 an
+observation. How many there will be is not known before; of each of 4,096 features asked for,
+brighton, lewis, caliterra and the town took 530 to 900 bytes, by the global mapper lewis and
+caliterra 1,030 and 1,780 (18 to 75 photographs; beyond that it is extrapolated). A mapper that
+would not fit is not tried. tests/stress/test_sfm_memory.py measures the whole.
 """
 
 from __future__ import annotations
@@ -67,9 +70,11 @@ def mapping_bytes(num_photographs: int, num_features: int, mapper: Mapper = "inc
 
 
 def limit_to_memory(config: SfmConfig, sizes_wh: Sizes) -> tuple[SfmConfig, tuple[Decision, ...]]:
-    """The configuration within its `memory_bytes` for photographs of these sizes, and the decision where there is a limit.
+    """The configuration within its `memory_bytes` for photographs of these sizes, and the decision
+    where there is a limit.
 
-    Raises BadInput where not even decoding one photograph fits, or one thread on photographs of 400 px, or mapping with 512 features each.
+    Raises BadInput where not even decoding one photograph fits, or one thread on photographs of 400
+    px, or mapping with 512 features each.
     """
     if config.memory_bytes is None:
         return config, ()

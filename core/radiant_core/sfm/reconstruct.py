@@ -1,7 +1,9 @@
-"""Structure from motion: a folder of photographs in, cameras and sparse points in one world frame out.
+"""Structure from motion: a folder of photographs in, cameras and sparse points in one world frame
+out.
 
-Once per scene: list and check the photographs, features, matches, poses (`database.py`, `mapping.py`, `refine.py`), undistort to pinhole
-(`undistort.py`), then the world frame (`world.py`). EXIF orientation is ignored for pixels throughout.
+Once per scene: list and check the photographs, features, matches, poses (`database.py`,
+`mapping.py`, `refine.py`), undistort to pinhole (`undistort.py`), then the world frame
+(`world.py`). EXIF orientation is ignored for pixels throughout.
 """
 
 from __future__ import annotations
@@ -38,10 +40,11 @@ def reconstruct(
 ) -> SfmResult:
     """Cameras, points and undistorted photographs of the usable photographs in `photo_folder`.
 
-    `work_folder` gets undistorted/ and sparse/, whose COLMAP models are in the scene's frame, and, where a folder of `masks` is given,
-    masks/; of what an interrupted attempt left there features and matches of the same photographs, masks and settings are used, all else
-    is removed first. Raises BadInput when fewer than two photographs can be used or they do not overlap, for masks that do not fit, or
-    for a `placement` that names other photographs.
+    `work_folder` gets undistorted/ and sparse/, whose COLMAP models are in the scene's frame, and,
+    where a folder of `masks` is given, masks/; of what an interrupted attempt left there features
+    and matches of the same photographs, masks and settings are used, all else is removed first.
+    Raises BadInput when fewer than two photographs can be used or they do not overlap, for masks
+    that do not fit, or for a `placement` that names other photographs.
     """
     report = number_phases(report, PHASES)
     listing = list_usable(photo_folder, report)
@@ -105,11 +108,12 @@ def scene_from_colmap(
 ) -> SfmResult:
     """The scene of an existing COLMAP model, binary or text, and its images.
 
-    Pinhole images are used where they are; others are undistorted into `work_folder`, with a model in the scene's frame. The frame comes
-    from the images' GPS where they have it; images that cannot be decoded are skipped and named. Points that are seen only where `masks`
-    are 0 are left out.
-    Raises BadInput when the model cannot be read, an image is missing or has another shape than its camera, a mask does not fit, or
-    `placement` names other images.
+    Pinhole images are used where they are; others are undistorted into `work_folder`, with a model
+    in the scene's frame. The frame comes from the images' GPS where they have it; images that
+    cannot be decoded are skipped and named. Points that are seen only where `masks` are 0 are left
+    out.
+    Raises BadInput when the model cannot be read, an image is missing or has another shape than its
+    camera, a mask does not fit, or `placement` names other images.
     """
     model = read_model(model_folder)
     placement.check_names((image.name for image in model.images), of_model=True)
@@ -160,7 +164,8 @@ def _require_images(model: ColmapModel, listing: PhotoListing, image_folder: Pat
     for image in model.images:
         camera = model.cameras[image.camera_id]
         width, height = (side / of_camera for side, of_camera in zip(sizes[image.name], camera.size_wh, strict=True))
-        # A reduced pinhole image may be off by a pixel of rounding; points of a distorted one are undistorted in its own pixels.
+        # A reduced pinhole image may be off by a pixel of rounding; points of a distorted one are
+        # undistorted in its own pixels.
         fits = abs(width - height) <= 0.01 * max(width, height) if camera.is_pinhole else width == height == 1
         if not fits:
             raise BadInput(

@@ -1,10 +1,12 @@
-"""Checkpoints of a training: a kill loses only the seconds since the last one, and the resumed run ends with the same bits.
+"""Checkpoints of a training: a kill loses only the seconds since the last one, and the resumed run
+ends with the same bits.
 
     checkpoints/step-00001200.safetensors   `TrainState`: its arrays, and in the metadata its numbers and the key of its run
     checkpoints/step-00001200.json          step, key and SHA-256 of that file; written last, so that a whole record names a whole file
 
-Once every `every_s` seconds, less often where writing takes long: after a checkpoint that took t seconds none is written for 19 t, so
-that writing takes at most 5 % of the time. Each file is written under a temporary name, forced to disk and renamed.
+Once every `every_s` seconds, less often where writing takes long: after a checkpoint that took t
+seconds none is written for 19 t, so that writing takes at most 5 % of the time. Each file is
+written under a temporary name, forced to disk and renamed.
 """
 
 from __future__ import annotations
@@ -88,7 +90,8 @@ class CheckpointFolder:
         self._due_s = clock() + every_s
 
     def load(self) -> TrainState | None:
-        """The newest whole state; None where there is none. A damaged one is removed with a warning, and the one before is taken.
+        """The newest whole state; None where there is none. A damaged one is removed with a
+        warning, and the one before is taken.
 
         Raises BadInput where the newest whole one is of another run.
         """

@@ -27,8 +27,9 @@ from radiant_core.train.densify.policies import (
 NEVER = 10**9
 """Steps that no schedule reaches."""
 Preset = Literal["draft", "default", "standard", "paper"]
-"""draft: a quick look; default: our best; standard: plain 3DGS with its 30,000 steps; paper: plain 3DGS with the paper's
-20,000 steps, densified from step 500 to 15,000 every 100 (its Sec. IV-B), not reduced on a CPU."""
+"""draft: a quick look; default: our best; standard: plain 3DGS with its 30,000 steps; paper: plain
+3DGS with the paper's 20,000 steps, densified from step 500 to 15,000 every 100 (its Sec. IV-B), not
+reduced on a CPU."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +49,9 @@ class TrainConfig:
     ssim_weight: float = 0.2
     """λ of (1 − λ) L1 + λ (1 − SSIM) (paper Eqn. 4)."""
     max_scale_per_distance: float | None = 1 / 3
-    """A Gaussian's axes stay below this share of its distance to the nearest camera; None for no limit. A larger Gaussian is
-    constrained only by the cameras in front of its centre, and appears as haze in views from elsewhere."""
+    """A Gaussian's axes stay below this share of its distance to the nearest camera; None for no
+    limit. A larger Gaussian is constrained only by the cameras in front of its centre, and appears
+    as haze in views from elsewhere."""
     max_elongation: float | None = 10.0
     """A Gaussian's longest axis stays below this many times its second longest, so that there are no needles; None for no limit."""
     means_lr: float = 1.6e-4
@@ -57,8 +59,9 @@ class TrainConfig:
     means_lr_end: float = 0.01
     """Share of `means_lr` to which it falls over the run, exponentially."""
     settle_epochs: int | None = None
-    """A run of more steps per photograph than this, and of more than 700, ends with smaller learning rates, except for those
-    of centres and exposures (`trainer.settled_rate_share`); None: rates keep their size."""
+    """A run of more steps per photograph than this, and of more than 700, ends with smaller
+    learning rates, except for those of centres and exposures (`trainer.settled_rate_share`); None:
+    rates keep their size."""
     scales_lr: float = 5e-3
     """Learning rate of the logarithmic scales."""
     quats_lr: float = 1e-3
@@ -123,7 +126,8 @@ class TrainConfig:
         require_one_of(self, "skip_images", ("none", "auto"))
 
 
-# Short runs have no time for small steps: rates, Adam and growth were found on validation photographs (docs/experiments/training.md).
+# Short runs have no time for small steps: rates, Adam and growth were found on validation
+# photographs (docs/experiments/training.md).
 _SHORT = TrainConfig(
     max_epochs=120,
     settle_epochs=12,
@@ -151,8 +155,9 @@ _PRESETS: dict[str, TrainConfig] = {
     "draft": replace(_SHORT, num_steps=2_000, long_side_px=576),
     "default": _SHORT,
     "standard": replace(_PLAIN, num_steps=30_000),
-    # The paper's own numbers at its 20,000 steps; 3DGS would reach a hundredth of the rate at 30,000. No limit of Gaussians is named
-    # there: this one keeps a mistaken run from filling the memory, 236 bytes times four for Adam and gradients each.
+    # The paper's own numbers at its 20,000 steps; 3DGS would reach a hundredth of the rate at
+    # 30,000. No limit of Gaussians is named there: this one keeps a mistaken run from filling the
+    # memory, 236 bytes times four for Adam and gradients each.
     "paper": replace(
         _PLAIN, num_steps=20_000, schedule_steps=20_000, means_lr_end=0.01 ** (2 / 3), max_num_splats=5_000_000, reduce_on_cpu=False
     ),
@@ -176,7 +181,8 @@ def setting_types() -> Mapping[str, Any]:
 
 
 def parse_setting(path: str, value: Any) -> Any:
-    """The value of a setting: a text is read by the setting's type, "none" as None where that is one of its values.
+    """The value of a setting: a text is read by the setting's type, "none" as None where that is
+    one of its values.
 
     Raises:
         BadInput: there is no such setting, or the value is of another kind.
@@ -196,7 +202,8 @@ def parse_setting(path: str, value: Any) -> Any:
 def with_settings(config: TrainConfig, settings: Mapping[str, Any]) -> TrainConfig:
     """The configuration with other values, texts or typed, by the paths of their settings.
 
-    Another "density.kind" keeps the knobs that the two policies share, and takes the defaults of the others:
+    Another "density.kind" keeps the knobs that the two policies share, and takes the defaults of
+    the others:
 
         with_settings(config, {"sh_degree": "2", "density.kind": "mcmc", "density.every": "50"})
 

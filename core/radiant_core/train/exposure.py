@@ -1,8 +1,10 @@
-"""Exposure of each photograph: an affine map of the rendered colours that is learnt with the model. Once per step of its view.
+"""Exposure of each photograph: an affine map of the rendered colours that is learnt with the model.
+Once per step of its view.
 
     c' = (I + A_v) c + b_v,   with the gauge  mean over v of A_v and b_v = 0
-so that the model itself keeps the mean exposure of all photographs, in which new views are rendered. The rate falls from
-`exposure_lr` to a tenth, as in the code of 3DGS (Kerbl 2023), whose maps have no gauge.
+so that the model itself keeps the mean exposure of all photographs, in which new views are
+rendered. The rate falls from `exposure_lr` to a tenth, as in the code of 3DGS (Kerbl 2023), whose
+maps have no gauge.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Points where structure from motion found none, as on woods, water and lawns. Once per model.
 
-Each training image is cut into cells; a cell below the horizon in which no sparse point is seen gets one on the ray through its middle,
-where it comes down to the height of the nearest observed points, in the cell's mean colour. Without these points such places start empty,
-and a short training does not fill them: on an aerial set the woods stayed black.
+Each training image is cut into cells; a cell below the horizon in which no sparse point is seen
+gets one on the ray through its middle, where it comes down to the height of the nearest observed
+points, in the cell's mean colour. Without these points such places start empty, and a short
+training does not fill them: on an aerial set the woods stayed black.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ class AddedPoints:
 
 
 def fill_in_points(scene: SfmScene, views: TrainingViews) -> AddedPoints:
-    """One point per empty image cell, each apart from the scene's and from those of the images before.
+    """One point per empty image cell, each apart from the scene's and from those of the images
+    before.
 
     `views.cameras` are the scene's in the same order, at any resolution.
     """
@@ -101,8 +103,9 @@ def _block_means(image: FloatArray, columns: int, rows: int) -> FloatArray:
 
 
 def _place(cameras: Cameras, index: int, seen: FloatArray, cells: _Cells) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]] | None:
-    """Points (F,3) of the cells, their spacing (F,) in world units, and which lie below the horizon without an observed point in
-    them (F,); None when the image sees too few points to tell a depth."""
+    """Points (F,3) of the cells, their spacing (F,) in world units, and which lie below the horizon
+    without an observed point in them (F,); None when the image sees too few points to tell a
+    depth."""
     pose, K = cameras.cam_from_world[index], cameras.Ks[index]
     in_camera = seen @ pose[:3, :3].T + pose[:3, 3]
     visible, in_camera = seen[in_camera[:, 2] > 0], in_camera[in_camera[:, 2] > 0]
@@ -121,8 +124,9 @@ def _place(cameras: Cameras, index: int, seen: FloatArray, cells: _Cells) -> tup
 
 
 def _depths_at_height(rays: FloatArray, center: FloatArray, nearby: FloatArray, weights: FloatArray, neighbours: FloatArray) -> FloatArray:
-    """Depths (F,) at which the rays (F,3) come down to the mean height of their neighbours (F,K,3); `nearby`, the mean depth of these,
-    where they lie no lower than the camera. At most `FARTHEST` times that: towards the horizon a ray comes down nowhere.
+    """Depths (F,) at which the rays (F,3) come down to the mean height of their neighbours (F,K,3);
+    `nearby`, the mean depth of these, where they lie no lower than the camera. At most `FARTHEST`
+    times that: towards the horizon a ray comes down nowhere.
 
     The mean depth alone would hang the far ground of an oblique view in mid-air.
     """

@@ -38,10 +38,12 @@ def initial_splats(
     sh_degree: int,
     sky_rgb: ArrayLike | None = SKY_RGB,
 ) -> Splats:
-    """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour where cameras look above the horizon.
+    """Gaussians from points (P,3) m and colours (P,3), and a sky of one colour where cameras look
+    above the horizon.
 
-    At most `max_num_splats`, of which up to a quarter are sky, none where `sky_rgb` is None. Duplicate points are merged, those at a
-    camera's centre left out; too many points are thinned out evenly along x, their sorted order.
+    At most `max_num_splats`, of which up to a quarter are sky, none where `sky_rgb` is None.
+    Duplicate points are merged, those at a camera's centre left out; too many points are thinned
+    out evenly along x, their sorted order.
 
     Raises BadInput with fewer than 4 different points.
     """
@@ -80,10 +82,11 @@ def _away_from_cameras(points: FloatArray, cameras: Cameras) -> NDArray[np.bool_
 
 
 def first_splats(scene: SfmScene, views: TrainingViews, config: TrainConfig) -> tuple[Splats, int]:
-    """The Gaussians that training starts from: sparse points and, by `config`, fill-in points and a sky; and how many
-    were filled in.
+    """The Gaussians that training starts from: sparse points and, by `config`, fill-in points and a
+    sky; and how many were filled in.
 
-    `views.cameras` are those of the scene in the same order. Fill-in gets what the limit leaves, at least a quarter of it.
+    `views.cameras` are those of the scene in the same order. Fill-in gets what the limit leaves, at
+    least a quarter of it.
     """
     limit = config.max_num_splats
     fill = fill_in_points(scene, views).thin(max(limit - len(scene.points), limit // 4) if config.fill_in else 0)
@@ -132,8 +135,9 @@ def camera_extent(cameras: Cameras) -> float:
 
 
 def _neighbour_distance(points: FloatArray) -> FloatArray:
-    """Root mean square distance (P,) to the 3 nearest neighbours. Lone points, often wrong ones, get no more than 3 times the 90th
-    percentile: without this limit they cover the image, and a step took 8 times as long."""
+    """Root mean square distance (P,) to the 3 nearest neighbours. Lone points, often wrong ones,
+    get no more than 3 times the 90th percentile: without this limit they cover the image, and a
+    step took 8 times as long."""
     distances, _ = KDTree(points).query(points, k=4)
     spacing = np.sqrt((distances[:, 1:] ** 2).mean(axis=1))
     return np.clip(spacing, 1e-7, 3 * np.quantile(spacing, 0.9))

@@ -1,14 +1,17 @@
-"""How many Gaussians a training may grow to within a limit of memory. Once per model, before the photographs are loaded.
+"""How many Gaussians a training may grow to within a limit of memory. Once per model, before the
+photographs are loaded.
 
     memory(N) = base + (3 + m) Σ_v p_v (1 + s²) + kept + 100 max_v p_v + N (C · 4 (11 + 3 K) + 600)        bytes
 
-base: what the process holds before, and BASE_BYTES that come with the first step; p_v pixels of view v, kept as bytes, and again at the
-share s of its side that training begins with; m: 1 where photographs have masks, of a byte a pixel, else 0; kept: the loss' statistics,
-36 bytes a pixel where there is room; 100: a step on the largest view. N Gaussians of K bases have 11 + 3 K float32 each, C times:
-parameters, gradients, two moments, what an edit or a checkpoint copies; 600 bytes each are the rasterizer's and an edit's.
+base: what the process holds before, and BASE_BYTES that come with the first step; p_v pixels of
+view v, kept as bytes, and again at the share s of its side that training begins with; m: 1 where
+photographs have masks, of a byte a pixel, else 0; kept: the loss' statistics, 36 bytes a pixel
+where there is room; 100: a step on the largest view. N Gaussians of K bases have 11 + 3 K float32
+each, C times: parameters, gradients, two moments, what an edit or a checkpoint copies; 600 bytes
+each are the rasterizer's and an edit's.
 
-The constants are set so that tests/stress/test_train_memory.py holds on the sample town with planned growth: allowed 0.6, 1 and 2 GB, it
-peaked at 0.62, 1.00 and 2.14 GB.
+The constants are set so that tests/stress/test_train_memory.py holds on the sample town with
+planned growth: allowed 0.6, 1 and 2 GB, it peaked at 0.62, 1.00 and 2.14 GB.
 """
 
 from __future__ import annotations
@@ -69,10 +72,12 @@ def _copies(config: TrainConfig) -> float:
 
 
 def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[int], float], num_cameras: int) -> int:
-    """How many of `num_cameras` photographs fit into memory together with the Gaussians `splats_of` so many photographs (rising).
+    """How many of `num_cameras` photographs fit into memory together with the Gaussians `splats_of`
+    so many photographs (rising).
 
-    The model above on `PROCESS_BYTES`, without what the loss may keep; photographs of 4:3, since a plan is made before there are any. At
-    least `MIN_SPLATS` Gaussians are counted, at most the configuration's limit. 0 where not even one photograph fits.
+    The model above on `PROCESS_BYTES`, without what the loss may keep; photographs of 4:3, since a
+    plan is made before there are any. At least `MIN_SPLATS` Gaussians are counted, at most the
+    configuration's limit. 0 where not even one photograph fits.
     """
     pixels = 0.75 * config.long_side_px**2
     each = bytes_per_splat(config.sh_degree)
@@ -91,9 +96,11 @@ def most_cameras(config: TrainConfig, memory_bytes: float, splats_of: Callable[[
 def memory_plan(
     config: TrainConfig, cameras: Cameras, memory_bytes: int, base_bytes: int, *, validated: bool = False, masked: bool = False
 ) -> MemoryPlan:
-    """The most Gaussians and the statistics that fit into `memory_bytes` with the photographs of `cameras`, at their training size.
+    """The most Gaussians and the statistics that fit into `memory_bytes` with the photographs of
+    `cameras`, at their training size.
 
-    `base_bytes` is what the process holds before they are loaded. Raises BadInput where fewer than 1,000 fit, with what would do.
+    `base_bytes` is what the process holds before they are loaded. Raises BadInput where fewer than
+    1,000 fit, with what would do.
     """
     fixed = fixed_bytes(config, cameras, base_bytes, masked=masked)
     each = bytes_per_splat(config.sh_degree, validated=validated)
@@ -111,9 +118,11 @@ def memory_plan(
 
 
 def within_vram(config: TrainConfig, cameras: Cameras, free_bytes: int, stage: str) -> tuple[TrainConfig, tuple[Decision, ...]]:
-    """The configuration whose Gaussians fit beside one step into what a CUDA device has free, and the decision where that is fewer.
+    """The configuration whose Gaussians fit beside one step into what a CUDA device has free, and
+    the decision where that is fewer.
 
-    The same model as above without the photographs, which stay in main memory. Raises BadInput as `memory_plan`.
+    The same model as above without the photographs, which stay in main memory. Raises BadInput as
+    `memory_plan`.
     """
     step = STEP_BYTES_PER_PX * float(cameras.sizes_wh.prod(axis=1).max(initial=0))
     count = int((VRAM_SHARE * free_bytes - step) // bytes_per_splat(config.sh_degree))

@@ -1,10 +1,12 @@
-"""The training loss in C++ for float32 on the CPU: value and gradient in one pass; `losses.py` in float64 is its plain twin.
+"""The training loss in C++ for float32 on the CPU: value and gradient in one pass; `losses.py` in
+float64 is its plain twin.
 
     TargetStatistics: blur(y), blur(y²) − blur(y)²     once per target, or once per step for targets beyond the budget
     target_loss:      (1 − λ) L1 + λ (1 − SSIM)        once per step; the gradient comes with the value and waits for backward
 
-SSIM is computed in differences d = x − y (native/loss_kernels.h), so its relative error stays at float32's rounding also where image
-and target nearly agree; from its usual five moments torch's float32 lost up to four digits of the gradient there.
+SSIM is computed in differences d = x − y (native/loss_kernels.h), so its relative error stays at
+float32's rounding also where image and target nearly agree; from its usual five moments torch's
+float32 lost up to four digits of the gradient there.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ class TargetStatistics:
     def of(target: Tensor) -> TargetStatistics:
         """Statistics of a target on the CPU, taken to float32.
 
-        BadInput for a shape other than (H,W,3), for integers, and for values that are not finite or beyond 2e18.
+        BadInput for a shape other than (H,W,3), for integers, and for values that are not finite or
+        beyond 2e18.
         """
         if not target.is_floating_point():
             raise BadInput(f"target is {target.dtype}, expected floating numbers in 0..1: divide bytes by 255.")
@@ -59,7 +62,8 @@ class TargetStatistics:
 class StatisticsCache:
     """Statistics by view; the first that fit into the budget stay.
 
-    Views come in a new order every epoch, so dropping the oldest would drop each of them just before its turn.
+    Views come in a new order every epoch, so dropping the oldest would drop each of them just
+    before its turn.
     """
 
     def __init__(self, budget_bytes: int = STATISTICS_BUDGET_BYTES) -> None:
@@ -78,10 +82,11 @@ class StatisticsCache:
 
 
 def target_loss(image: Tensor, statistics: TargetStatistics, weights: Tensor | None, ssim_weight: float) -> Tensor:
-    """`weighted_loss` of image and `statistics.target`, on the CPU in float32 by the native kernel, else by torch.
+    """`weighted_loss` of image and `statistics.target`, on the CPU in float32 by the native kernel,
+    else by torch.
 
-    Raises BadInput naming the tensor, the count and the first index of values that are not finite or beyond 2e18 and of negative weights,
-    and for an ssim_weight outside 0..1.
+    Raises BadInput naming the tensor, the count and the first index of values that are not finite
+    or beyond 2e18 and of negative weights, and for an ssim_weight outside 0..1.
     """
     if not 0 <= ssim_weight <= 1:
         raise BadInput(f"ssim_weight is {ssim_weight}, expected 0 to 1: it is SSIM's share of the loss.")

@@ -1,7 +1,9 @@
-"""A training fitted to its machine and its photographs: reductions and choices as typed decisions. Once per run.
+"""A training fitted to its machine and its photographs: reductions and choices as typed decisions.
+Once per run.
 
-Without a GPU the presets are reduced to what finishes in minutes. CPU seconds of one step (render, loss, backward, Adam) on one core:
-`native` 0.02 for 13,000 Gaussians at 480×270; `reference`, plain PyTorch, 0.26 for 5,000 at 240×180.
+Without a GPU the presets are reduced to what finishes in minutes. CPU seconds of one step (render,
+loss, backward, Adam) on one core: `native` 0.02 for 13,000 Gaussians at 480×270; `reference`, plain
+PyTorch, 0.26 for 5,000 at 240×180.
 """
 
 from __future__ import annotations
@@ -164,8 +166,9 @@ def _fit_length(config: TrainConfig, num_views: int) -> tuple[TrainConfig, tuple
 
 
 def exposure_spread(scene: SfmScene, views: TrainingViews) -> float:
-    """Standard deviation of the V photographs' gains, as a share: of each the median ratio of its brightness at sparse points to what the
-    other photographs show there on average. 0 where fewer than two photographs can be compared."""
+    """Standard deviation of the V photographs' gains, as a share: of each the median ratio of its
+    brightness at sparse points to what the other photographs show there on average. 0 where fewer
+    than two photographs can be compared."""
     rows, pixels = views.observed_pixels(scene)
     point, view = scene.observations[rows].T
     # One step above black, where a ratio of brightness would be noise.

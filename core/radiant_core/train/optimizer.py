@@ -1,10 +1,12 @@
-"""Adam (Kingma & Ba 2015) over the rows of the splats' tensors that a step saw, or over all of them.
+"""Adam (Kingma & Ba 2015) over the rows of the splats' tensors that a step saw, or over all of
+them.
 
     m ← m + (1 − β₁)(g − m)    v ← β₂ v + (1 − β₂) g²    x ← x − rate / (1 − β₁ᵗ) · m / (√v / √(1 − β₂ᵗ) + ε)
 
-Once per step. t counts the steps of a row, not of the run: each Gaussian moves as torch's Adam would move it on the steps that saw it
-alone, and one first seen at step 5,000 starts no faster than one seen at once. Rows that were not seen keep value, moments and count.
-Gradients count as at most ±1e18, whose square float32 still holds: an infinite v would never let its row move again.
+Once per step. t counts the steps of a row, not of the run: each Gaussian moves as torch's Adam
+would move it on the steps that saw it alone, and one first seen at step 5,000 starts no faster than
+one seen at once. Rows that were not seen keep value, moments and count. Gradients count as at most
+±1e18, whose square float32 still holds: an infinite v would never let its row move again.
 """
 
 from __future__ import annotations
@@ -35,9 +37,11 @@ class _Group:
 
 
 class SelectiveAdam:
-    """Adam over tensors (N,…) that share their rows; each with a learning rate of its own, which may be set between steps.
+    """Adam over tensors (N,…) that share their rows; each with a learning rate of its own, which
+    may be set between steps.
 
-    Float32 on the CPU is stepped by the native kernel, everything else by torch, to the same formula.
+    Float32 on the CPU is stepped by the native kernel, everything else by torch, to the same
+    formula.
     """
 
     def __init__(self, tensors: Mapping[str, Tensor], rates: Mapping[str, float], *, eps: float = 1e-15) -> None:
@@ -113,10 +117,12 @@ class SelectiveAdam:
 
     @torch.no_grad()
     def select_rows(self, tensors: Mapping[str, Tensor], rows: Tensor, fresh: Tensor) -> None:
-        """Go on with `tensors`, whose row i stands for the old row rows[i] (M,): it keeps that row's moments and step count.
+        """Go on with `tensors`, whose row i stands for the old row rows[i] (M,): it keeps that
+        row's moments and step count.
 
-        Where `fresh` (M,) is True, a new Gaussian, both are zero. Other names in `tensors` are left alone; gradients are cleared.
-        Raises BadInput where one is missing, is not contiguous, or has another number of rows; then nothing was changed.
+        Where `fresh` (M,) is True, a new Gaussian, both are zero. Other names in `tensors` are left
+        alone; gradients are cleared. Raises BadInput where one is missing, is not contiguous, or
+        has another number of rows; then nothing was changed.
         """
         for name in self._groups:
             if name not in tensors or len(tensors[name]) != len(rows) or not tensors[name].is_contiguous():
@@ -138,10 +144,12 @@ class SelectiveAdam:
 
     @torch.no_grad()
     def step(self, visible: Tensor | None = None) -> None:
-        """Move the rows where `visible` (N,) is True, or all rows for None; a tensor without a gradient does not move.
+        """Move the rows where `visible` (N,) is True, or all rows for None; a tensor without a
+        gradient does not move.
 
-        Do not mix both forms in one run: they count steps apart. Raises StageFailed naming the tensor, the count and the first index
-        when a gradient of a row to be moved is NaN or infinite; then nothing was written.
+        Do not mix both forms in one run: they count steps apart. Raises StageFailed naming the
+        tensor, the count and the first index when a gradient of a row to be moved is NaN or
+        infinite; then nothing was written.
         """
         if visible is not None and (visible.shape != self._row_steps.shape or visible.dtype != torch.bool):
             raise BadInput(f"visible is {tuple(visible.shape)} {visible.dtype}, expected {tuple(self._row_steps.shape)} torch.bool.")
@@ -167,7 +175,8 @@ class SelectiveAdam:
                 self._step_in_torch(group, gradient, visible)
 
     def _step_natively(self, group: _Group, gradient: Tensor, runs: NDArray[np.int32] | None) -> None:
-        # Autograd does not see what the kernel writes; the new version lets it refuse a graph of the old values.
+        # Autograd does not see what the kernel writes; the new version lets it refuse a graph of
+        # the old values.
         torch.autograd.graph.increment_version(group.tensor)
         _native.adam_step(
             group.tensor.detach(),

@@ -1,6 +1,8 @@
-"""`Part`: what may take part in a training beside its loop. Density control, exposures, validation and held Gaussians are parts.
+"""`Part`: what may take part in a training beside its loop. Density control, exposures, validation
+and held Gaussians are parts.
 
-A training calls each hook of all its parts in turn, once per step unless its docstring states otherwise:
+A training calls each hook of all its parts in turn, once per step unless its docstring states
+otherwise:
 
     wants_absgrad → render → show → loss → before_backward → backward → after_backward → Adam → hold → after_update → after_step
 """

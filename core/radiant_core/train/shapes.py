@@ -1,10 +1,12 @@
-"""Limits of shape: Gaussians that fill the screen and needles are shortened, and those that no pixel shows are removed.
+"""Limits of shape: Gaussians that fill the screen and needles are shortened, and those that no
+pixel shows are removed.
 
     longest axis ≤ max_scale_per_distance · distance to the nearest camera     screen-filling: haze in other views
     longest axis ≤ max_elongation · second longest                             needles: spikes in other views
     opacity < 1/255                                                            dead: never drawn, so that it has no gradient
 
-The limits are applied every few steps of training; the dead are left out of the result, which changes no bit of any picture.
+The limits are applied every few steps of training; the dead are left out of the result, which
+changes no bit of any picture.
 """
 
 from __future__ import annotations

@@ -1,9 +1,12 @@
-"""Fits Gaussians to views by Adam on the rendering loss (Kerbl 2023). The same loop trains devices and retrains edges.
+"""Fits Gaussians to views by Adam on the rendering loss (Kerbl 2023). The same loop trains devices
+and retrains edges.
 
-Once per model; the loop body once per step: render one view, loss, backward, one Adam step over the Gaussians it saw, or over all
-(`config.adam`). Density control, exposures, validation and held Gaussians are parts of a training that its loop calls (`parts.py`).
-Every schedule follows `Training.progress`, the share of the steps or of the time that is spent. All that changes from step to step is
-in `Training.state`, so that a run can be stopped after any step and go on elsewhere with the same bits.
+Once per model; the loop body once per step: render one view, loss, backward, one Adam step over the
+Gaussians it saw, or over all (`config.adam`). Density control, exposures, validation and held
+Gaussians are parts of a training that its loop calls (`parts.py`). Every schedule follows
+`Training.progress`, the share of the steps or of the time that is spent. All that changes from step
+to step is in `Training.state`, so that a run can be stopped after any step and go on elsewhere with
+the same bits.
 """
 
 from __future__ import annotations
@@ -58,8 +61,8 @@ class Steps:
     sh0: float = 1.0
     shN: float = 1.0
     end: float = 1.0
-    """Share of these rates to which they fall over the run, exponentially, in a long one by `settled_rate_share` as well; that
-    of the centres falls by `means_lr_end` alone."""
+    """Share of these rates to which they fall over the run, exponentially, in a long one by
+    `settled_rate_share` as well; that of the centres falls by `means_lr_end` alone."""
 
 
 class Checkpoints(Protocol):
@@ -97,7 +100,8 @@ class FitOptions:
 
 
 def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, options: FitOptions = FitOptions()) -> TrainResult:
-    """Fit a copy of `initial` to `views`, for `config.num_steps` steps or `config.budget_s` seconds, whichever ends first.
+    """Fit a copy of `initial` to `views`, for `config.num_steps` steps or `config.budget_s`
+    seconds, whichever ends first.
 
     Args:
         initial: the Gaussians of the start, such as those of `first_splats`.
@@ -110,7 +114,8 @@ def fit_splats(initial: Splats, views: TrainingViews, config: TrainConfig, optio
 
     Raises:
         StageFailed: steps in a row ended in something not finite; the message says what.
-        BadInput: the initial model or the cameras are not finite, or the options contradict the configuration.
+        BadInput: the initial model or the cameras are not finite, or the options contradict the
+            configuration.
     """
     training = Training(initial, views, config, options)
     state = options.checkpoints.load()
@@ -313,7 +318,8 @@ class Training:
         return min(config.sh_degree, SH_BASES.index(self._splats.shN.shape[1] + 1), allowed)
 
     def _roll_back(self, reason: str) -> None:
-        # Neither Adam nor the exposures have written anything: what was not finite is refused before.
+        # Neither Adam nor the exposures have written anything: what was not finite is refused
+        # before.
         self._num_rolled_back += 1
         self._failures_in_a_row += 1
         if self._failures_in_a_row > MAX_FAILURES:
@@ -334,7 +340,8 @@ class Training:
 def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConfig, options: FitOptions) -> tuple[Part, ...]:
     """The parts that a configuration and its options ask for, for a model before its first step.
 
-    The best model takes the place of the last one before density control removes what no pixel shows.
+    The best model takes the place of the last one before density control removes what no pixel
+    shows.
     """
     parts: list[Part] = []
     if options.validation is not None:
@@ -356,9 +363,10 @@ def training_parts(splats: SplatTensors, views: TrainingViews, config: TrainConf
 def settled_rate_share(step: int, progress: float, num_views: int, settle_epochs: int | None) -> float:
     """The share of its rates, 0.1 to 1, that a run of N steps still has at step p N: T / (p² N).
 
-    T is `settle_epochs` steps per view, at least `MIN_STEADY_STEPS`, so that rates fall from step √(T N) on: with few views 1,500 steps end
-    with 0.47 of them, 6,000 with 0.12. N is estimated from the steps so far and their share of the run, `progress`, so that a budget of
-    time needs no forecast.
+    T is `settle_epochs` steps per view, at least `MIN_STEADY_STEPS`, so that rates fall from step
+    √(T N) on: with few views 1,500 steps end with 0.47 of them, 6,000 with 0.12. N is estimated
+    from the steps so far and their share of the run, `progress`, so that a budget of time needs no
+    forecast.
     """
     if settle_epochs is None or step <= 0 or progress <= 0:
         return 1.0

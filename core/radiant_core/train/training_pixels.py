@@ -9,7 +9,8 @@ from radiant_core.train.trainer import view_of_step
 
 
 def training_pixels(cameras: Cameras, config: TrainConfig, num_steps: int) -> int:
-    """Σ over the steps of width × height of the view that `fit_splats` shows for `cameras`, at the reduced size it begins with.
+    """Σ over the steps of width × height of the view that `fit_splats` shows for `cameras`, at the
+    reduced size it begins with.
 
     BadInput where a budget of time ends the run: then the steps are not known beforehand.
     """

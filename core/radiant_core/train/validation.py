@@ -1,4 +1,5 @@
-"""The best model of a run by views that nothing is fitted to. They are rendered a few times in the second half of a run.
+"""The best model of a run by views that nothing is fitted to. They are rendered a few times in the
+second half of a run.
 
 The last model is not always the best: a device with few photographs overfits them.
 """

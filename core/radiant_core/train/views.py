@@ -15,10 +15,12 @@ from radiant_core.scene import SfmScene
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainingViews:
-    """V cameras with their images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none; sizes may differ.
+    """V cameras with their images (H,W,3) uint8 and weights (H,W) uint8 (255 is 1) or none; sizes
+    may differ.
 
-    A weight is the confidence in a pixel of a synthetic view, or what a mask leaves of a pixel; pixels of weight 0 are not compared.
-    Eight bits, as in a photograph: a float copy would take four times the memory. Raises BadInput when sizes disagree.
+    A weight is the confidence in a pixel of a synthetic view, or what a mask leaves of a pixel;
+    pixels of weight 0 are not compared. Eight bits, as in a photograph: a float copy would take
+    four times the memory. Raises BadInput when sizes disagree.
     """
 
     cameras: Cameras

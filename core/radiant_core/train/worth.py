@@ -1,10 +1,12 @@
-"""Which photographs add nothing to a training: repeats of another one, and blurred ones. Once per run, before the first model.
+"""Which photographs add nothing to a training: repeats of another one, and blurred ones. Once per
+run, before the first model.
 
     sharpness of photograph v = exp(½ median over its sparse points p of [log e(v,p) − median over the other u that see p of log e(u,p)])
 
-e(v,p) is the mean squared brightness gradient in a window around p: sharpness compares photographs where they show the same, so that a
-photograph of a lawn does not count as blurred. 1 is as sharp as the others. A photograph repeats another where both were taken from
-one place in one direction and their pictures hardly differ.
+e(v,p) is the mean squared brightness gradient in a window around p: sharpness compares photographs
+where they show the same, so that a photograph of a lawn does not count as blurred. 1 is as sharp as
+the others. A photograph repeats another where both were taken from one place in one direction and
+their pictures hardly differ.
 """
 
 from __future__ import annotations
@@ -95,7 +97,8 @@ def _medians_of_others(group: NDArray[np.int64], values: FloatArray) -> tuple[Fl
     ordered, counts = np.append(values[order], 0.0), np.bincount(group)[group[order]] if len(group) else np.zeros(0, np.int64)
     start = np.searchsorted(group[order], group[order])
     rank = np.arange(len(values)) - start
-    # The middle of n − 1 values in order of rank; from its own rank on they stand one place later in all n.
+    # The middle of n − 1 values in order of rank; from its own rank on they stand one place later
+    # in all n.
     low, high = np.maximum(counts - 2, 0) // 2, (counts - 1) // 2
     middle = [ordered[start + place + ((place >= rank) & (counts > 1))] for place in (low, high)]
     medians, sizes = np.empty(len(values)), np.empty(len(values), np.int64)

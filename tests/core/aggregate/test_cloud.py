@@ -117,7 +117,8 @@ class TestNeeds:
         assert needs.num_cameras == 3
         assert needs.time_s == pytest.approx(10 * 400 / 100 + 30 * 400 / 300)
         assert needs.memory_bytes == retrain_memory_bytes(400, 56, [24 * 18] * 3)
-        # Three hundred photographs of 576 × 432 px, a million Gaussians: less than a laptop has, so nothing is cut there.
+        # Three hundred photographs of 576 × 432 px, a million Gaussians: less than a laptop has, so
+        # nothing is cut there.
         assert retrain_memory_bytes(1_000_000, 92, [576 * 432] * 300) < 2e9
         assert cloud_needs(models, views, 48, None).memory_bytes > needs.memory_bytes
         assert cloud_needs(models, views, 48, None).time_s is None

@@ -69,8 +69,8 @@ class TestTwoHalves:
         assert len(other.splats) != len(one.splats) or (other.splats.logit_opacities != one.splats.logit_opacities).any()
 
     def test_only_opacities_change_and_only_in_the_clients_frusta(self) -> None:
-        # The client's frusta end 1.3 · 24 / 43.2 · 6.3 m west of x = 1 m, at -3.55 m. Beyond, some of the global model is in the targets of
-        # the others' cameras, and some, 20 m off, in none.
+        # The client's frusta end 1.3 · 24 / 43.2 · 6.3 m west of x = 1 m, at -3.55 m. Beyond, some
+        # of the global model is in the targets of the others' cameras, and some, 20 m off, in none.
         west, east = halves()
         far = replace(west, means=west.means - np.float32([20, 0, 0]), logit_opacities=np.full(len(west), -6.0))
         before, local = concatenate_splats([far, west]), east.select(east.means[:, 0] > -1)
@@ -99,7 +99,8 @@ class TestTwoHalves:
 
 class TestSteps:
     def test_frusta_end_at_the_limits_of_ndc_and_depth(self) -> None:
-        # Straight down from 6 m, 48 px of 43.2 px focal length: |ndc| 1.3 is x = 1.3 · 24 / 43.2 · 6 = 4.333 m.
+        # Straight down from 6 m, 48 px of 43.2 px focal length: |ndc| 1.3 is x = 1.3 · 24 / 43.2 ·
+        # 6 = 4.333 m.
         xs = [4.32, 4.35, 0.0, 0.0, 0.0]
         zs = [0.0, 0.0, 6.1, -13.9, -14.1]  # the last three: behind, and on both sides of far = 20 m
         model = replace(ground_splats(5), means=np.column_stack([xs, np.zeros(5), zs]))
@@ -151,7 +152,8 @@ class TestSteps:
         faded = merged.logit_opacities <= DROP_LOGIT
         assert faded[len(west) :].all() and trained[len(west) :].all()
         of_global = faded[: len(west)]
-        # Faded: only what is trained and near the client, which has nothing more than a spacing west of the middle.
+        # Faded: only what is trained and near the client, which has nothing more than a spacing
+        # west of the middle.
         assert of_global.any() and (west.means[of_global, 0] > -0.6).all() and not (of_global & ~trained[: len(west)]).any()
         np.testing.assert_array_equal(merged.logit_opacities[: len(west)][~of_global], west.logit_opacities[~of_global])
         # Nothing was learnt, so all that was faded goes, and no other.

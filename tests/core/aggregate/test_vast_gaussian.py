@@ -69,7 +69,8 @@ class TestBoxCoverage:
     def test_it_is_the_share_of_rays_that_meet_the_box(self) -> None:
         rng = np.random.default_rng(1)
         low, high = np.array([-3.0, -2.0, 0.0]), np.array([4.0, 2.5, 3.0])
-        # Far off, near by, inside, with corners behind the camera, and turned away: at random places in and about the box.
+        # Far off, near by, inside, with corners behind the camera, and turned away: at random
+        # places in and about the box.
         cameras = looking(rng.uniform([-7, -6, -3], [8, 7, 6], (80, 3)), Rotation.random(80, rng=rng))
         shares = box_coverage(cameras, low, high)
         expected = np.array([share_of_rays(cameras, index, low, high, rng) for index in range(80)])
@@ -84,7 +85,8 @@ class TestBoxCoverage:
         assert box_coverage(above, [-1, -1, 7], [1, 1, 9]) == [0.0]
 
     def test_a_frontal_square_has_the_area_of_the_pinhole_formula(self) -> None:
-        # 0.9 · 48 px · 2 m / 6 m wide: (14.4 px)² of 48 × 36 px, the top of the box at z = 0 being nearest.
+        # 0.9 · 48 px · 2 m / 6 m wide: (14.4 px)² of 48 × 36 px, the top of the box at z = 0 being
+        # nearest.
         assert box_coverage(cameras_above([(0.0, 0.0)]), [-1, -1, -5], [1, 1, 0]) == pytest.approx([14.4**2 / (48 * 36)], rel=1e-12)
 
     def test_places_of_an_utm_grid_change_nothing(self) -> None:

@@ -35,7 +35,8 @@ def coverage(shape: tuple[int, int], spreads: tuple[float, float, float], repeat
     ids=["images differ", "seeds differ", "one seed", "both differ"],
 )
 def test_bounds_hold_about_as_often_as_they_say(shape: tuple[int, int], spreads: tuple[float, float, float]) -> None:
-    # 300 repeats of a share of 0.95 scatter by 0.0126; three of these on either side, and residuals are counted twice.
+    # 300 repeats of a share of 0.95 scatter by 0.0126; three of these on either side, and residuals
+    # are counted twice.
     for share in coverage(shape, spreads, repeats=300, num_draws=600):
         assert 0.91 <= share <= 0.995
 

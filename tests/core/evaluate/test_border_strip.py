@@ -50,12 +50,14 @@ def test_a_marker_lies_at_its_place_and_height(place: tuple[float, float]) -> No
 def test_the_other_direction_is_the_strip_turned_round() -> None:
     splats = ground_splats(800)
     there, back = strip_of(splats), strip_of(splats, ENDS[::-1])
-    # Rays differ by 1/100 of what stands out of the ground: 0.6 m at the ends move by a twentieth of a pixel.
+    # Rays differ by 1/100 of what stands out of the ground: 0.6 m at the ends move by a twentieth
+    # of a pixel.
     np.testing.assert_allclose(there.image, back.image[::-1, ::-1], atol=2e-3)
 
 
 def test_an_origin_far_away_changes_nothing() -> None:
-    # 65,536 m and 1/128 m steps: float32 holds both exactly, so only our own arithmetic could lose digits.
+    # 65,536 m and 1/128 m steps: float32 holds both exactly, so only our own arithmetic could lose
+    # digits.
     splats = ground_splats(800)
     near = replace(splats, means=np.round(splats.means * 128) / 128)
     shift = np.array([65536.0, -65536.0, 0.0])

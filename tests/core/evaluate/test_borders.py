@@ -58,7 +58,8 @@ def test_a_cut_between_devices_is_as_far_as_the_next_strip(shift: float) -> None
     line = shapely.intersection(first.buffer(1e-6), last.buffer(1e-6))
     for point, distance_m in zip(points, nearest.distance_m, strict=True):
         reached = shapely.distance(shapely.Point(point), line)
-        # The cut reaches across the whole cell, also where the clipped strips end: never farther than the shared side.
+        # The cut reaches across the whole cell, also where the clipped strips end: never farther
+        # than the shared side.
         assert distance_m <= reached + 1e-5
     middle = np.abs((points - shift) @ [-0.6, 0.8]) < 20
     distances = [shapely.distance(shapely.Point(point), line) for point in points[middle]]
@@ -85,7 +86,8 @@ def test_the_pair_is_that_of_the_two_cells_beside_the_border() -> None:
     own = powers.argmin(1)
     other = np.where(nearest.pair[:, 0] == own, nearest.pair[:, 1], nearest.pair[:, 0])
     assert (nearest.pair == np.sort(np.column_stack([own, other]), axis=1)).all()
-    # Going straight to the other site by that distance, measured along the line between both, brings to the border.
+    # Going straight to the other site by that distance, measured along the line between both,
+    # brings to the border.
     toward = sites[other] - sites[own]
     step = toward / np.linalg.norm(toward, axis=1, keepdims=True) * nearest.distance_m[:, None]
     powers = ((points[:, None] + step[:, None] - sites) ** 2).sum(2) - weights

@@ -72,8 +72,9 @@ def test_flip_is_zero_for_equal_images_repeats_exactly_and_grows_with_the_error(
 def test_flip_of_black_against_white_is_near_its_maximum() -> None:
     value = flip(np.zeros((64, 64, 3)), np.ones((64, 64, 3)))
     assert value is not None
-    # FLIP scales by the green–blue pair, its largest colour difference. 0.967 is what version 1.7 of the package gave here:
-    # a later one that differs changes every figure in a report and must be noticed.
+    # FLIP scales by the green–blue pair, its largest colour difference. 0.967 is what version 1.7
+    # of the package gave here: a later one that differs changes every figure in a report and must
+    # be noticed.
     assert value == pytest.approx(0.967, abs=0.001)
 
 

@@ -21,7 +21,8 @@ RNG = np.random.default_rng(5)
 PHOTO = np.clip(np.cumsum(RNG.normal(scale=0.1, size=(37, 52, 3)), axis=1) + 0.5, 0, 1)
 RENDER = np.clip(PHOTO + RNG.normal(scale=0.08, size=PHOTO.shape), 0, 1)
 
-# torchvision's layers: (number, channels out, kernel, stride, padding) of a convolution with its ReLU, "tap", or a pool (kernel,).
+# torchvision's layers: (number, channels out, kernel, stride, padding) of a convolution with its
+# ReLU, "tap", or a pool (kernel,).
 LAYERS = {
     "alex": [
         *((0, 64, 11, 4, 2), "tap", (3,), (3, 192, 5, 1, 2), "tap", (3,), (6, 384, 3, 1, 1), "tap"),

@@ -51,7 +51,8 @@ def test_a_plane_counts_however_flatly_it_is_seen(shift: float) -> None:
 def test_the_edge_of_what_hides_the_ground_is_out() -> None:
     camera = oblique_camera()
     depth = depth_of_ground(camera)
-    # A wall 15 m before the camera hides the left half; its depth mixes with the ground's in one column.
+    # A wall 15 m before the camera hides the left half; its depth mixes with the ground's in one
+    # column.
     wall = np.minimum(depth, 15.0)
     depth[:, :50] = wall[:, :50]
     depth[:, 50] = (wall[:, 50] + depth[:, 50]) / 2
@@ -59,7 +60,8 @@ def test_the_edge_of_what_hides_the_ground_is_out() -> None:
     jump = depth_of_ground(camera)[:, 50] > 20
     assert (mask.labels[jump, 50] == -2).all()
     assert (mask.labels[:, 54:] >= -1).all()
-    # The wall stands 13 m from the camera, so nothing of it belongs to the border at 50 m that it hides.
+    # The wall stands 13 m from the camera, so nothing of it belongs to the border at 50 m that it
+    # hides.
     assert not mask.band[:, :48].any()
 
 
@@ -114,7 +116,8 @@ def test_the_headline_finds_the_planted_error_of_the_borders() -> None:
     masks, photographs = masks_and_photographs()
     assert masks.borders == (("edge-0", "edge-1"), ("edge-1", "edge-2"))
     reference_db = gap_db(photographs, masks, 0.02, {0: 1.3, 1: 1.3}, 1)
-    # The whole method is worse by 3 dB, which is no seam; both borders by 2 dB more, then one of them alone.
+    # The whole method is worse by 3 dB, which is no seam; both borders by 2 dB more, then one of
+    # them alone.
     worse = 1.3 * 10 ** (2 / 20)
     # Sampling: √(2 / 60,000 values) of the error is 0.03 dB.
     assert gap_db(photographs, masks, 0.0283, {0: worse, 1: worse}, 3) - reference_db == pytest.approx(-2.0, abs=0.15)

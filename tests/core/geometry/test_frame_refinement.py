@@ -63,9 +63,9 @@ def test_three_models_with_gps_like_errors_come_together() -> None:
     frames = refine_frames(models, lambda done, total, note: told.append((done, total, note)))
     assert [frame.status for frame in frames] == ["ok"] * 3
     for scale, angle_deg, place_m in errors_without_gauge(models, moves, frames):
-        # From 3 %, 3° and 3 m. These models are sampled, not trained, at 9 cm a pixel, and share 16 m: two pixels
-        # are to 16 m what 0.6° is.
-        # Trained models of a real size are held to 0.1 %, 0.05° and 1 cm per 10 m in tests/stress/test_frames.py.
+        # From 3 %, 3° and 3 m. These models are sampled, not trained, at 9 cm a pixel, and share 16
+        # m: two pixels are to 16 m what 0.6° is. Trained models of a real size are held to 0.1 %,
+        # 0.05° and 1 cm per 10 m in tests/stress/test_frames.py.
         assert scale < 3e-3 and angle_deg < 0.6 and place_m < 0.12, (scale, angle_deg, place_m)
     assert told[0][0] == 0 and told[-1][0] == told[-1][1]
     assert all(frame.residual_m is not None and frame.residual_m < 0.1 for frame in frames)

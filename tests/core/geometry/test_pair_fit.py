@@ -44,7 +44,8 @@ def test_the_fit_misses_by_what_it_predicts() -> None:
         off = xi_about(fit.center, compose(fit.a_from_b, true.inverse()))
         misses.append(off / np.sqrt(np.diag(fit.covariance) - FLOOR**2))
     rms = np.sqrt(np.square(misses).mean(axis=0))
-    # The cluster-robust part adds to the plain one, so the prediction is cautious: about 0.7 of it, and never beyond.
+    # The cluster-robust part adds to the plain one, so the prediction is cautious: about 0.7 of it,
+    # and never beyond.
     assert (rms > 0.4).all() and (rms < 1.1).all(), rms.round(2)
 
 
@@ -56,7 +57,8 @@ def test_a_third_of_wrong_pairs_does_not_move_the_fit() -> None:
     found = consensus(a, pairs.b, np.full(120, 0.6), seed=0)
     assert found is not None and not found[1][:40].sum() > 3
     fit = fit_pairs(PointPairs(a=a, a_covariances=pairs.a_covariances, b=pairs.b, b_covariances=pairs.b_covariances), found[0])
-    # 0.3 m of noise in height over 80 pairs leaves 7 cm at the corners; 25 cm is some three times that, and wrong pairs are 8 m off.
+    # 0.3 m of noise in height over 80 pairs leaves 7 cm at the corners; 25 cm is some three times
+    # that, and wrong pairs are 8 m off.
     assert np.linalg.norm(fit.a_from_b.apply(pairs.b) - true.apply(pairs.b), axis=1).max() < 0.25
     # Of the right ones three quarters lie within two standard deviations in three axes.
     assert 45 <= fit.num_pairs <= 80 and fit.residual_m < 0.5
@@ -83,7 +85,8 @@ def test_poison_is_refused_and_chance_finds_no_consensus() -> None:
 
 
 def test_the_joint_solution_shares_the_gauge_by_what_each_gps_is_good_for() -> None:
-    # Two models 1 m apart by their pair, one known by GPS ten times better: it stays, the other comes.
+    # Two models 1 m apart by their pair, one known by GPS ten times better: it stays, the other
+    # comes.
     fit = PairFit(
         a_from_b=Sim3(scale=1.0, rotation=np.eye(3), translation=np.array([1.0, 0, 0])),
         center=np.zeros(3), covariance=np.diag(FLOOR**2), num_pairs=100, residual_m=0.0,

@@ -1,8 +1,10 @@
-"""A made-up network between senders and one receiver, and a checker of what happened: the upload protocol under everything that goes wrong.
+"""A made-up network between senders and one receiver, and a checker of what happened: the upload
+protocol under everything that goes wrong.
 
-Time is a number in a queue of events, so that nothing waits. Messages are dropped, doubled, delayed (and so overtake each other) and
-held back by partitions; senders stop for good or make their files anew; old messages of this and another run are played again; the
-receiver dies and comes back with what it had stored.
+Time is a number in a queue of events, so that nothing waits. Messages are dropped, doubled, delayed
+(and so overtake each other) and held back by partitions; senders stop for good or make their files
+anew; old messages of this and another run are played again; the receiver dies and comes back with
+what it had stored.
 """
 
 from __future__ import annotations
@@ -96,7 +98,8 @@ class World:
         if state is not self.state:
             self.state = state
             if self.rng.random() < 0.1:
-                # It dies before the new state is on disk: nothing was acknowledged, the sender tries again.
+                # It dies before the new state is on disk: nothing was acknowledged, the sender
+                # tries again.
                 self.state = self.stored
                 return
             self.stored = self.state

@@ -1,4 +1,5 @@
-"""A job of several sealed stages on a disk that fails: every k-th call that writes, or a real file system that is full.
+"""A job of several sealed stages on a disk that fails: every k-th call that writes, or a real file
+system that is full.
 
 job = Job(folder); job.run()          makes what is not sealed; raises BadInput where the disk refuses
 job.problem()                         None where every file that is sealed or was written over is whole
@@ -146,9 +147,11 @@ class FailingDisk:
 
 
 def every_failing_call(folder: Path, step: int = 1) -> list[str]:
-    """Let each k-th call that writes, and all after it, fail; what went wrong afterwards, [] where nothing did.
+    """Let each k-th call that writes, and all after it, fail; what went wrong afterwards, [] where
+    nothing did.
 
-    The job is paused with one sentence, what was sealed stays, nothing half-written lies about, and with space it goes on to the end.
+    The job is paused with one sentence, what was sealed stays, nothing half-written lies about, and
+    with space it goes on to the end.
     """
     counting = FailingDisk()
     with counting.installed():

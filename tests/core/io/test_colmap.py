@@ -67,7 +67,8 @@ def test_text_and_binary_as_colmap_writes_it_read_the_same(text_model: Path, bin
     assert same(model, read_model(binary_model))
     assert [image.name for image in model.images] == ["a.jpg", "b(1).jpg", "sub/c.png"]
     assert model.observations().tolist() == [[0, 0], [0, 1], [1, 0]]
-    # A turn by θ about y with cos(θ/2) = 0.6, sin(θ/2) = 0.8: x goes to (cos θ, 0, -sin θ) = (-0.28, 0, -0.96), then t is added.
+    # A turn by θ about y with cos(θ/2) = 0.6, sin(θ/2) = 0.8: x goes to (cos θ, 0, -sin θ) =
+    # (-0.28, 0, -0.96), then t is added.
     assert np.allclose(model.images[1].cam_from_world @ [1, 0, 0, 1], [0.72, 2, 2.04, 1])
 
 
@@ -167,7 +168,8 @@ def test_a_count_of_billions_is_refused_before_memory_is_taken(stem: str, count:
     try:
         with pytest.raises(BadInput, match=rf"{stem}.bin at byte 8: {count}"):
             read_model(folder)
-        # Python's own tables (interned strings) grow by megabytes at a time, whoever is running; the promised records would be terabytes.
+        # Python's own tables (interned strings) grow by megabytes at a time, whoever is running;
+        # the promised records would be terabytes.
         assert tracemalloc.get_traced_memory()[1] < 64e6
     finally:
         tracemalloc.stop()

@@ -34,7 +34,8 @@ def metadata(right: tuple, up: tuple, back: tuple, center: tuple) -> dict[str, o
     }
 
 
-# Looking straight down (DRB x), image top to the north (-back): right is (0,1,0), up is (0,0,-1), back is up in the world.
+# Looking straight down (DRB x), image top to the north (-back): right is (0,1,0), up is (0,0,-1),
+# back is up in the world.
 NADIR = metadata((0, 1, 0), (0, 0, -1), (-1, 0, 0), (-0.5, 0.25, -0.125))
 # Looking north (-back), upright.
 NORTH = metadata((0, 1, 0), (-1, 0, 0), (0, 0, 1), (0.0, 0.0, 0.0))

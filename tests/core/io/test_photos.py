@@ -265,7 +265,8 @@ def reason_of(folder: Path, data: bytes) -> str:
     return skipped.reason
 
 
-# What zlib can pack: 1,032 bytes into one; channels of the kinds 0 grey, 2 RGB, 3 palette, 4 grey with alpha, 6 RGB with alpha.
+# What zlib can pack: 1,032 bytes into one; channels of the kinds 0 grey, 2 RGB, 3 palette, 4 grey
+# with alpha, 6 RGB with alpha.
 @pytest.mark.parametrize(
     ("bits", "kind", "channels"), [(8, 2, 3), (8, 0, 1), (1, 0, 1), (8, 3, 1), (16, 4, 2), (8, 6, 4), (16, 6, 4), (0, 2, 3)]
 )

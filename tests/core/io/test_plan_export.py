@@ -82,7 +82,8 @@ def test_every_waypoint_lies_in_the_polygons_of_its_edge_and_device(
     regions = {feature["properties"]["edge"]: feature for feature in features(tmp_path / "r.geojson", "region")}
     points = features(tmp_path / "r.geojson", "waypoint")
     assert len(points) == len(waypoints)
-    # Strips end midway between cameras; a straight side in degrees may bend by 1 cm, a millionth of a degree is 11 cm.
+    # Strips end midway between cameras; a straight side in degrees may bend by 1 cm, a millionth of
+    # a degree is 11 cm.
     for point in points:
         about, place = point["properties"], Point(point["geometry"]["coordinates"])
         assert shape(strips[about["device"]]["geometry"]).distance(place) < 1e-6
@@ -115,7 +116,8 @@ def test_polygons_follow_rfc_7946(tmp_path: Path, lon: float) -> None:
                 assert -180 <= west < east <= 180 and -90 <= south < north <= 90
                 assert east - west < 0.1, "cut at the meridian, not round the globe"
                 region_area += polygon.area if kind == "region" else 0.0
-    # The regions tile the rectangle around the site: same area in square degrees as in metres, to the bending of the ground.
+    # The regions tile the rectangle around the site: same area in square degrees as in metres, to
+    # the bending of the ground.
     corners = np.concatenate([border for border in cloud.borders if len(border)])
     width_m, height_m = np.ptp(corners, axis=0)
     square_degree_m2 = 110_657.0 * 106_486.0  # of latitude and longitude at 17° (WGS84)
@@ -349,5 +351,6 @@ def test_regions_at_a_pole_are_polygons_that_hold_their_waypoints(tmp_path: Path
         regions[point["properties"]["edge"]].distance(Point(point["geometry"]["coordinates"][:2]))
         for point in features(tmp_path / "r.geojson", "waypoint")
     ]
-    # In degrees; sides are straight in metres and cut only every 500 m, which turns far beside a pole.
+    # In degrees; sides are straight in metres and cut only every 500 m, which turns far beside a
+    # pole.
     assert np.mean(np.array(held) < 1e-6) > 0.9

@@ -155,7 +155,8 @@ def test_a_count_beyond_the_file_takes_no_memory(tmp_path: Path) -> None:
         load_ply(tmp_path / "crafted.ply")
     peak_bytes = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    # Python's own tables (interned strings) grow by megabytes at a time, whoever is running; the promised Gaussians would be terabytes.
+    # Python's own tables (interned strings) grow by megabytes at a time, whoever is running; the
+    # promised Gaussians would be terabytes.
     assert peak_bytes < 64e6
 
 

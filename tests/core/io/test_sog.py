@@ -106,7 +106,8 @@ def test_more_rows_than_the_palette_holds_share_rows(tmp_path: Path, monkeypatch
     found, truth = decoded(tmp_path / "scene.sog"), splats.select(morton_order(splats.means))
     rms = float(np.sqrt(np.mean((found["shN"] - truth.shN) ** 2)))
     assert rms == pytest.approx(errors.shN_rms, rel=1e-3)
-    # Nine dimensions in 256 cells: 1.85 cells an axis, so at least half of the spread of 0.1 is left out, and not all of it is kept.
+    # Nine dimensions in 256 cells: 1.85 cells an axis, so at least half of the spread of 0.1 is
+    # left out, and not all of it is kept.
     assert 0.03 < rms < 0.08
 
 

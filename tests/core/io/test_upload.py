@@ -75,7 +75,8 @@ def test_float16_keeps_centres_to_21_bits_of_the_box_and_the_rest_to_11(tmp_path
     errors = max_errors(splats, there_and_back(tmp_path, splats, "float16"))
     # Half a step of 21 bits, and half a step of the float32 at 7 km that the centres come back as.
     assert errors["means"] <= 0.5 * EXTENT_M / (2**21 - 1) + 0.5 * np.spacing(np.float32(7250))
-    # Half of float16's spacing at the largest value: 5, 3.3, 0.5; a quaternion of length 1 moves the rotation by twice its error.
+    # Half of float16's spacing at the largest value: 5, 3.3, 0.5; a quaternion of length 1 moves
+    # the rotation by twice its error.
     half_step = 0.5 * 2.0**-10
     assert errors["log_scales"] <= 4 * half_step and errors["sh0"] <= 2 * half_step and errors["shN"] <= 0.5 * half_step
     assert errors["rotations"] <= 8 * half_step and errors["opacities"] <= 1e-3
@@ -85,7 +86,8 @@ def test_float16_keeps_centres_to_21_bits_of_the_box_and_the_rest_to_11(tmp_path
 def test_spz_keeps_what_its_steps_allow(tmp_path: Path, degree: int) -> None:
     splats = trained_like(degree=degree)
     errors = max_errors(splats, there_and_back(tmp_path, splats, "spz"))
-    # 500 m around their middle take a factor 4 within ±2048 (8 would leave it): half a step of 1/4096 over that, and float32's at 7 km.
+    # 500 m around their middle take a factor 4 within ±2048 (8 would leave it): half a step of
+    # 1/4096 over that, and float32's at 7 km.
     assert errors["means"] <= 0.5 / 4096 / 4 + 0.51 * np.spacing(np.float32(7250))
     assert errors["log_scales"] <= 0.5 / 16 + 1e-5
     assert errors["opacities"] <= 0.5 / 255 + 1e-6

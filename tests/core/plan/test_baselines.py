@@ -31,7 +31,8 @@ def test_only_exact_is_at_the_bound_and_nobody_below(seed: int) -> None:
 
 
 def test_moving_half_planes_leaves_cameras_in_no_region() -> None:
-    # Two edges side by side, the left one slow: it alone shrinks, and nobody grows into what it gives up at first.
+    # Two edges side by side, the left one slow: it alone shrinks, and nobody grows into what it
+    # gives up at first.
     positions = np.stack([np.linspace(0, 100, 101), np.zeros(101)], axis=1)
     system = linear_system(np.array([[25.0, 0.0], [75.0, 0.0]]), np.array([5.0, 1.0]))
     rows = {row.method: row for row in compare(positions, system, max_iterations=5)}

@@ -67,7 +67,8 @@ def test_support_is_what_brute_force_counts() -> None:
         used = [row for row in seen if any(row)]
         own = [sum(np.array(row) & (plan.edge_of_camera == side)) for row in used]
         assert forecast.support[side] == pytest.approx(np.mean(own), abs=0.15)
-    # Square footprints of 20 m every 10 m: neighbours share half, and at the border half of all images are the neighbour's.
+    # Square footprints of 20 m every 10 m: neighbours share half, and at the border half of all
+    # images are the neighbour's.
     assert forecast.forward_overlap == pytest.approx(0.5)
     assert forecast.side_overlap == pytest.approx(0.5)
     assert 0.4 < forecast.coverage < 0.85
@@ -346,7 +347,8 @@ def test_a_lone_line_of_photographs_has_neighbours_one_way_alone(across: bool) -
     (forecast,) = forecast_borders(plan, views, ground_footprints(views), half_band_m=2.0)
     found = (forecast.side_overlap, forecast.forward_overlap) if across else (forecast.forward_overlap, forecast.side_overlap)
     assert found[0] == pytest.approx(0.75) and found[1] is None
-    # A spot is seen by four photographs; those within 10 m of the border by as many of the neighbour's: two own on average near it.
+    # A spot is seen by four photographs; those within 10 m of the border by as many of the
+    # neighbour's: two own on average near it.
     assert forecast.interior_support[0] == pytest.approx(4, abs=0.6) and forecast.num_images == (2, 2)
 
 

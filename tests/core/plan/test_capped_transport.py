@@ -111,7 +111,8 @@ def test_boxes_hold_every_camera_once_and_about_equally_many(count: int) -> None
     whole = np.sum((positions - positions.mean(axis=0)) ** 2)
     assert cameras @ (radii_m**2 + np.sum((means - positions.mean(axis=0)) ** 2, axis=1)) == pytest.approx(whole, rel=1e-12, abs=1e-9)
     if count == 1000:
-        # Columns of a fifteenth of the width, rows of a fifteenth of the height: a box of points spread evenly, ± a third.
+        # Columns of a fifteenth of the width, rows of a fifteenth of the height: a box of points
+        # spread evenly, ± a third.
         assert np.sqrt((20**2 + 6.7**2) / 12) == pytest.approx(np.sqrt(np.mean(radii_m**2)), rel=0.3)
 
 
@@ -186,7 +187,8 @@ def test_the_guess_is_within_a_few_cameras_of_the_optimum(seed: int) -> None:
     best = deal_within(positions, sites, capacities)
     assert counts.sum() == 1500 and (counts <= capacities).all() and (weights <= 0).all()
     assert np.abs(counts - np.bincount(best.edge_of_position, minlength=6)).sum() <= 12
-    # Where capacities bind weights do: a border between two cells lies at weights / 2 / distance, of a site of some 200 m here.
+    # Where capacities bind weights do: a border between two cells lies at weights / 2 / distance,
+    # of a site of some 200 m here.
     assert np.abs(weights - best.weights).max() <= 2 * 200 * 15
 
 
@@ -196,7 +198,8 @@ def test_weights_lie_midway_between_the_least_and_the_greatest_that_prove_it() -
     sites = np.array([[4.0, 0.0], [-4.0, 0.0]])
     dealt = deal_within(positions, sites, np.array([1, 4]))
     np.testing.assert_array_equal(dealt.edge_of_position, [1, 1, 1, 0])
-    # ‖x − 4‖² − w ≤ ‖x + 4‖² at x = 3 alone: −16 x ≤ w, so between −48 and −32, and 0 at the edge with room.
+    # ‖x − 4‖² − w ≤ ‖x + 4‖² at x = 3 alone: −16 x ≤ w, so between −48 and −32, and 0 at the edge
+    # with room.
     np.testing.assert_allclose(dealt.weights, [-40, 0])
     assert dealt.parts.shape == (0, 3) and dealt.parts.dtype == np.int64 and dealt.violation_m2 == 0
     shut = deal_within(positions, sites, np.array([1, 3]))

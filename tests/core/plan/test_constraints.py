@@ -165,7 +165,8 @@ def test_free_regions_are_shifted_to_where_they_fit_beside_fixed_ones(edge: int,
     others = [other for other in range(3) if other != edge]
     assert np.ptp(plan.counts[others]) <= 1 and plan.num_outside == 0 and plan.certified and plan.weights[edge] == fixed
     if edge != 1:
-        # Midway: as far from the last camera on one side as from the first on the other, up to a quarter of their spacing.
+        # Midway: as far from the last camera on one side as from the first on the other, up to a
+        # quarter of their spacing.
         squared = (positions[:, :1] - [95.0, 295.0, 495.0]) ** 2 - plan.weights
         free_border = np.flatnonzero(np.diff(plan.edge_of_camera))[0 if edge == 2 else 1]
         here, there = plan.edge_of_camera[free_border : free_border + 2]

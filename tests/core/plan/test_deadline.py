@@ -101,7 +101,8 @@ def test_counts_are_as_fast_as_the_best_of_all_counts(seed: int) -> None:
 
 
 def test_shares_are_proportional_to_speed_for_linear_costs() -> None:
-    # 1200 cameras at 1, 2 and 3 s each: 654.5, 327.3 and 218.2 at equal time, so whole numbers within one of those.
+    # 1200 cameras at 1, 2 and 3 s each: 654.5, 327.3 and 218.2 at equal time, so whole numbers
+    # within one of those.
     system = linear_system(np.zeros((3, 2)), np.array([1.0, 2.0, 3.0]))
     counts, bound_s = fastest_counts(edge_tables(system, 1200), 1200)
     np.testing.assert_allclose(counts, [7200 / 11, 3600 / 11, 2400 / 11], atol=1)

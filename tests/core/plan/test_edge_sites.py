@@ -57,7 +57,8 @@ def test_given_positions_stay_and_the_others_keep_away_from_them() -> None:
 
 
 def test_an_edge_beside_a_given_one_settles_in_the_middle_of_its_own_share() -> None:
-    # Cameras on 0…100 m, one edge fixed at 0: the other at x serves x/2…100, whose middle is x at 66.7 m.
+    # Cameras on 0…100 m, one edge fixed at 0: the other at x serves x/2…100, whose middle is x at
+    # 66.7 m.
     positions = np.stack([np.linspace(0.0, 100.0, 1001), np.zeros(1001)], axis=1)
     edges = unplaced(2).edges
     _, free = sites_of(place_edges(System(edges=(replace(edges[0], position=(0.0, 0.0)), edges[1])), positions, None, seed=0))

@@ -211,7 +211,8 @@ def test_a_level_view_ends_at_the_horizon_and_a_narrow_one_is_not_cut(horizon: f
     level = views_before_capture([[0.0, 0.0]], [10.0], Optics(field_of_view_deg=90, aspect=1.0), [[0.0, 0.0]])
     footprint = ground_footprints(level, horizon)
     far = 10 * horizon
-    # Between the lower edge of the picture, 10 m away, and the horizon; as wide to either side as it is away, to the horizon at most.
+    # Between the lower edge of the picture, 10 m away, and the horizon; as wide to either side as
+    # it is away, to the horizon at most.
     area = 0.0 if horizon <= 1 else (far**2 - 10.0**2)
     assert footprint.areas_m2[0] == pytest.approx(area, abs=1e-9)
     down = views_before_capture([[0.0, 0.0]], [10.0], Optics(field_of_view_deg=2 * np.degrees(np.arctan(0.2)), aspect=1.0), [[0.0, -90.0]])

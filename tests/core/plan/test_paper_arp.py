@@ -45,7 +45,8 @@ def test_a_wide_threshold_converges_at_once_and_moves_nothing() -> None:
 
 
 def test_a_fixed_step_that_cycles_is_noticed_and_stops() -> None:
-    # No whole number of cameras makes three unequal times equal to one part in a million, so it must cycle.
+    # No whole number of cameras makes three unequal times equal to one part in a million, so it
+    # must cycle.
     regions, _ = run([1.0, 1.37, 2.11], PaperConfig(threshold=1e-6, max_iterations=100_000))
     assert not regions.converged
     assert len(regions.history) < 1000

@@ -150,14 +150,16 @@ def test_even_gives_every_device_as_many_cameras_give_or_take_one(seed: int) -> 
 
 
 def test_even_is_what_the_paper_divides_equally_for_each_device() -> None:
-    # Three devices here and one there: 30 and 10 of 40 cameras, where 20 and 20 would be even by edge.
+    # Three devices here and one there: 30 and 10 of 40 cameras, where 20 and 20 would be even by
+    # edge.
     edges = linear_system(np.array([[0.0, 0.0], [100.0, 0.0]]), np.array([1.0, 1.0])).edges
     slow = replace(edges[0].devices[0], id="slow", train_s=CostCurve(linear=4.0))
     system = System(edges=(replace(edges[0], devices=(edges[0].devices[0], slow, replace(slow, id="slow-2"))), edges[1]))
     positions = np.column_stack([np.linspace(0, 100, 40), np.zeros(40)])
     plan = planned(positions, system, "even")
     assert plan.counts.tolist() == [30, 10]
-    # The slow ones decide: ten cameras of 4 s each. By quotas that fit, 30 cameras would take 20 s there.
+    # The slow ones decide: ten cameras of 4 s each. By quotas that fit, 30 cameras would take 20 s
+    # there.
     assert plan.edge_time_s.tolist() == [40.0, 10.0] and plan.makespan_s > 1.9 * plan.lower_bound_s
     assert [own.device_time_s.tolist() for own in split_edges(positions, plan, system)] == [[10.0, 40.0, 40.0], [10.0]]
     with pytest.raises(BadInput, match="the devices can hold 2 of 3 cameras"):
@@ -176,7 +178,8 @@ def test_stored_sites_and_weights_give_each_camera_its_edge(seed: int) -> None:
 @pytest.mark.parametrize("shift_m", [(1e6, 0.0), (500_000.0, 9_999_000.0), (-1e7, 1e7)])
 def test_the_plan_does_not_depend_on_the_origin(shift_m: tuple[float, float]) -> None:
     rng = np.random.default_rng(2)
-    # Multiples of 1/1024 m, so that the shifted scene is the same scene and not one rounded to other places.
+    # Multiples of 1/1024 m, so that the shifted scene is the same scene and not one rounded to
+    # other places.
     positions, sites = rng.integers(0, 1 << 19, (300, 2)) / 1024, rng.integers(0, 1 << 19, (5, 2)) / 1024
     speeds = rng.uniform(1, 3, 5)
     here = planned(positions, linear_system(sites, speeds))
@@ -256,7 +259,8 @@ def test_moving_borders_prefers_what_fits_into_memory() -> None:
 
 
 def test_moving_borders_does_not_leave_what_fits_for_what_looks_faster() -> None:
-    # The first edge is ten times faster but can hold 10: every move towards balance overfills it, so the start must be kept.
+    # The first edge is ten times faster but can hold 10: every move towards balance overfills it,
+    # so the start must be kept.
     positions = np.stack([np.linspace(0.0, 100.0, 50), np.zeros(50)], axis=1)
     fast, slow = linear_system(np.array([[5.0, 0.0], [25.0, 0.0]]), np.array([1.0, 10.0]), 10).edges
     roomy = replace(slow, devices=(replace(slow.devices[0], max_cameras=None),))

@@ -44,7 +44,8 @@ def test_a_site_across_the_180th_meridian_is_one_site(lon: float) -> None:
     positions = grid(80, (-17.0, lon, 5.0))
     positions[:, 1] = (positions[:, 1] + 180) % 360 - 180
     here, elsewhere = made(positions), made(grid(80, (-17.0, 100.0, 5.0)))
-    # Same latitudes and steps of longitude: the same metres; degrees of 180 round at 1.4e-14 · 1e5 m.
+    # Same latitudes and steps of longitude: the same metres; degrees of 180 round at 1.4e-14 · 1e5
+    # m.
     np.testing.assert_allclose(here.positions_m, elsewhere.positions_m, atol=1e-6)
     assert abs(here.origin[1]) > 179.9
 

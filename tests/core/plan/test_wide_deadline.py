@@ -154,7 +154,8 @@ def test_interpolated_is_numpys_row_by_row_and_0_before_the_first() -> None:
     rising = np.cumsum(rng.random((30, 8)) * (rng.random((30, 8)) < 0.7), axis=1)
     values = np.cumsum(rng.random((30, 8)), axis=1)
     for at in (rng.random(30) * 5, rising[:, 0], rising[:, 3] + 1e-9, rising[:, -1], np.full(30, 99.0)):
-        # At a step of several nodes numpy may take any of them: only where they rise is there one answer.
+        # At a step of several nodes numpy may take any of them: only where they rise is there one
+        # answer.
         steep = (np.diff(rising, axis=1) > 0).all(axis=1)
         expected = np.array([np.interp(t, xs, ys, left=0.0) for t, xs, ys in zip(at, rising, values, strict=True)])
         np.testing.assert_allclose(_interpolated(rising, values, at)[steep], expected[steep], rtol=1e-12)

@@ -1,12 +1,14 @@
-"""The slow, plain twin of `radiant_core.plan.regions.transport`, for any costs: the cheapest dealing for given counts, and its weights.
+"""The slow, plain twin of `radiant_core.plan.regions.transport`, for any costs: the cheapest
+dealing for given counts, and its weights.
 
     minimise Σ_c cost[c, edge_of_camera[c]]   with exactly counts[e] cameras at edge e
 
-Start with every camera in its power cell for some weights, which is optimal for the counts it happens to give; the weights
-come from a few sweeps that set one edge's count right at a time. Then move one camera per step along the cheapest chain of
-edges from one that has too many to one that has too few (successive shortest paths with potentials: Ahuja, Magnanti, Orlin,
-Network Flows, 1993, ch. 9): it stays optimal for the counts it has. The graph has E nodes, not C.
-Runs once per plan: at most C steps of O(C + E² + cameras of the edges on the chain × E).
+Start with every camera in its power cell for some weights, which is optimal for the counts it
+happens to give; the weights come from a few sweeps that set one edge's count right at a time. Then
+move one camera per step along the cheapest chain of edges from one that has too many to one that
+has too few (successive shortest paths with potentials: Ahuja, Magnanti, Orlin, Network Flows, 1993,
+ch. 9): it stays optimal for the counts it has. The graph has E nodes, not C. Runs once per plan: at
+most C steps of O(C + E² + cameras of the edges on the chain × E).
 """
 
 from __future__ import annotations
@@ -65,11 +67,13 @@ def assign_with_counts(cost: FloatArray, counts: Indices) -> Indices:
 
 
 def separating_weights(cost: FloatArray, edge_of_camera: Indices) -> FloatArray:
-    """Weights (E,) with cost[c, own] − w[own] ≤ cost[c, e] − w[e] for every camera c and edge e that has cameras.
+    """Weights (E,) with cost[c, own] − w[own] ≤ cost[c, e] − w[e] for every camera c and edge e
+    that has cameras.
 
-    They exist where the assignment is optimal for its counts. All of them form a convex set bounded by shortest distances
-    between edges; the mean of its extreme points is taken, so that borders run between cameras and not through one wherever
-    there is room. Edges without cameras get weight 0. Mean weight of the others 0. O(E³).
+    They exist where the assignment is optimal for its counts. All of them form a convex set bounded
+    by shortest distances between edges; the mean of its extreme points is taken, so that borders
+    run between cameras and not through one wherever there is room. Edges without cameras get weight
+    0. Mean weight of the others 0. O(E³).
     """
     used = np.unique(edge_of_camera)
     distances = _cheapest_moves(cost, edge_of_camera).extra_cost[np.ix_(used, used)]
@@ -88,10 +92,12 @@ def largest_violation(cost: FloatArray, weights: FloatArray, edge_of_camera: Ind
 
 
 def _start_weights(cost: FloatArray, counts: Indices) -> FloatArray:
-    """Weights (E,) whose power cells hold about `counts` cameras; any weights would do, these save steps.
+    """Weights (E,) whose power cells hold about `counts` cameras; any weights would do, these save
+    steps.
 
-    A camera is in the cell of e while w_e > cost[c, e] − min over the others: w_e goes between the counts[e]-th and the next
-    of these gaps. A sweep costs C E², the steps it saves up to C², so it is left out where edges are many.
+    A camera is in the cell of e while w_e > cost[c, e] − min over the others: w_e goes between the
+    counts[e]-th and the next of these gaps. A sweep costs C E², the steps it saves up to C², so it
+    is left out where edges are many.
     """
     num_cameras, num_edges = cost.shape
     weights = np.zeros(num_edges)

@@ -1,7 +1,9 @@
-"""Every backend against gsplat's own float64 equations, those its CUDA kernels are tested against: no CUDA device is needed.
+"""Every backend against gsplat's own float64 equations, those its CUDA kernels are tested against:
+no CUDA device is needed.
 
-What stands on gsplat's side here: projection, clamped Jacobian, dilation and compensation, conics, spherical harmonics, and autograd
-through them. The blending between them is ours, every Gaussian at every pixel. The kernels themselves are run by the contract test.
+What stands on gsplat's side here: projection, clamped Jacobian, dilation and compensation, conics,
+spherical harmonics, and autograd through them. The blending between them is ours, every Gaussian at
+every pixel. The kernels themselves are run by the contract test.
 """
 
 from __future__ import annotations

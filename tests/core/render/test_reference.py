@@ -50,7 +50,8 @@ def test_random_cloud_matches_pixel_by_pixel_rendering(offset_px: float) -> None
     splats, cameras = random_splats(25), camera(21, 16, offset_px=offset_px)
     image, alpha, depth = brute_force_image(splats, cameras, BACKGROUND)
     output = render(splats, cameras)
-    # Both are float64 from the same float32 parameters; only rounding of different orders of operations is left.
+    # Both are float64 from the same float32 parameters; only rounding of different orders of
+    # operations is left.
     np.testing.assert_allclose(output.images[0], image, atol=1e-9)
     np.testing.assert_allclose(output.alphas[0], alpha, atol=1e-9)
     np.testing.assert_allclose(output.depths[0], depth, atol=1e-8)
@@ -59,13 +60,15 @@ def test_random_cloud_matches_pixel_by_pixel_rendering(offset_px: float) -> None
 def test_float32_stays_near_float64() -> None:
     splats, cameras = random_splats(500, seed=1, bases=16), camera(64, 48)
     difference = (render(splats, cameras).images - render(splats, cameras, torch.float32).images).abs()
-    # A pair within rounding of α_min or of the cut may fall on either side: one 8-bit step of one Gaussian. All else is rounding.
+    # A pair within rounding of α_min or of the cut may fall on either side: one 8-bit step of one
+    # Gaussian. All else is rounding.
     assert difference.max() < 5e-3
     assert difference.square().mean().sqrt() < 1e-5
 
 
-# x/z, y/z of Gaussians as shares of the half image from its centre: inside; between the image's edge and where the Jacobian is clamped
-# (1.3 of the half image); beyond that in one coordinate, and in both.
+# x/z, y/z of Gaussians as shares of the half image from its centre: inside; between the image's
+# edge and where the Jacobian is clamped (1.3 of the half image); beyond that in one coordinate, and
+# in both.
 PLACES = {
     "inside the image": [(-0.8, 0.5), (0.6, 0.7), (0.0, -0.4), (0.3, 0.1)],
     "at the frustum's edge": [(-1.15, 0.5), (1.1, 0.2), (0.3, -1.2), (1.2, 1.15)],
@@ -84,7 +87,8 @@ PLACES = {
     ],
 )
 def test_gradients_agree_with_finite_differences(place: str, offset_px: float, antialiased: bool) -> None:
-    # Four Gaussians so wide that all of the image lies well above α_min: decisions have no derivative.
+    # Four Gaussians so wide that all of the image lies well above α_min: decisions have no
+    # derivative.
     rng, cameras = np.random.default_rng(3), camera(9, 8, offset_px=offset_px)
     degree, bases = (3, 16) if place == "inside the image" else (1, 4)
     pixels = np.array([4.5, 4.0]) * (1 + np.array(PLACES[place]))
@@ -115,7 +119,8 @@ def test_gradients_agree_with_finite_differences(place: str, offset_px: float, a
 def test_order_of_gaussians_does_not_matter() -> None:
     splats, cameras = random_splats(200, seed=2, bases=4), camera()
     shuffled = splats.select(np.random.default_rng(0).permutation(200))
-    # Depths differ for all pairs here, so the blending order is the same: only matrix products round differently.
+    # Depths differ for all pairs here, so the blending order is the same: only matrix products
+    # round differently.
     torch.testing.assert_close(render(splats, cameras).images, render(shuffled, cameras).images, atol=1e-12, rtol=0)
 
 
@@ -143,7 +148,8 @@ def test_means2d_gradient_is_the_gradient_of_a_shift_in_pixels() -> None:
     moved = rasterize(
         SplatTensors.from_splats(splats, torch.float64), torch.tensor(cameras.cam_from_world), torch.tensor(K), 37, 26, sh_degree=0
     )
-    # Moving the principal point moves all means2d by one step in x; the clamp window moves too, but no splat here reaches it.
+    # Moving the principal point moves all means2d by one step in x; the clamp window moves too, but
+    # no splat here reaches it.
     finite_difference = float((moved.images.sum() - output.images.detach().sum()) / step)
     assert output.means2d.grad is not None
     assert float(output.means2d.grad[..., 0].sum()) == pytest.approx(finite_difference, rel=1e-3, abs=1e-3)

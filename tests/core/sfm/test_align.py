@@ -26,7 +26,8 @@ def same(a: Sim3, b: Sim3, points: np.ndarray, tolerance: float) -> bool:
 def test_exact_pairs_give_the_similarity_back(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     true, points = some_sim3(rng), rng.normal(scale=50, size=(count, 3))
-    # 1e-8 m: coordinates of 1e3 to 1e4 m in float64 carry 1e-12 m; the SVD of three nearly collinear points loses some.
+    # 1e-8 m: coordinates of 1e3 to 1e4 m in float64 carry 1e-12 m; the SVD of three nearly
+    # collinear points loses some.
     assert same(fit_sim3(points, true.apply(points)), true, points, 1e-8)
 
 
@@ -68,7 +69,8 @@ def test_outliers_of_a_kilometre_do_not_move_the_robust_fit(share: float) -> Non
     assert fit.status == "ok"
     assert fit.target_from_source is not None
     assert not fit.inliers[lost].any()
-    # 0.5 m of noise over 36 or more inliers leaves about 0.2 m at a point of the scene; 1 m is five times that.
+    # 0.5 m of noise over 36 or more inliers leaves about 0.2 m at a point of the scene; 1 m is five
+    # times that.
     assert same(fit.target_from_source, true, source, 1.0)
 
 

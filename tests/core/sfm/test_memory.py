@@ -42,7 +42,8 @@ def test_mapping_fits_by_fewer_features_of_each_photograph() -> None:
         assert ("features each" in decision.choice) == (config.max_num_features < WANTED.max_num_features)
         before = config.max_num_features
     assert before == WANTED.max_num_features
-    # 200 photographs of 4,096 features: 1,000 MB for the incremental mapper, 1,819 with the global one.
+    # 200 photographs of 4,096 features: 1,000 MB for the incremental mapper, 1,819 with the global
+    # one.
     for limit, mapper in ((1_100, "incremental"), (1_900, "auto")):
         assert limit_to_memory(SfmConfig(memory_bytes=limit * 1e6), sizes_wh)[0].mapper == mapper
     by_global = limit_to_memory(SfmConfig(memory_bytes=1_100e6, mapper="global"), sizes_wh)[0]
@@ -63,7 +64,8 @@ def test_no_limit_decides_nothing_and_too_low_a_one_is_refused() -> None:
 
 def test_photographs_of_fifty_megapixels_are_counted_as_they_are_stored() -> None:
     sizes_wh = [(8192, 6144)] * 12
-    # Measured with these, over the process: 330 MB to find features at 400 px, 302 MB and 593 MB to undistort by 1 and 2 threads.
+    # Measured with these, over the process: 330 MB to find features at 400 px, 302 MB and 593 MB to
+    # undistort by 1 and 2 threads.
     assert features_bytes(1, 400, sizes_wh) >= 148e6 + 330e6
     assert undistorting_bytes(1, sizes_wh) >= 139e6 + 302e6 and undistorting_bytes(2, sizes_wh) >= 139e6 + 593e6
     config, _ = limit_to_memory(SfmConfig(num_threads=4, memory_bytes=700e6), sizes_wh)

@@ -77,7 +77,8 @@ def test_each_way_to_say_up_is_obeyed(up: str) -> None:
         placement = Placement(up=up)
     scene, decisions, warnings = in_world(model, photographs_at(cameras.names, None), placement)
     spread = np.ptp(scene.cameras.centers[:, 2]) / np.ptp(scene.cameras.centers[:, 0])
-    # Heights of 38 to 42 m on a site of 100 m; 2°: the level of the ground is known to that with houses on it.
+    # Heights of 38 to 42 m on a site of 100 m; 2°: the level of the ground is known to that with
+    # houses on it.
     assert spread < 4 / 90 + np.tan(np.radians(2.0))
     assert scene.cameras.centers[:, 2].mean() > scene.points[:, 2].mean()
     forced = next(decision for decision in decisions if decision.topic == "up")

@@ -16,8 +16,9 @@ CONFIG = SfmConfig(num_threads=1)
 
 
 def model_of(centers: FloatArray, points: FloatArray, *, noise_px: float, wrong_share: float, focal_px: float = FOCAL_PX):
-    """Cameras at `centers` (C,3) that look straight down on `points` (P,3) through a lens of `FOCAL_PX`, as a model that takes it for
-    `focal_px`: every projection has noise, and a share of them is off by 2 to 3 px."""
+    """Cameras at `centers` (C,3) that look straight down on `points` (P,3) through a lens of
+    `FOCAL_PX`, as a model that takes it for `focal_px`: every projection has noise, and a share of
+    them is off by 2 to 3 px."""
     rng = np.random.default_rng(0)
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=640, height=480, params=[focal_px, 320.0, 240.0, 0.0], camera_id=1)

@@ -193,7 +193,8 @@ def test_the_estimate_turns_with_the_scene() -> None:
     for seed in range(5):
         rotation = any_rotation(seed)
         again = estimate_up(*turned(made, rotation))
-        # 0.01°: the middle of the points is a median along each axis, so that with the frame a point at the plane's rim comes or goes.
+        # 0.01°: the middle of the points is a median along each axis, so that with the frame a
+        # point at the plane's rim comes or goes.
         assert angle_deg(rotation @ first.up, again.up) < 0.01
         assert again.source == first.source
 
@@ -270,7 +271,8 @@ def test_the_horizon_says_that_the_estimate_is_right_where_drifting_altitudes_ti
     normals = [_horizon(image, HORIZON_PX[image.name]) for image in model.images.values() if image.name in HORIZON_PX]
     assert len(normals) == len(HORIZON_PX)
     horizon = np.mean(normals, axis=0)
-    # 2°: haze and treetops at the rim of a photograph move its line by less, and all photographs agree to that.
+    # 2°: haze and treetops at the rim of a photograph move its line by less, and all photographs
+    # agree to that.
     assert max(angle_deg(normal, horizon) for normal in normals) < 2.0
     estimate, by_gps, with_gps = _set(folder, "0")
     assert angle_deg(estimate.up, horizon) < 3.0

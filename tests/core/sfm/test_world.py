@@ -157,7 +157,8 @@ def test_without_gps_z_is_up_the_frame_unscaled_and_the_median_distance_ten_unit
     assert np.median(distances) == pytest.approx(MEDIAN_DEPTH_UNITS)
     assert scene.cameras.centers[:, 2].min() > scene.points[:, 2].max()
     heights = np.linalg.lstsq(np.column_stack([scene.points[60:, :2], np.ones(340)]), scene.points[60:, 2], rcond=None)[0]
-    # 1°: 60 house points of 400 and 0.3 m of bumps over 120 m tilt the fitted ground by a few tenths of a degree.
+    # 1°: 60 house points of 400 and 0.3 m of bumps over 120 m tilt the fitted ground by a few
+    # tenths of a degree.
     assert np.degrees(np.arctan(np.linalg.norm(heights[:2]))) < 1.0
 
 
@@ -187,7 +188,8 @@ def test_a_straight_flight_line_keeps_metres_and_takes_up_from_the_ground() -> N
     assert scene.frame.kind == "metric"
     assert any("on a line" in warning for warning in warnings)
     assert decisions[-1].unit == "deg roll uncertainty"
-    # 1.5 m: GPS noise of up to 1 m on one position, and up to 1° of ground estimate over the 40 m from ground to camera.
+    # 1.5 m: GPS noise of up to 1 m on one position, and up to 1° of ground estimate over the 40 m
+    # from ground to camera.
     assert np.abs(scene.cameras.centers - metres_of(photos, scene.frame.origin_lat_lon_alt)).max() < 1.5
     assert np.ptp(scene.cameras.centers[:, 2]) < 1.5
 
@@ -201,7 +203,8 @@ def test_altitudes_that_drift_by_a_hundred_metres_do_not_tilt_the_world() -> Non
     assert scene.frame.kind == "metric"
     assert any("altitudes" in warning for warning in warnings)
     assert "roll" in decisions[-1].unit
-    # Without the check the drift of 1 m per metre would tilt the scene by 45° and spread the cameras over 70 m of height.
+    # Without the check the drift of 1 m per metre would tilt the scene by 45° and spread the
+    # cameras over 70 m of height.
     assert np.ptp(scene.cameras.centers[:, 2]) < 8.0
 
 

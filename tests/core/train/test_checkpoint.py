@@ -137,7 +137,8 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(name: str, damage: str
     told: list[str] = []
     state = CheckpointFolder(tmp_path, run_key(SCHEDULE), warn=told.append).load()
     assert state is not None and state.numbers["step"] == 3
-    # Without its record a file is what a kill left of a checkpoint: nothing was lost that had been there.
+    # Without its record a file is what a kill left of a checkpoint: nothing was lost that had been
+    # there.
     assert len(told) == (0 if (name.endswith("json") and damage == "gone") else 1), told
     assert not list(tmp_path.glob("step-00000004*"))
 

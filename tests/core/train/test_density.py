@@ -129,7 +129,8 @@ def test_children_are_drawn_from_their_parent() -> None:
     turn = Rotation.from_quat(quat[0], scalar_first=True).as_matrix()
     expected = turn @ np.diag([9.0, 1.0, 0.04]) @ turn.T
     assert offsets.shape == (2 * count, 3)
-    # 80,000 draws: a variance is off by 1 / √40,000 = 0.5 % of the largest, four times that is never seen by chance.
+    # 80,000 draws: a variance is off by 1 / √40,000 = 0.5 % of the largest, four times that is
+    # never seen by chance.
     np.testing.assert_allclose(np.cov(offsets.T.astype(np.float64)), expected, atol=0.02 * 9)
     np.testing.assert_allclose(offsets.mean(0), 0, atol=4 * 3 / math.sqrt(2 * count))
 
@@ -247,7 +248,8 @@ def few_splats() -> Splats:
     return ground_splats(40)
 
 
-# No reset, after which what is larger than a tenth of these few cameras' extent would be pruned: all of it.
+# No reset, after which what is larger than a tenth of these few cameras' extent would be pruned:
+# all of it.
 EDITS = Adc(from_step=2_000, until_step=20_000, every=20, reset_opacity_every=1_000_000)
 ADC = replace(
     train_preset("standard"),
@@ -333,7 +335,8 @@ def test_the_paper_preset_has_the_papers_numbers_and_standard_those_of_3dgs() ->
         assert config.density == Adc(kind="adc", from_step=500, until_step=15_000, every=100, reset_opacity_every=3_000) == Adc()
         assert (config.adam, config.sky, config.fill_in, config.max_scale_per_distance) == ("dense", False, False, None)
     assert (paper.num_steps, paper.schedule_steps, standard.num_steps, standard.schedule_steps) == (20_000, 20_000, 30_000, 30_000)
-    # 3DGS lowers the centres' rate to a hundredth at 30,000 steps, two thirds of which the paper takes.
+    # 3DGS lowers the centres' rate to a hundredth at 30,000 steps, two thirds of which the paper
+    # takes.
     assert paper.means_lr_end == pytest.approx(0.01 ** (20_000 / 30_000)) and standard.means_lr_end == 0.01
     for name in ("draft", "default"):
         config = train_preset(name)

@@ -54,7 +54,8 @@ def test_two_cameras_do_not_fill_the_same_place_twice() -> None:
     scene, views = flat_scene(half_side_m=0.7)
     points = fill_in_points(scene, views).points
     distances = np.linalg.norm(points[:, None] - points, axis=2) + 9 * np.eye(len(points))
-    # Cells are 4 px, that is 0.333 m; cells of one camera touch, those of two keep 0.7 of a cell apart.
+    # Cells are 4 px, that is 0.333 m; cells of one camera touch, those of two keep 0.7 of a cell
+    # apart.
     assert distances.min() > 0.7 * 0.33
 
 
@@ -91,6 +92,7 @@ def test_the_far_ground_of_an_oblique_view_comes_down_to_the_ground() -> None:
     added = fill_in_points(scene, TrainingViews(cameras=camera, images=(np.full((60, 80, 3), 7, np.uint8),))).points
     far = added[added[:, 1] > 15]
     assert len(far) > 20, "cells above the sparse points"
-    # Up to 10 times the neighbours' depth of some 12 m rays reach the ground; flatter ones end at that distance, above it.
+    # Up to 10 times the neighbours' depth of some 12 m rays reach the ground; flatter ones end at
+    # that distance, above it.
     np.testing.assert_allclose(far[far[:, 1] < 90, 2], 0, atol=1e-9)
     assert np.linalg.norm(added, axis=1).max() < 10 * np.linalg.norm(near, axis=1).max() * 2

@@ -67,7 +67,8 @@ def test_every_build_equals_float64(shape: tuple[int, int], build: str) -> None:
 
 
 def test_precision_holds_where_image_and_target_nearly_meet() -> None:
-    # Differences of 1e-3 cost torch's float32 up to 4 of 7 digits of the SSIM gradient; written in differences it keeps them.
+    # Differences of 1e-3 cost torch's float32 up to 4 of 7 digits of the SSIM gradient; written in
+    # differences it keeps them.
     image, target = pair((48, 64), 1e-3)
     loss, gradient = native(image, target, None, 1.0)
     exact_loss, exact_gradient = exact(image, target, None, 1.0)
@@ -84,7 +85,8 @@ def test_gradient_matches_finite_differences_of_the_native_loss() -> None:
     weights = random_weights((14, 13))
     _, gradient = native(image, target, weights, 0.2)
     for flat in np.random.default_rng(0).choice(image.numel(), 40, replace=False):
-        # ± 1e-3: the third derivative adds 1e-6 of the gradient, rounding of the two losses 1e-4. Kinks of |d| are left out.
+        # ± 1e-3: the third derivative adds 1e-6 of the gradient, rounding of the two losses 1e-4.
+        # Kinks of |d| are left out.
         if (image - target).flatten()[flat].abs() < 2e-3:
             continue
         step = torch.zeros(image.numel())
@@ -184,7 +186,8 @@ def test_flat_images_have_the_right_and_finite_gradient(value: float, target_val
     loss, gradient = native(image, target, None, 0.2)
     exact_loss, exact_gradient = exact(image, target, None, 0.2)
     assert torch.isfinite(gradient).all()
-    # Variances of a flat picture are zero inside, so float32's rounding of d² over C2 = 9e-4 remains: 1e-7 / 9e-4.
+    # Variances of a flat picture are zero inside, so float32's rounding of d² over C2 = 9e-4
+    # remains: 1e-7 / 9e-4.
     assert loss == pytest.approx(exact_loss, rel=1e-5, abs=1e-12)
     assert float((gradient - exact_gradient).abs().max()) < 2e-4 * max(float(exact_gradient.abs().max()), 1e-6)
 

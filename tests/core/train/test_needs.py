@@ -78,7 +78,8 @@ class TestExposure:
     def test_the_spread_of_gains_is_found_and_decides(self) -> None:
         gains = np.array([0.8, 1.0, 1.2, 1.0, 0.9, 1.1])
         scene, views = scene_of(6, gains)
-        # Each against the mean of the others; one step above black is added before the ratio is taken.
+        # Each against the mean of the others; one step above black is added before the ratio is
+        # taken.
         logs = np.log(1 + np.round(100 * gains))
         expected = np.std([log - np.delete(logs, v).mean() for v, log in enumerate(logs)])
         assert exposure_spread(scene, views) == pytest.approx(expected, rel=1e-6)

@@ -61,7 +61,8 @@ def test_same_seed_gives_the_same_bits_and_another_seed_does_not() -> None:
 
 
 def test_cameras_reach_the_renderer_as_they_are_stored(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Rounded to float32, a camera 10 km from the origin stands a millimetre off, and training would see another picture than evaluation.
+    # Rounded to float32, a camera 10 km from the origin stands a millimetre off, and training would
+    # see another picture than evaluation.
     dtypes: list[torch.dtype] = []
 
     def spy(splats, viewmats, Ks, *sizes, **options):
@@ -76,7 +77,8 @@ def test_cameras_reach_the_renderer_as_they_are_stored(monkeypatch: pytest.Monke
 @pytest.mark.parametrize("share", [1 / 3, 1e-3])
 def test_no_gaussian_outgrows_its_distance_to_the_nearest_camera(share: float) -> None:
     start = grey_start()
-    # One at a camera's own centre, one as large as the scene just below another, and an ordinary one.
+    # One at a camera's own centre, one as large as the scene just below another, and an ordinary
+    # one.
     means, log_scales = start.means.copy(), start.log_scales.copy()
     means[:2] = CAMERAS.centers[:2] - [[0, 0, 0], [0, 0, 0.5]]
     log_scales[:2] = 3.0

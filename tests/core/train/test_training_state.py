@@ -211,7 +211,8 @@ def test_training_gives_up_after_many_steps_that_are_not_finite(monkeypatch: pyt
 def test_the_best_model_by_validation_is_returned_not_the_last() -> None:
     views = photographs()
     validation = views.select([5])
-    # Two photographs alone, learnt by heart at high rates: the view between them gets worse in the end.
+    # Two photographs alone, learnt by heart at high rates: the view between them gets worse in the
+    # end.
     config = replace(CONFIG, num_steps=60, exposure="none", start_scale=1.0, means_lr=5e-2, scales_lr=0.1, num_looks=5, means_lr_end=1.0)
     result = fit_splats(start(), views.select([0, 1]), config, FitOptions(validation=validation))
     figures = dict(result.validation)

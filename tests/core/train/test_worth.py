@@ -85,7 +85,8 @@ def test_a_darker_photograph_or_one_of_a_lawn_is_not_taken_for_blurred() -> None
     scene, views = flat_scene()
     darker = with_image(views, 2, views.images[2] * 0.8)
     assert images_worth(scene, darker).kept.all()
-    # The east of the ground is a lawn: photographs of it are smooth, and so is what the others show there.
+    # The east of the ground is a lawn: photographs of it are smooth, and so is what the others show
+    # there.
     smooth = TEXTURE.copy()
     smooth[:, 210:] = cv2.GaussianBlur(TEXTURE, (0, 0), 4)[:, 210:]
     with pytest.MonkeyPatch.context() as patched:

@@ -70,8 +70,8 @@ def timeline_picture(rows: Sequence[TimelineRow], title: str = "Timeline", width
 def comparison_picture(photo: Image, render: Image, difference: Image | None = None, title: str = "", width_px: int | None = None) -> Image:
     """Return photograph, render and difference, each (H,W,3), side by side with captions.
 
-    Each is 380 to 560 px wide, or all three `width_px`; without `difference` it is |photo − render| × 3. Raises BadInput where
-    sizes differ.
+    Each is 380 to 560 px wide, or all three `width_px`; without `difference` it is |photo − render|
+    × 3. Raises BadInput where sizes differ.
     """
     if difference is None:
         _require_same_size(photo, render)

@@ -27,7 +27,8 @@ class Healed:
 
 
 def healing_picture(photograph: Image, band: NDArray[np.bool_], shown: Sequence[Healed], title: str, detail: str = "") -> Image:
-    """Return the photograph (H,W,3) and the renders `shown`, above the band (H,W) and |shown − photograph| × 3.
+    """Return the photograph (H,W,3) and the renders `shown`, above the band (H,W) and |shown −
+    photograph| × 3.
 
     Raises BadInput without renders, or where sizes differ.
     """

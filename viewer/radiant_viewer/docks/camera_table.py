@@ -21,9 +21,11 @@ Index = QModelIndex | QPersistentModelIndex
 
 
 class CameraTable(QAbstractTableModel):
-    """One row per camera of the scene, then one per held-out photograph whose pose stayed with its device.
+    """One row per camera of the scene, then one per held-out photograph whose pose stayed with its
+    device.
 
-    Columns: name, region, device, use, PSNR, other measured figures, position, and the file where the name is a number.
+    Columns: name, region, device, use, PSNR, other measured figures, position, and the file where
+    the name is a number.
     """
 
     def __init__(self, run: RunView, figures: ImageFigures | None = None) -> None:

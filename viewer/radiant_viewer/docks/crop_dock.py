@@ -163,7 +163,8 @@ class CropDock(QDockWidget):
     def _on_dragged(self, shape: object) -> None:
         bounds = np.array(shape.bounds).reshape(3, 2).T + self._host.origin  # type: ignore[attr-defined]
         if self._widget_box is not None and not np.allclose(bounds, self._widget_box, atol=1e-3):
-            # The widget is where it was dragged to: creating it again under the pointer would end the drag.
+            # The widget is where it was dragged to: creating it again under the pointer would end
+            # the drag.
             self._widget_box = bounds
             for pair, sides in zip(self._fields, bounds.T, strict=True):
                 for field, value in zip(pair, sides, strict=True):

@@ -42,7 +42,8 @@ class SplatDock(QDockWidget):
         super().__init__("Splats")
         self.setObjectName("splats")
         self._host = host
-        # A copy of what the strict reader accepted: the run may be written to while the window is open.
+        # A copy of what the strict reader accepted: the run may be written to while the window is
+        # open.
         self._folder = tempfile.TemporaryDirectory(prefix="radiant-")
         self._splats = splats
         self.picture = PictureLabel()

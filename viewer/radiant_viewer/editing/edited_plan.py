@@ -20,10 +20,11 @@ from radiant_core.plan.system import System
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanSubject:
-    """The cameras to plan: names (C) unique; positions (C,3) in `unit`; origin (3,) lat lon alt if they are on the globe; ground, its
-    height in the positions' z, if the scene has it.
+    """The cameras to plan: names (C) unique; positions (C,3) in `unit`; origin (3,) lat lon alt if
+    they are on the globe; ground, its height in the positions' z, if the scene has it.
 
-    Raises BadInput without cameras, for positions that are not finite and for names that come twice.
+    Raises BadInput without cameras, for positions that are not finite and for names that come
+    twice.
     """
 
     names: tuple[str, ...]

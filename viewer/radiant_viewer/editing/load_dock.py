@@ -42,7 +42,8 @@ class LoadDock(QDockWidget):
         if [(row.name, row.is_edge) for row in rows] != [(row.name, row.is_edge) for row in self._rows]:
             self._rebuild(rows)
         self._rows = tuple(rows)
-        # A signal per cell would make Qt measure all columns again: 12 ms per frame of a drag with 16 edges.
+        # A signal per cell would make Qt measure all columns again: 12 ms per frame of a drag with
+        # 16 edges.
         with QSignalBlocker(self.tree.model()):
             self._fill(rows)
         for column in (CAMERAS, TIME):

@@ -42,10 +42,11 @@ NO_SYSTEM = "The plan cannot be changed here: its machines are not known."
 
 
 class PlanActions(QObject):
-    """`session` is None where the plan can only be viewed, for the reason in `reason`; `selected`: names of planned cameras.
+    """`session` is None where the plan can only be viewed, for the reason in `reason`; `selected`:
+    names of planned cameras.
 
-    `run` and `figures` follow the session's plan. Signals: `selection_changed`, and `compared` with the name of the other plan's file and
-    the figures of both.
+    `run` and `figures` follow the session's plan. Signals: `selection_changed`, and `compared` with
+    the name of the other plan's file and the figures of both.
     """
 
     selection_changed = Signal()
@@ -182,7 +183,8 @@ class PlanActions(QObject):
         self.do(load_other_plan(path, self.session.editor.subject))
 
     def compare(self, path: Path) -> PlanDifference:
-        """Mark the cameras that another plan gives to other edges, and draw its borders; `compared` carries the figures of both.
+        """Mark the cameras that another plan gives to other edges, and draw its borders; `compared`
+        carries the figures of both.
 
         Raises BadInput for a plan of other cameras.
         """

@@ -19,8 +19,8 @@ MAX_FLOWS = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanDifference:
-    """Between two plans of the same C cameras: new_edge and new_device (C,) bool, cameras that move; flows: numbers of
-    cameras from edge to edge, the largest first."""
+    """Between two plans of the same C cameras: new_edge and new_device (C,) bool, cameras that
+    move; flows: numbers of cameras from edge to edge, the largest first."""
 
     new_edge: NDArray[np.bool_]
     new_device: NDArray[np.bool_]

@@ -31,7 +31,8 @@ class _Step:
 class PlanEditor:
     """One plan and its history.
 
-    `edits_path`: the file in which edits are kept; None: nowhere. Raises BadInput when plan, cameras and system do not belong together.
+    `edits_path`: the file in which edits are kept; None: nowhere. Raises BadInput when plan,
+    cameras and system do not belong together.
     """
 
     def __init__(

@@ -20,8 +20,8 @@ from radiant_viewer.editing.plan_edits import Edit, apply_edit
 
 
 class PlanSession(QObject):
-    """Signals: changed: the plan; previewed: the `EditedPlan` of a drag; failed: one sentence; busy: solving or not;
-    conflict_resolved: where the dropped edits are."""
+    """Signals: changed: the plan; previewed: the `EditedPlan` of a drag; failed: one sentence;
+    busy: solving or not; conflict_resolved: where the dropped edits are."""
 
     changed = Signal()
     previewed = Signal(object)

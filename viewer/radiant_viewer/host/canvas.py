@@ -59,7 +59,8 @@ class Canvas:
         self.plotter = _View(self.frame, auto_update=False, multi_samples=4)
         # Else the first look at the camera, and the first layer, would each draw a frame.
         self.plotter.camera_set = True
-        # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its own.
+        # VTK's own keys: "q" and "e" would end the view, "w" draw wires; the window has keys of its
+        # own.
         self.plotter.reset_key_events()
         self.plotter.iren.interactor.RemoveObservers("CharEvent")
         self.plotter.setToolTip("")
@@ -104,7 +105,8 @@ class Canvas:
         self.actors[layer.name], self._drawn[layer.name] = [*actors], (self.theme, slot, shown)
         if len(layer.points) >= CLOUD_SIZE and not layer.point_rim:
             for actor in actors[-1:]:
-                # A view of the window is a quarter of a picture's size: points as large would bury what lies below.
+                # A view of the window is a quarter of a picture's size: points as large would bury
+                # what lies below.
                 actor.prop.point_size = CLOUD_POINT_PX if self.is_map else CLOUD_POINT_3D_PX
         if layer.labels and self.is_map:
             self.actors[layer.name].append(add_map_labels(self.plotter, layer.labels, self.origin, height, self.theme, LABEL_SIZE))

@@ -26,7 +26,8 @@ Coloring = Literal["region", "device", "split", "psnr"]
 def camera_layer(
     cameras: Cameras, roles: CameraRoles, coloring: Coloring, psnr_db: Mapping[str, float] | None = None, *, pyramids: bool = True
 ) -> Layer:
-    """Return all C cameras as dots, coloured by region with their pyramids, or without where `pyramids` is False.
+    """Return all C cameras as dots, coloured by region with their pyramids, or without where
+    `pyramids` is False.
 
     Raises: BadInput for an unknown colouring, or "psnr" without figures.
     """

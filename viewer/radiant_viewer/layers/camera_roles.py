@@ -18,7 +18,8 @@ NOBODY = -1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CameraRoles:
-    """edge_of_camera (C,), device_of_camera (C,) into edge_ids and device_ids, or -1; held_out (C,) bool.
+    """edge_of_camera (C,), device_of_camera (C,) into edge_ids and device_ids, or -1; held_out (C,)
+    bool.
 
     edge_of_device (D,) into edge_ids, for devices of all edges in order.
     """
@@ -34,8 +35,8 @@ class CameraRoles:
 def camera_roles(cameras: Cameras, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], held_out: Collection[str]) -> CameraRoles:
     """Return the roles of all C cameras of a scene under a plan.
 
-    The plan covers all C cameras, or those that are not held out, in the scene's order. Raises BadInput where it fits neither,
-    or where a held-out name or an edge is unknown.
+    The plan covers all C cameras, or those that are not held out, in the scene's order. Raises
+    BadInput where it fits neither, or where a held-out name or an edge is unknown.
     """
     unknown = sorted(set(held_out) - set(cameras.names))
     if unknown:

@@ -48,8 +48,8 @@ def add_layer(
 ) -> list[pv.Actor]:
     """Draw one layer relative to `origin` (3,) and return its actors.
 
-    `line_scale` multiplies widths in pixels; `flat_height` flattens the layer for a map from that height on, in painter's order;
-    `detail` thins large clouds.
+    `line_scale` multiplies widths in pixels; `flat_height` flattens the layer for a map from that
+    height on, in painter's order; `detail` thins large clouds.
     """
     if len(layer.points) and detail is not None and is_thinned(layer):
         flat = replace(layer, points=np.zeros((0, 3)), point_colors=np.zeros((0, 3), np.uint8))

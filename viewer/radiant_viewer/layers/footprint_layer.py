@@ -1,7 +1,7 @@
 """Layers of footprints: their outlines, and the number of images that see each place of the ground.
 
-overlap(x) = number of footprints that contain x, on square cells; a footprint is convex: x is inside if left of all sides.
-Once per picture, O(P · cells under a footprint).
+overlap(x) = number of footprints that contain x, on square cells; a footprint is convex: x is
+inside if left of all sides. Once per picture, O(P · cells under a footprint).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ CELLS_A_SIDE = 72
 
 
 def footprint_layer(footprints: Footprints, roles: CameraRoles, cloud_plan: CloudPlan, height: float = 0.0) -> Layer:
-    """Return the outlines of the footprints of C images in their regions' colours, clipped to the regions' box, thinned above 2,000;
-    BadInput for other numbers."""
+    """Return the outlines of the footprints of C images in their regions' colours, clipped to the
+    regions' box, thinned above 2,000; BadInput for other numbers."""
     if len(footprints) != len(roles.edge_of_camera):
         raise BadInput(f"there are {len(footprints)} footprints of {len(roles.edge_of_camera)} cameras: give one each.")
     seeing = np.flatnonzero(footprints.areas_m2 > 0)

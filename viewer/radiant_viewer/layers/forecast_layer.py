@@ -47,8 +47,8 @@ def forecast_layers(forecasts: Sequence[BorderForecast], height: float = 0.0) ->
 
 
 def buffer_layer(positions: FloatArray, cloud_plan: CloudPlan, buffers: Sequence[EdgeBuffer]) -> Layer:
-    """Return the positions (P,3) that edges capture for their neighbours, larger, in the colour of the capturing region; thinned
-    above 20,000. Draw it below the waypoints."""
+    """Return the positions (P,3) that edges capture for their neighbours, larger, in the colour of
+    the capturing region; thinned above 20,000. Draw it below the waypoints."""
     edges = np.concatenate([np.full(len(b.camera_indices), cloud_plan.edge_ids.index(b.edge_id)) for b in buffers]).astype(np.int64)
     cameras = np.concatenate([np.zeros(0, np.int64), *(buffer.camera_indices for buffer in buffers)])
     shown = slice(None, None, max(1, -(-len(cameras) // MAX_DOTS)))

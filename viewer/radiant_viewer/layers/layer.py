@@ -70,9 +70,11 @@ def _no_colors() -> ColorArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
-    """points (N,3), segments (S,2,3) and polygons R × (V,3), each with one colour; later layers lie over earlier ones on a map.
+    """points (N,3), segments (S,2,3) and polygons R × (V,3), each with one colour; later layers lie
+    over earlier ones on a map.
 
-    Raises BadInput when a shape is wrong, colours do not match in number, or a coordinate is not finite.
+    Raises BadInput when a shape is wrong, colours do not match in number, or a coordinate is not
+    finite.
     """
 
     name: str
@@ -113,10 +115,11 @@ class Layer:
 
 
 def framing_positions(layers: Sequence[Layer]) -> FloatArray:
-    """Return the positions (K,3) that a picture must hold: ends, corners, markers, and the points of clouds near those.
+    """Return the positions (K,3) that a picture must hold: ends, corners, markers, and the points
+    of clouds near those.
 
-    Clouds (of 100 points or more) hold strays, far ground and a sky; without anything else they count as far as Tukey's outer fence.
-    BadInput when the layers hold no geometry at all.
+    Clouds (of 100 points or more) hold strays, far ground and a sky; without anything else they
+    count as far as Tukey's outer fence. BadInput when the layers hold no geometry at all.
     """
     # A subsample of ten million points gives the extent in a fiftieth of the time.
     clouds = [layer.points[:: 1 + len(layer.points) // REACH_POINTS] for layer in layers if len(layer.points) >= CLOUD_SIZE]

@@ -75,8 +75,8 @@ def shade_colors(color: ArrayLike, count: int) -> ColorArray:
 
 
 def heat_table(start: float = 0.0) -> ColorArray:
-    """Return 256 colours (256,3) of viridis from its share `start` on: dark violet to yellow, readable in grey and for every
-    kind of colour vision."""
+    """Return 256 colours (256,3) of viridis from its share `start` on: dark violet to yellow,
+    readable in grey and for every kind of colour vision."""
     from matplotlib import colormaps
 
     return np.rint(255 * colormaps["viridis"](np.linspace(start, 1, 256))[:, :3]).astype(np.uint8)

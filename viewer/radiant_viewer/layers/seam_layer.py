@@ -46,8 +46,9 @@ class SeamPieces:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColorSteps:
-    """Per piece (S,) in 8-bit levels, NaN where unknown: the step beyond the texture, the texture, and the largest step beyond it
-    of a parallel, where there is no border; smaller steps cannot be distinguished from texture."""
+    """Per piece (S,) in 8-bit levels, NaN where unknown: the step beyond the texture, the texture,
+    and the largest step beyond it of a parallel, where there is no border; smaller steps cannot be
+    distinguished from texture."""
 
     levels: FloatArray
     texture_levels: FloatArray
@@ -74,10 +75,11 @@ def piece_normals(pieces: SeamPieces) -> FloatArray:
 def color_steps(
     splats: Splats, pieces: SeamPieces, width: float, shares: ArrayLike | None = None, *, pooled_widths: float = POOLED_WIDTHS
 ) -> ColorSteps:
-    """Return the colour steps across each piece; NaN where too few Gaussians lie beside it or its share (S,) of coverage is 0.
+    """Return the colour steps across each piece; NaN where too few Gaussians lie beside it or its
+    share (S,) of coverage is 0.
 
-    `width` of a band > 0; `shares`: weights of the pieces, equal by default; `pooled_widths` = infinity gives all pieces of a
-    border one figure. Raises BadInput for a bad width.
+    `width` of a band > 0; `shares`: weights of the pieces, equal by default; `pooled_widths` =
+    infinity gives all pieces of a border one figure. Raises BadInput for a bad width.
     """
     if not (np.isfinite(width) and width > 0):
         raise BadInput(f"the width of a seam band is {width}, expected a positive number.")
@@ -90,7 +92,8 @@ def color_steps(
     pooled = same_border & (np.linalg.norm(middles[:, None] - middles, axis=2) <= pooled_widths * width)
 
     def band_colors(offset_widths: float) -> FloatArray:
-        # The border of the lower region runs counter-clockwise, so "left" is the same side in all its pieces.
+        # The border of the lower region runs counter-clockwise, so "left" is the same side in all
+        # its pieces.
         chosen = tree.query_ball_point(middles + offset_widths * width * normals, 0.5 * width)
         own = np.array([weighted[rows].sum(axis=0) for rows in chosen]).reshape(-1, 5)
         sums, numbers = (pooled * counts) @ own[:, :4], (pooled & (counts > 0)) @ own[:, 4:]
@@ -111,10 +114,11 @@ def color_steps(
 
 
 def seam_layer(pieces: SeamPieces, values: ArrayLike, label: str, height: float = 0.0, least_high: float = 0.0) -> Layer:
-    """Return the pieces of the borders coloured by one value (S,) each; `label` names quantity and unit, NaN is grey.
+    """Return the pieces of the borders coloured by one value (S,) each; `label` names quantity and
+    unit, NaN is grey.
 
-    The scale ends at the highest value or at `least_high`, so that invisible steps do not get the brightest colour. Raises
-    BadInput where the number of values differs from the number of pieces.
+    The scale ends at the highest value or at `least_high`, so that invisible steps do not get the
+    brightest colour. Raises BadInput where the number of values differs from the number of pieces.
     """
     # A value that is not finite becomes one grey piece, counted in the legend.
     raw = np.asarray(values, np.float64)

@@ -20,8 +20,8 @@ MAX_POINTS = 10_000_000
 
 
 def sparse_point_layer(scene: SfmScene, max_points: int = MAX_POINTS) -> Layer:
-    """Return the P points of the scene in their colours. Points without observations are the Gaussians of a delivered model, and
-    the layer is named so."""
+    """Return the P points of the scene in their colours. Points without observations are the
+    Gaussians of a delivered model, and the layer is named so."""
     kind = "sparse points" if len(scene.observations) else "Gaussians"
     kept = None if len(scene.points) <= max_points else even_subset(scene.points, max_points)
     # Indexing with all of them would copy them.

@@ -61,8 +61,8 @@ THEMES: dict[ThemeName, Theme] = {"light": LIGHT, "dark": DARK}
 
 
 def apply_theme(layer: Layer, theme: Theme) -> Layer:
-    """Return the layer and its legend in a theme's colours: ink, pale fills, and white become the theme's, and a heat scale begins
-    where it is visible; other colours of data stay."""
+    """Return the layer and its legend in a theme's colours: ink, pale fills, and white become the
+    theme's, and a heat scale begins where it is visible; other colours of data stay."""
     is_plain = not (len(layer.segments) or layer.polygons or layer.heat or any(entry.marker == "line" for entry in layer.legend))
     if theme.name == "light" or is_plain:
         # The same object, so that both views share the cached cloud.

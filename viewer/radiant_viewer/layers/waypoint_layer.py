@@ -15,8 +15,8 @@ MAX_DOTS = 50_000
 
 
 def waypoint_layer(positions: FloatArray, cloud_plan: CloudPlan) -> Layer:
-    """Return waypoints (P,3) m of a plan as dots, thinned above 50,000, as the legend says; BadInput where their number is not
-    the plan's."""
+    """Return waypoints (P,3) m of a plan as dots, thinned above 50,000, as the legend says;
+    BadInput where their number is not the plan's."""
     if len(positions) != len(cloud_plan.edge_of_camera):
         raise BadInput(f"the plan is of {len(cloud_plan.edge_of_camera)} cameras, there are {len(positions)} waypoints: plan again.")
     every = -(-len(positions) // MAX_DOTS)

@@ -1,7 +1,8 @@
 """A flight through keyframes along smooth curves of position and focal point. Once per frame.
 
-Positions and focal points: PCHIP (Fritsch & Carlson 1980) over time, which never overshoots a keyframe; the upward vector and the angle
-are interpolated linearly. Frame f of n at time T · f / (n − 1).
+Positions and focal points: PCHIP (Fritsch & Carlson 1980) over time, which never overshoots a
+keyframe; the upward vector and the angle are interpolated linearly. Frame f of n at time T · f / (n
+− 1).
 """
 
 from __future__ import annotations

@@ -21,8 +21,9 @@ Image = NDArray[np.uint8]
 class Drawing:
     """A picture (H,W,3) of layers without text, and the pixels of its labels.
 
-    label_px (L,2): pixels of all labels in order, NaN behind the camera; mark_px (M,2): markers to keep free;
-    extent: x_min, x_max, y_min, y_max of a map in world coordinates, None for a view in perspective.
+    label_px (L,2): pixels of all labels in order, NaN behind the camera; mark_px (M,2): markers to
+    keep free; extent: x_min, x_max, y_min, y_max of a map in world coordinates, None for a view in
+    perspective.
     """
 
     image: Image

@@ -32,14 +32,16 @@ MAX_GIF_BYTES = 1 << 30
 
 
 class MovieWriter:
-    """A context manager: `add` frames of one size; the file appears if the block succeeds, else nothing is left.
+    """A context manager: `add` frames of one size; the file appears if the block succeeds, else
+    nothing is left.
 
     Args:
         path: the film; its ending, one of `ENDINGS`, chooses the format.
         size_wh: of the frames, even and at least 16 px.
         frames_per_s: frames per second.
 
-    Raises: BadInput for another ending or size, a folder that cannot be written, or frames of another size.
+    Raises: BadInput for another ending or size, a folder that cannot be written, or frames of
+    another size.
     """
 
     def __init__(self, path: Path, size_wh: tuple[int, int], frames_per_s: float) -> None:

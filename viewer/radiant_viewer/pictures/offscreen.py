@@ -96,11 +96,13 @@ def aim_camera(plotter: pv.Plotter, positions: FloatArray, direction_deg: tuple[
 
 
 def fit_distance(positions: FloatArray, toward: FloatArray, slopes: Sequence[tuple[FloatArray, float]]) -> tuple[float, FloatArray]:
-    """Return the least distance from which all positions (K,3) are in view, and the target (3,) to look at.
+    """Return the least distance from which all positions (K,3) are in view, and the target (3,) to
+    look at.
 
-    `toward` (3,) points at the viewer; `slopes` holds per image axis (3,) the tangent k of half its angle. A position with coordinates
-    x along the axis and t towards the viewer is in view for |x − c| ≤ (D − t) k, so D = (max(x + t k) − min(x − t k)) / 2k and
-    c = (max(x + t k) + min(x − t k)) / 2; the larger D of the axes counts.
+    `toward` (3,) points at the viewer; `slopes` holds per image axis (3,) the tangent k of half its
+    angle. A position with coordinates x along the axis and t towards the viewer is in view for |x −
+    c| ≤ (D − t) k, so D = (max(x + t k) − min(x − t k)) / 2k and c = (max(x + t k) + min(x − t k))
+    / 2; the larger D of the axes counts.
     """
     depths = positions @ toward
     distance, target = 1e-3, np.zeros(3)

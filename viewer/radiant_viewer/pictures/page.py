@@ -120,7 +120,8 @@ def _add_title(figure: Figure, text: PageText, left_px: int) -> None:
     line = figure.text(left_px / width, 1 - 39 / height, text.subtitle, size=9.5, color=SOFT_COLOR, va="top")
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
-    # On a small page a long line is set smaller rather than cut off; twice, since the widths of letters are whole pixels.
+    # On a small page a long line is set smaller rather than cut off; twice, since the widths of
+    # letters are whole pixels.
     room = width - left_px - GAP_PX
     size = 9.5
     for _ in range(2):

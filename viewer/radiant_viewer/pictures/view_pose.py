@@ -17,9 +17,11 @@ from radiant_core.numerics import FloatArray, checked_array
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ViewPose:
-    """position, focal_point (3,) in the world, up (3,) of any length, angle_deg from the lower to the upper rim of the picture.
+    """position, focal_point (3,) in the world, up (3,) of any length, angle_deg from the lower to
+    the upper rim of the picture.
 
-    Raises BadInput where the direction or the upward vector is undefined, or the angle is not between 0 and 180°.
+    Raises BadInput where the direction or the upward vector is undefined, or the angle is not
+    between 0 and 180°.
     """
 
     position: FloatArray

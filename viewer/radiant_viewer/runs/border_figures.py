@@ -26,8 +26,8 @@ from radiant_core.splats import Splats
 from radiant_viewer.layers.seam_layer import SeamPieces, color_steps, piece_normals, seam_pieces
 
 VISIBLE_LEVELS = 10.0
-"""Of 255: what a glance at two even surfaces beside each other sees. Unplanted, the borders of the sample runs step by 0.0 levels over
-their whole length, the planted one of 30 levels by 23.1."""
+"""Of 255: what a glance at two even surfaces beside each other sees. Unplanted, the borders of the
+sample runs step by 0.0 levels over their whole length, the planted one of 30 levels by 23.1."""
 MIN_OBSERVED_SHARE = 0.25
 """Of a border's length, for a verdict."""
 MIN_OBSERVED_PIECES = 3
@@ -36,9 +36,9 @@ MIN_OBSERVED_PIECES = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BorderFigures:
-    """One border and its K pieces in order: ends (K,2,2), shares (K,) of the usual coverage, levels (K,) of their colour steps
-    and limits (K,) of detection, NaN where nothing was observed or too few Gaussians lie; step, texture and limit are those of
-    the whole observed length."""
+    """One border and its K pieces in order: ends (K,2,2), shares (K,) of the usual coverage, levels
+    (K,) of their colour steps and limits (K,) of detection, NaN where nothing was observed or too
+    few Gaussians lie; step, texture and limit are those of the whole observed length."""
 
     border: Border
     names: tuple[str, str]

@@ -115,7 +115,8 @@ def sort_rows(figures: CameraFigures, name: str, *, descending: bool = False) ->
 
 
 def filter_rows(figures: CameraFigures, text: str) -> NDArray[np.int64]:
-    """Return the rows (K,) that meet all conditions of a filter, all rows for an empty one; a single word is searched in names.
+    """Return the rows (K,) that meet all conditions of a filter, all rows for an empty one; a
+    single word is searched in names.
 
     Raises BadInput with an example for a condition that cannot be parsed.
     """

@@ -35,7 +35,8 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
 
     Args:
         path: the plan's file.
-        scene: its cameras, in its order; for a plan that was made from a scene and holds no waypoints.
+        scene: its cameras, in its order; for a plan that was made from a scene and holds no
+            waypoints.
 
     Raises: BadInput where it has neither or they do not fit, and as `load_plan`.
     """
@@ -59,8 +60,9 @@ def load_plan_view(path: Path, scene: SfmScene | None = None) -> RunView:
 
 
 def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None) -> SfmScene:
-    """The cameras that waypoints will become, without points, in metres about the waypoints' origin; z counts from the ground, at
-    `ground_m` of the waypoints' altitudes, or at `estimate_ground_m`."""
+    """The cameras that waypoints will become, without points, in metres about the waypoints'
+    origin; z counts from the ground, at `ground_m` of the waypoints' altitudes, or at
+    `estimate_ground_m`."""
     optics = Optics()
     positions = waypoints.positions_m.copy()
     positions[:, 2] += waypoints.origin[2] - (estimate_ground_m(waypoints, optics) if ground_m is None else ground_m)
@@ -75,8 +77,9 @@ def scene_before_capture(waypoints: Waypoints, ground_m: float | None = None) ->
 
 
 def estimate_ground_m(waypoints: Waypoints, optics: Optics) -> float:
-    """Estimate the altitude (m) of the ground in the waypoints' datum: 0 if that gives a plausible flight height and an overlap of
-    at most `LARGEST_OVERLAP`, else so far below the lowest waypoint that the overlap is `USUAL_OVERLAP`."""
+    """Estimate the altitude (m) of the ground in the waypoints' datum: 0 if that gives a plausible
+    flight height and an overlap of at most `LARGEST_OVERLAP`, else so far below the lowest waypoint
+    that the overlap is `USUAL_OVERLAP`."""
     altitudes = waypoints.lat_lon_alt[:, 2]
     low, high = float(altitudes.min()), float(altitudes.max())
     positions = waypoints.positions_m[:, :2]

@@ -23,7 +23,8 @@ COVERING = frozenset({"Device strips", "Gaussians", "Overlap", "Footprints", "Ca
 
 
 def run_layers(run: RunView, *, with_seams: bool = True) -> list[Layer]:
-    """Return all layers of a run: points, plan, cameras and, as far as the run has them, model, errors and seams.
+    """Return all layers of a run: points, plan, cameras and, as far as the run has them, model,
+    errors and seams.
 
     A training or a scene has no plan: its layers are points, model, and cameras by split and error.
     """

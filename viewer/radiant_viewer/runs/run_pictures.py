@@ -43,8 +43,8 @@ from radiant_viewer.runs.run_view import RunView, comparison_paths, load_run_vie
 from radiant_viewer.runs.seam_findings import SeamFinding, seam_findings, verdict_text
 from radiant_viewer.runs.unplanned import FolderKind, finish_command, scene_box
 
-"""regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats: the model in 3D;
-compare: held-out photographs beside their renders, worst, middle and best."""
+"""regions: the plan; cameras: held-out error or split; seams: colour steps along borders; splats:
+the model in 3D; compare: held-out photographs beside their renders, worst, middle and best."""
 SIZE_WH = (1280, 900)
 
 
@@ -60,7 +60,8 @@ def screenshot(run_folder: Path, view: str | None, size_wh: tuple[int, int] = SI
         size_wh: of the picture, px; the height of "compare" follows from its rows.
         camera: name of a photograph: the viewpoint of "splats", or the only row of "compare".
 
-    Raises: BadInput for an unknown view or camera, or where the run lacks its files; StoreDamaged for broken files.
+    Raises: BadInput for an unknown view or camera, or where the run lacks its files; StoreDamaged
+    for broken files.
     """
     if view is not None and view not in get_args(View):
         raise BadInput(f"view {view!r} is unknown: use one of {', '.join(get_args(View))}.")
@@ -177,7 +178,8 @@ def seams_picture(scene: SfmScene, cloud_plan: CloudPlan, splats: Splats, size_w
 
 
 def worst_border(run: RunView) -> Border:
-    """Return the observed part of the border with the largest colour step of a run's model, without a verdict the longest border.
+    """Return the observed part of the border with the largest colour step of a run's model, without
+    a verdict the longest border.
 
     Raises: BadInput without any border.
     """
@@ -214,8 +216,8 @@ def splats_picture(
 
 
 def _framed_positions(scene: SfmScene, cloud_plan: CloudPlan, ground: float) -> FloatArray:
-    """Return places (K,3) that frame the whole model: the regions up to a tenth of their width, or the box of cameras and points;
-    haze and sky do not count."""
+    """Return places (K,3) that frame the whole model: the regions up to a tenth of their width, or
+    the box of cameras and points; haze and sky do not count."""
     corners = border_layer(cloud_plan, ground).segments.reshape(-1, 3)
     if not len(corners):
         return box_corners(scene_box(scene))
@@ -240,7 +242,8 @@ def _fit_to_page(camera: Cameras, room_wh: tuple[int, int]) -> Cameras:
 
 
 def comparisons_picture(run: RunView, width_px: int = SIZE_WH[0], camera: str | None = None) -> Image:
-    """Return photograph, render and difference of the held-out photographs with lowest, median and highest PSNR, or of `camera`.
+    """Return photograph, render and difference of the held-out photographs with lowest, median and
+    highest PSNR, or of `camera`.
 
     Raises: BadInput before evaluation, or where `camera` was trained on.
     """

@@ -40,10 +40,11 @@ COMPARISON_KINDS = ("photographs", "renders", "differences")
 class RunView:
     """The present state of a run: scene and plan always, model and figures once they exist.
 
-    held_out: names of the held-out cameras; psnr_db: figures of held-out photographs by name, None before evaluation.
-    Where photographs stayed with their devices (`in_field`), cameras are numbered, held-out photographs have no pose here
-    (`unplaced`, sorted), and `files` maps numbers to file names if the devices' folders are inside the run's.
-    kind: what the folder is; the plan of a training or a scene is one region without borders.
+    held_out: names of the held-out cameras; psnr_db: figures of held-out photographs by name, None
+    before evaluation. Where photographs stayed with their devices (`in_field`), cameras are
+    numbered, held-out photographs have no pose here (`unplaced`, sorted), and `files` maps numbers
+    to file names if the devices' folders are inside the run's. kind: what the folder is; the plan
+    of a training or a scene is one region without borders.
     """
 
     folder: Path
@@ -89,9 +90,11 @@ def load_run_view(folder: Path, *, with_files: bool = False) -> RunView:
 
     Args:
         folder: the folder of `radiant run`, `radiant train` or `radiant sfm`.
-        with_files: fill `RunView.files` from the devices' records; for a window, which writes nothing into the run.
+        with_files: fill `RunView.files` from the devices' records; for a window, which writes
+            nothing into the run.
 
-    Raises: BadInput where it is none of them or has no plan yet, StoreDamaged where a file is broken.
+    Raises: BadInput where it is none of them or has no plan yet, StoreDamaged where a file is
+    broken.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -135,7 +138,8 @@ def _unplanned_view(folder: Path, kind: FolderKind) -> RunView:
     is_scored = kind == "training" and (folder / METRICS_NAME).is_file()
     psnr_db = _image_psnr_db(folder / METRICS_NAME) if is_scored else None
     names = scene.cameras.names
-    # Training drops copies of photographs before it splits: only its figures tell which were held out.
+    # Training drops copies of photographs before it splits: only its figures tell which were held
+    # out.
     held = np.isin(names, list(psnr_db)) if psnr_db else held_out_mask(names)
     held_out = frozenset(name for name, is_held in zip(names, held, strict=True) if is_held)
     cloud_plan, edge_plans = single_region_plan(scene, int((~held).sum()))

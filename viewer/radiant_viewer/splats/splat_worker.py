@@ -161,7 +161,8 @@ def _answer(answers: IO[bytes], header: dict[str, Any], image: Image | None = No
 
 def main() -> int:
     """Run the process and return its exit code."""
-    # Graphics drivers write to standard output: it becomes standard error, and answers keep the pipe.
+    # Graphics drivers write to standard output: it becomes standard error, and answers keep the
+    # pipe.
     pipe = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     try:

@@ -49,7 +49,8 @@ def open_window(
     Args:
         path: a run folder, a plan, or a .ply file; a running run without a plan is waited for.
         feeds: the application's progress and timeline of the run.
-        setting: returns the machines with which the plan can be edited; called again when the run is read again.
+        setting: returns the machines with which the plan can be edited; called again when the run
+            is read again.
         scene: the cameras of a plan without waypoints.
 
     Returns: the exit code.
@@ -72,7 +73,8 @@ def open_window(
 
 @contextmanager
 def _close_on_signals(application: QApplication) -> Iterator[list[int]]:
-    """Let Ctrl-C and SIGTERM close the windows, as their button does; yields the numbers of the received signals.
+    """Let Ctrl-C and SIGTERM close the windows, as their button does; yields the numbers of the
+    received signals.
 
     Python's KeyboardInterrupt would end one of Qt's slots and leave the window open.
     """

@@ -1,7 +1,9 @@
-"""How much of an image the projection of a box covers (VastGaussian, Lin 2024, "airspace-aware visibility"). Once per camera and cell.
+"""How much of an image the projection of a box covers (VastGaussian, Lin 2024, "airspace-aware
+visibility"). Once per camera and cell.
 
     share = |hull(π(box ∩ {z ≥ near})) ∩ image| / |image|
-The box is cut at the near plane before the division by depth: a corner behind the camera has no place in the image.
+The box is cut at the near plane before the division by depth: a corner behind the camera has no
+place in the image.
 """
 
 from __future__ import annotations
@@ -24,10 +26,11 @@ _EDGES = np.array([(a, b) for a in range(8) for b in range(a) if np.abs(_CORNERS
 
 
 def box_coverage(cameras: Cameras, low: ArrayLike, high: ArrayLike) -> FloatArray:
-    """Share (C,) in 0..1 of each camera's image that the box from `low` (3,) to `high` (3,), m, covers; occlusion does not count.
+    """Share (C,) in 0..1 of each camera's image that the box from `low` (3,) to `high` (3,), m,
+    covers; occlusion does not count.
 
-    0 for a box without extent or behind the camera, 1 where the camera looks through all of it from inside. BadInput for a corner that is
-    not finite or below the other one.
+    0 for a box without extent or behind the camera, 1 where the camera looks through all of it from
+    inside. BadInput for a corner that is not finite or below the other one.
     """
     low, high = checked_array("low", low, (3,)), checked_array("high", high, (3,))
     if (high < low).any():

@@ -1,6 +1,8 @@
-"""Fed3DGS (Suzuki 2024) from its description: a server takes in one client after another and trains opacities alone.
+"""Fed3DGS (Suzuki 2024) from its description: a server takes in one client after another and trains
+opacities alone.
 
-Per client, with G the global model, L the client's, ε the median squared distance of a Gaussian of L to its nearest neighbour in L:
+Per client, with G the global model, L the client's, ε the median squared distance of a Gaussian of
+L to its nearest neighbour in L:
     1  G' = Gaussians of G in the client's frusta: |ndc| ≤ 1.3, 0 < z < far
     2  targets: renders of L at the client's V cameras, and V renders of G at cameras known before, drawn as ∝ how many of L they see
     3  opacity ≤ 0.005 for all of L, and for those of G' with one of L within ε
@@ -9,17 +11,21 @@ Per client, with G the global model, L the client's, ε the median squared dista
     H(o) = −o ln o − (1 − o) ln(1 − o)
 
 Once per client; one picture a step. What differs from the publication, and why:
-- It refuses a client that shares fewer than 20 image names with the server. Disjoint sets of photographs, which are the paper's setting,
-  would all be refused. Here a client must overlap: G' at least `min_overlap` of its own size. One that does not yet waits for the others;
-  one that never does is refused and named.
-- Its clients have 100 to 200 images, so its 5 epochs are 1,000 to 2,000 steps. An opacity that begins at 0.005 needs some 150 steps of
-  Adam to be seen again, which 5 epochs of a dozen images do not give: there are at least `min_num_steps`, and the entropy joins in
-  after a fifth of them.
-- Far, which it scales with the scene, is `far_factor` times the median depth of the client's own Gaussians in its frusta.
-- G outside the frusta is drawn but keeps still, so that the renders of G that are targets can be met.
-- Its appearance model (hash grid and image vectors → MLP → change of harmonics) is left out. The targets are renders of models from which
-  training has taken each photograph's exposure already, and a picture that was never taken has no image vector: here nothing is fitted to
-  held-out photographs before they are compared.
+- It refuses a client that shares fewer than 20 image names with the server. Disjoint sets of
+  photographs, which are the paper's setting, would all be refused. Here a client must overlap: G'
+  at least `min_overlap` of its own size. One that does not yet waits for the others; one that never
+  does is refused and named.
+- Its clients have 100 to 200 images, so its 5 epochs are 1,000 to 2,000 steps. An opacity that
+  begins at 0.005 needs some 150 steps of Adam to be seen again, which 5 epochs of a dozen images do
+  not give: there are at least `min_num_steps`, and the entropy joins in after a fifth of them.
+- Far, which it scales with the scene, is `far_factor` times the median depth of the client's own
+  Gaussians in its frusta.
+- G outside the frusta is drawn but keeps still, so that the renders of G that are targets can be
+  met.
+- Its appearance model (hash grid and image vectors → MLP → change of harmonics) is left out. The
+  targets are renders of models from which training has taken each photograph's exposure already,
+  and a picture that was never taken has no image vector: here nothing is fitted to held-out
+  photographs before they are compared.
 """
 
 from __future__ import annotations
@@ -103,7 +109,8 @@ class Fed3dgsResult:
 
 
 def fed3dgs(models: Sequence[Splats], cameras: Sequence[Cameras], config: Fed3dgsConfig, options: FitOptions) -> Fed3dgsResult:
-    """Merge clients in the given order, each with its own `cameras` (at training size); one without overlap waits for the next to be in.
+    """Merge clients in the given order, each with its own `cameras` (at training size); one without
+    overlap waits for the next to be in.
 
     BadInput when the counts differ, there is none, and for a client without Gaussians or cameras.
     """
@@ -135,9 +142,11 @@ def fed3dgs_merge(
     config: Fed3dgsConfig,
     options: FitOptions,
 ) -> Fed3dgsResult:
-    """Take one client into the global model; `other_cameras` are those of the clients before. The first client is the global model.
+    """Take one client into the global model; `other_cameras` are those of the clients before. The
+    first client is the global model.
 
-    BadInput for a client without Gaussians or cameras and for one without overlap; StageFailed where a gradient is not finite.
+    BadInput for a client without Gaussians or cameras and for one without overlap; StageFailed
+    where a gradient is not finite.
     """
     _require_client(local, local_cameras, "the client")
     if global_model is None or not len(global_model):
@@ -209,9 +218,11 @@ def _near_local(global_model: Splats, local: Splats) -> NDArray[np.bool_]:
 def _targets(
     global_model: Splats, local: Splats, local_cameras: Cameras, other_cameras: Cameras, config: Fed3dgsConfig, backend: Backend
 ) -> TrainingViews:
-    """V renders of the client at its cameras and V of the global model at cameras drawn in proportion to how much of `local` they see.
+    """V renders of the client at its cameras and V of the global model at cameras drawn in
+    proportion to how much of `local` they see.
 
-    A camera may be drawn more than once. Where the other cameras see nothing of the client there are only its own views.
+    A camera may be drawn more than once. Where the other cameras see nothing of the client there
+    are only its own views.
     """
     own = synthetic_views(local, local_cameras, backend)
     counts = np.array([other_cameras.select([index]).any_sees(local.means).sum() for index in range(len(other_cameras))], np.float64)
@@ -258,7 +269,8 @@ def _fit_opacities(
             loss = loss + config.entropy_weight * _mean_entropy(splats.logit_opacities[rows])
         optimizer.zero_grad()
         loss.backward()
-        # Of all that are trained, seen or not, as Adam without a mask moves them; the others keep still.
+        # Of all that are trained, seen or not, as Adam without a mask moves them; the others keep
+        # still.
         optimizer.step(rows)
         if options.clock() - reported_s >= options.report_every_s or step + 1 == num_steps:
             options.report(TrainProgress(step=step + 1, num_steps=num_steps, loss=float(np.mean(losses))))

@@ -1,4 +1,5 @@
-"""VastGaussian (Lin 2024) from its description: cells of equal counts of cameras, each trained with all that sees it, cropped and joined.
+"""VastGaussian (Lin 2024) from its description: cells of equal counts of cameras, each trained with
+all that sees it, cropped and joined.
 
     cells:  cameras by x into m groups of equal counts, each by y into n           rectangle: halfway to the neighbouring group
     select: widen by 20 % per side, take cameras and points inside                 → position
@@ -8,11 +9,13 @@
 
 Once per scene; training is the caller's. What differs from the publication, and why:
 - Its ground plane comes from a Manhattan alignment; our scenes are z up already.
-- The airspace ends at the 1st and 99th percentile of the heights of the cell's points, not at the highest point: a single wrong match
-  would raise it above the cameras and make every camera see every cell.
-- Its appearance network (a CNN from the render and an image's vector to a multiplier per pixel) is thrown away after training. The
-  trainer's exposures (`exposure="affine"`: an affine map of the colours per photograph, thrown away as well) stand in for it, where the
-  caller's `train` turns them on, as for every other method: photographs whose exposures agree need none.
+- The airspace ends at the 1st and 99th percentile of the heights of the cell's points, not at the
+  highest point: a single wrong match would raise it above the cameras and make every camera see
+  every cell.
+- Its appearance network (a CNN from the render and an image's vector to a multiplier per pixel) is
+  thrown away after training. The trainer's exposures (`exposure="affine"`: an affine map of the
+  colours per photograph, thrown away as well) stand in for it, where the caller's `train` turns
+  them on, as for every other method: photographs whose exposures agree need none.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""COLMAP models (cameras, images, points3D; binary or text): found, read and checked as a whole, and written as text.
+"""COLMAP models (cameras, images, points3D; binary or text): found, read and checked as a whole,
+and written as text.
 
 Read once per scene. `binary.py` and `text.py` parse the two formats into the same records, which
-`records.py` checks against each other. Rig and frame files beside them are not needed: the images hold their poses.
+`records.py` checks against each other. Rig and frame files beside them are not needed: the images
+hold their poses.
 """
 
 from __future__ import annotations
@@ -35,8 +37,9 @@ def image_names(folder: Path) -> tuple[str, ...]:
 def read_model(folder: Path) -> ColmapModel:
     """The model in `folder` (binary where both formats are there).
 
-    Raises BadInput naming the file and the byte or line when it is missing, truncated, has trailing bytes, an unknown
-    camera model, values that are not finite, a name that leaves the folder, an id twice, or an id that is not there.
+    Raises BadInput naming the file and the byte or line when it is missing, truncated, has trailing
+    bytes, an unknown camera model, values that are not finite, a name that leaves the folder, an id
+    twice, or an id that is not there.
     """
     paths = model_files(folder)
     parser = _PARSERS[paths[0].suffix]

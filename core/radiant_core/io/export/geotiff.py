@@ -1,7 +1,8 @@
-"""A grid of heights as GeoTIFF (OGC 19-008): float32, north up, one band, what is not known as −9999. Once per surface model.
+"""A grid of heights as GeoTIFF (OGC 19-008): float32, north up, one band, what is not known as
+−9999. Once per surface model.
 
-Cell (row, column) covers east₀ + column · cell … + cell and north₀ − row · cell … − cell. With an EPSG code the grid is that projected
-system's; without one it stands in the model's own coordinates.
+Cell (row, column) covers east₀ + column · cell … + cell and north₀ − row · cell … − cell. With an
+EPSG code the grid is that projected system's; without one it stands in the model's own coordinates.
 """
 
 from __future__ import annotations

@@ -1,12 +1,16 @@
-"""A plan as files that flight planners and maps open: waypoints per device as CSV, regions and strips as GeoJSON. Once per plan.
+"""A plan as files that flight planners and maps open: waypoints per device as CSV, regions and
+strips as GeoJSON. Once per plan.
 
-CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that UgCS, QGIS and `read_waypoints` find by
-their names; QGroundControl takes no CSV. Flight planners fly `altitude(m)` as height above take-off, so that it is one: as it came in, or
-above the ground where that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`, and alone where the
-ground is unknown: flown as heights above take-off they would be hundreds of metres off. Where no altitude is known there is neither column.
-Names are never formulas (`csv_cells`).
-GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th meridian; straight in longitude and
-latitude, so sides are divided every 500 m, where a straight line of the plan differs by 1 cm at most up to latitude 60°.
+CSV: `latitude,longitude,altitude(m),name` are the columns that Litchi's hub names so, and that
+UgCS, QGIS and `read_waypoints` find by their names; QGroundControl takes no CSV. Flight planners
+fly `altitude(m)` as height above take-off, so that it is one: as it came in, or above the ground
+where that is known. Altitudes from the sea stand in a column of their own, `altitude_absolute(m)`,
+and alone where the ground is unknown: flown as heights above take-off they would be hundreds of
+metres off. Where no altitude is known there is neither column. Names are never formulas
+(`csv_cells`).
+GeoJSON (RFC 7946): WGS84, longitude first, outer rings counter-clockwise, cut at the 180th
+meridian; straight in longitude and latitude, so sides are divided every 500 m, where a straight
+line of the plan differs by 1 cm at most up to latitude 60°.
 """
 
 from __future__ import annotations
@@ -49,12 +53,14 @@ def save_device_waypoints(
     *,
     only: NDArray[np.bool_] | None = None,
 ) -> tuple[Path, ...]:
-    """One `<device>.csv` per device in the existing `folder`, its waypoints in the order they came in; without any, the header alone.
+    """One `<device>.csv` per device in the existing `folder`, its waypoints in the order they came
+    in; without any, the header alone.
 
     Of an edge that deals its waypoints itself, later, `edges/<edge>.csv` for a plan of its own.
-    Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where they are known, then absolute altitudes where they stand
-    beside heights. With `buffers` a last column `role` says own or buffer, in the same order. With `only` (P,) waypoints where that is
-    false are in no list. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
+    Degrees have 9 decimals (0.1 mm), metres 3; headings and pitches follow where they are known,
+    then absolute altitudes where they stand beside heights. With `buffers` a last column `role`
+    says own or buffer, in the same order. With `only` (P,) waypoints where that is false are in no
+    list. Raises BadInput when the plan is not of these waypoints, or as `write_atomic`.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     wanted = np.ones(len(waypoints), bool) if only is None else only
@@ -79,11 +85,12 @@ def _among(rows: NDArray[np.int64], wanted: NDArray[np.bool_]) -> NDArray[np.int
 def save_regions_geojson(
     path: Path, cloud_plan: CloudPlan, edge_plans: Sequence[EdgePlan], waypoints: Waypoints, buffers: Sequence[EdgeBuffer] = ()
 ) -> None:
-    """One FeatureCollection: a polygon per edge region and per device strip that has land, a point per waypoint, and one more for every
-    device that takes it as a buffer.
+    """One FeatureCollection: a polygon per edge region and per device strip that has land, a point
+    per waypoint, and one more for every device that takes it as a buffer.
 
-    Properties: kind (region, strip, waypoint, buffer), name, edge, device, cameras, planned_s. Raises BadInput when the plan is not
-    of these waypoints, or as `atomic_writer`. Memory does not grow with the waypoints.
+    Properties: kind (region, strip, waypoint, buffer), name, edge, device, cameras, planned_s.
+    Raises BadInput when the plan is not of these waypoints, or as `atomic_writer`. Memory does not
+    grow with the waypoints.
     """
     require_plan_of(len(waypoints), cloud_plan, edge_plans)
     write_features(path, _features(cloud_plan, edge_plans, waypoints, buffers))
@@ -188,8 +195,9 @@ def _side_m(polygon: FloatArray, origin: FloatArray) -> float:
 
 
 def _continuous(ring: FloatArray, origin: FloatArray) -> FloatArray:
-    """A closed ring (V,2) of longitude and latitude without jumps at the 180th meridian, near the origin's longitude; one around a pole
-    goes on along that, which is a line in longitude and latitude."""
+    """A closed ring (V,2) of longitude and latitude without jumps at the 180th meridian, near the
+    origin's longitude; one around a pole goes on along that, which is a line in longitude and
+    latitude."""
     lons = np.unwrap(ring[:, 0], period=360)
     lons += 360 * np.round((origin[1] - lons.mean()) / 360)
     ring = np.column_stack([lons, ring[:, 1]])

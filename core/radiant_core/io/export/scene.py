@@ -1,7 +1,9 @@
-"""A reconstructed scene as files that other programs open: GeoJSON for maps, a COLMAP model, SPZ. Once per export.
+"""A reconstructed scene as files that other programs open: GeoJSON for maps, a COLMAP model, SPZ.
+Once per export.
 
-GeoJSON is WGS84 (RFC 7946); cameras stand at their reconstructed centres. The COLMAP model is text, in the scene's own frame (metres east,
-north, up of its origin where GPS fixed it); 2D points are where the cameras project the points, so their errors are zero by construction.
+GeoJSON is WGS84 (RFC 7946); cameras stand at their reconstructed centres. The COLMAP model is text,
+in the scene's own frame (metres east, north, up of its origin where GPS fixed it); 2D points are
+where the cameras project the points, so their errors are zero by construction.
 """
 
 from __future__ import annotations

@@ -1,12 +1,14 @@
-"""Models as SOG (Spatially Ordered Gaussians, version 2), the small format of web viewers: lossless WebP textures in a zip. Once per model.
+"""Models as SOG (Spatially Ordered Gaussians, version 2), the small format of web viewers: lossless
+WebP textures in a zip. Once per model.
 
 Of Gaussian i of N, pixel i of each W × H texture, rows first:
     means_l, means_u   low and high byte of round(65535 (m − min) / (max − min)), m = sign(x) ln(|x| + 1) per axis
     quats              three components in [−1/√2, 1/√2] of 255 steps, alpha 252 + which of w x y z was largest and left out
     scales, sh0        per channel one of 256 values of ln scale, of sh0; alpha of sh0 is the opacity in 255 steps
     shN                16-bit label of one of 65,536 rows at most, whose numbers are again one of 256 values
-The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until there are enough. Coordinates stay those
-of the 3DGS PLY, as converters keep them. Source: PlayCanvas, "The SOG Format".
+The values are chosen by Lloyd's iteration; rows by splitting at the mean of the widest axis until
+there are enough. Coordinates stay those of the 3DGS PLY, as converters keep them. Source:
+PlayCanvas, "The SOG Format".
 """
 
 from __future__ import annotations

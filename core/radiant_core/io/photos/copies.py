@@ -1,4 +1,5 @@
-"""Files that are the same photograph under two names: "IMG_1 (1).jpg", a card that was read in twice. Once per folder.
+"""Files that are the same photograph under two names: "IMG_1 (1).jpg", a card that was read in
+twice. Once per folder.
 
 Only files of equal length are read; of each set with the same bytes the first stays.
 """
@@ -15,9 +16,11 @@ MAX_NAMED = 3
 
 
 def sort_by_worth(names: Sequence[str]) -> list[int]:
-    """Indices of `names` in the order in which the first of several copies stays: as given, but first what a set holds out, in val/.
+    """Indices of `names` in the order in which the first of several copies stays: as given, but
+    first what a set holds out, in val/.
 
-    A set that brings its own split is compared with others on its val/ photographs, so those stay and their copies in train/ go.
+    A set that brings its own split is compared with others on its val/ photographs, so those stay
+    and their copies in train/ go.
     """
     own_split = {name.split("/")[0] for name in names} == {"train", "val"}
     return sorted(range(len(names)), key=lambda index: (own_split and names[index].startswith("train/"), index))

@@ -1,7 +1,9 @@
-"""What a JPEG says before its pixels: size, camera, focal length, GPS position, and whether the file is whole.
+"""What a JPEG says before its pixels: size, camera, focal length, GPS position, and whether the
+file is whole.
 
-Walks the marker segments once per photograph, a few kilobytes each; no pixel is decoded. A damaged EXIF block only loses
-its own facts. Layout: ITU-T T.81 annex B (markers), TIFF 6.0 section 2 (directories), CIPA DC-008 (EXIF and GPS tags).
+Walks the marker segments once per photograph, a few kilobytes each; no pixel is decoded. A damaged
+EXIF block only loses its own facts. Layout: ITU-T T.81 annex B (markers), TIFF 6.0 section 2
+(directories), CIPA DC-008 (EXIF and GPS tags).
 """
 
 from __future__ import annotations
@@ -62,7 +64,8 @@ def read_jpeg_facts(data: bytes) -> JpegFacts:
             exif = read_exif(data[start + 6 : end])
         elif marker == _START_OF_SCAN:
             scan_offset = end
-    # Inside a scan 0xFF is always followed by 0x00 or a restart marker, so FF D9 behind it is the real end.
+    # Inside a scan 0xFF is always followed by 0x00 or a restart marker, so FF D9 behind it is the
+    # real end.
     whole = scan_offset is not None and data.rfind(b"\xff\xd9", scan_offset) >= 0
     return JpegFacts(size_wh=size_wh, whole=whole, exif=exif or ExifFacts())
 

@@ -1,7 +1,9 @@
-"""Photographs in a folder: which can be used, their size, camera and GPS position; and one image as an array.
+"""Photographs in a folder: which can be used, their size, camera and GPS position; and one image as
+an array.
 
-`list_photographs` decodes every file once, at an eighth of its size, to be sure that it is whole; `load_photograph` decodes
-one at the size asked for. EXIF orientation is ignored: pixels stay as they are stored, as structure from motion needs them.
+`list_photographs` decodes every file once, at an eighth of its size, to be sure that it is whole;
+`load_photograph` decodes one at the size asked for. EXIF orientation is ignored: pixels stay as
+they are stored, as structure from motion needs them.
 """
 
 from __future__ import annotations
@@ -122,10 +124,12 @@ class PhotoListing:
 
 
 def list_photographs(folder: Path, on_photo: Callable[[int, int], None] | None = None, names: Sequence[str] | None = None) -> PhotoListing:
-    """The usable photographs (JPEG, PNG, TIFF) directly in `folder`, truncated or undecodable ones skipped and named.
+    """The usable photographs (JPEG, PNG, TIFF) directly in `folder`, truncated or undecodable ones
+    skipped and named.
 
-    `on_photo(done, total)` is called after each file; `names` asks for these files only, subfolders with '/' allowed.
-    Raises BadInput when the folder is missing, is no folder, or holds fewer than two usable photographs.
+    `on_photo(done, total)` is called after each file; `names` asks for these files only, subfolders
+    with '/' allowed. Raises BadInput when the folder is missing, is no folder, or holds fewer than
+    two usable photographs.
     """
     if not folder.is_dir():
         raise BadInput(f"the photograph folder {folder} does not exist: give the path of a folder with {READ_KINDS} files.")
@@ -178,9 +182,11 @@ def unread_files(folder: Path) -> dict[str, int]:
 
 
 def photograph_positions(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> dict[str, tuple[float, float, float] | None]:
-    """GPS position (degrees, degrees, metres or NaN) or None by file name, of the photographs directly in `folder`, sorted by name.
+    """GPS position (degrees, degrees, metres or NaN) or None by file name, of the photographs
+    directly in `folder`, sorted by name.
 
-    Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where there is no such folder or no photograph.
+    Reads the head of each file only; `on_photo(done, total)` is called after each. BadInput where
+    there is no such folder or no photograph.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -211,9 +217,11 @@ def load_photograph(path: Path, size_wh: tuple[int, int]) -> NDArray[np.float32]
 
 
 def load_thumbnail(path: Path, long_side_px: int) -> NDArray[np.uint8]:
-    """The photograph (H,W,3) uint8 RGB with a long side of at most `long_side_px`; raises as `load_photograph`.
+    """The photograph (H,W,3) uint8 RGB with a long side of at most `long_side_px`; raises as
+    `load_photograph`.
 
-    A JPEG is decoded at an eighth of its size where that is large enough: not what `load_photograph` gives, but near it.
+    A JPEG is decoded at an eighth of its size where that is large enough: not what
+    `load_photograph` gives, but near it.
     """
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     size_wh = read_size_wh(data) or (1, 1)
@@ -308,7 +316,8 @@ def _inspect(path: Path, name: str) -> Photograph | Skipped:
 def _facts(data: bytes) -> tuple[tuple[int, int] | None, bool, ExifFacts]:
     """Size in px (None for neither JPEG, PNG nor TIFF), whether the file has its end, and its EXIF."""
     if data.startswith(TIFF_SIGNATURES):
-        # Where the pixels of a TIFF end only its decoder finds out, which refuses one that is cut off.
+        # Where the pixels of a TIFF end only its decoder finds out, which refuses one that is cut
+        # off.
         return read_tiff_size(data), True, read_exif(data)
     return _png_facts(data) if data.startswith(_PNG_SIGNATURE) else _jpeg_facts(data)
 

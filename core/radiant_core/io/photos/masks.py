@@ -1,6 +1,6 @@
-"""Masks of photographs: which pixels count. For photograph a/b.jpg the file a/b.jpg.png (COLMAP) or a/b.png
-(nerfstudio): 8-bit grey, as large as the photograph as it is stored, 0: ignored, anything else: used. A photograph without a file
-is used whole, or as far as its own alpha channel says.
+"""Masks of photographs: which pixels count. For photograph a/b.jpg the file a/b.jpg.png (COLMAP) or
+a/b.png (nerfstudio): 8-bit grey, as large as the photograph as it is stored, 0: ignored, anything
+else: used. A photograph without a file is used whole, or as far as its own alpha channel says.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ def find_masks(folder: Path, names: Sequence[str]) -> dict[str, Path]:
 def load_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
     """Which pixels (H,W) of a photograph of `size_wh` px are used.
 
-    Raises BadInput where the file cannot be decoded, is not 8-bit grey, has another size, or leaves nothing of the photograph.
+    Raises BadInput where the file cannot be decoded, is not 8-bit grey, has another size, or leaves
+    nothing of the photograph.
     """
     data = read_bounded(path, MAX_FILE_BYTES) if path.is_file() else b""
     found_wh = read_size_wh(data)
@@ -88,7 +89,8 @@ def save_mask(path: Path, used: NDArray[np.bool_]) -> None:
 
 
 def pixel_weights(folder: Path | None, cameras: Cameras) -> tuple[NDArray[np.uint8], ...] | None:
-    """Per camera the used share (H,W) of each of its pixels, 255 for all of it, from masks that `save_mask` wrote; None without any.
+    """Per camera the used share (H,W) of each of its pixels, 255 for all of it, from masks that
+    `save_mask` wrote; None without any.
 
     Raises BadInput where a mask cannot be decoded.
     """

@@ -1,11 +1,13 @@
-"""Which uploads an edge or the cloud accepts: a state and pure functions of it, so that tests can try every order of events.
+"""Which uploads an edge or the cloud accepts: a state and pure functions of it, so that tests can
+try every order of events.
 
-Of the uploads of a region, the first valid one (right run, receiver and sender) wins. A second one is a duplicate where its
-files are the same, which acknowledges it again, else it is rejected. A sender repeats its upload until it is acknowledged or rejected;
-repeating does no harm. Signatures and hashes are checked before: `delivery.py`.
+Of the uploads of a region, the first valid one (right run, receiver and sender) wins. A second one
+is a duplicate where its files are the same, which acknowledges it again, else it is rejected. A
+sender repeats its upload until it is acknowledged or rejected; repeating does no harm. Signatures
+and hashes are checked before: `delivery.py`.
 
-Tasks, which go down, follow the other law (`LastTask`): a task replaces the one before, so the newest attempt wins and no older one
-comes back.
+Tasks, which go down, follow the other law (`LastTask`): a task replaces the one before, so the
+newest attempt wins and no older one comes back.
 """
 
 from __future__ import annotations

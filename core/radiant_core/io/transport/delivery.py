@@ -1,4 +1,5 @@
-"""What crosses from one tier to another: named files with their lengths and hashes, said by one signed record. Once per upload.
+"""What crosses from one tier to another: named files with their lengths and hashes, said by one
+signed record. Once per upload.
 
     delivery.json   schema, version, run, sender, receiver, kind, attempt; files: name → bytes, sha256
     delivery.sig    64 bytes: Ed25519 of "radiant.delivery 1\\0" and the bytes of delivery.json
@@ -12,9 +13,10 @@
 | field_task   | task.json, (poses.safetensors), (poses/)                              | edge to device |
 | score_task   | task.json, inbox/: scene.ply, plan.json, (lpips.safetensors)          | edge to device |
 
-The signature covers run, receiver and attempt, so that a delivery is worth nothing in another run or elsewhere; which attempt counts
-is decided by `acceptance.py`. A folder counts as one file: the bytes of all its files, and the hash of their names and contents.
-Files are safetensors and JSON, photographs and PLY, and go through their own strict readers afterwards.
+The signature covers run, receiver and attempt, so that a delivery is worth nothing in another run
+or elsewhere; which attempt counts is decided by `acceptance.py`. A folder counts as one file: the
+bytes of all its files, and the hash of their names and contents. Files are safetensors and JSON,
+photographs and PLY, and go through their own strict readers afterwards.
 """
 
 from __future__ import annotations
@@ -122,7 +124,8 @@ def save_delivery(folder: Path, delivery: Delivery, identity: Path) -> list[str]
 def load_delivery(folder: Path, key: Ed25519PublicKey) -> Delivery:
     """The delivery whose record and signature lie in `folder`, signed by the holder of `key`.
 
-    Raises BadInput where either is missing, too long, not signed by that key, or no record of this schema.
+    Raises BadInput where either is missing, too long, not signed by that key, or no record of this
+    schema.
     """
     record = read_bounded(folder / RECORD_NAME, MAX_RECORD_BYTES)
     signature = read_bounded(folder / SIGNATURE_NAME, SIGNATURE_BYTES)

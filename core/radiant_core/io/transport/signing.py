@@ -1,4 +1,5 @@
-"""Ed25519 keys of senders, as PEM files: the private one stays with its sender, the public one is registered with its receiver.
+"""Ed25519 keys of senders, as PEM files: the private one stays with its sender, the public one is
+registered with its receiver.
 
     <sender>/identity/signing_key.pem    private, PKCS 8, mode 0600 (where there are modes); made once, never copied
     <sender>/identity/signing_key.pub    public, made with it; its copy <receiver>/senders/<sender>.pub is the registration
@@ -52,7 +53,8 @@ def make_signing_key(folder: Path) -> bool:
 
 
 def load_signing_key(folder: Path) -> Ed25519PrivateKey:
-    """The private key that `make_signing_key` left; BadInput where it is missing, no such key, or others than its owner may read it.
+    """The private key that `make_signing_key` left; BadInput where it is missing, no such key, or
+    others than its owner may read it.
 
     Where the file system keeps no modes, that cannot be prevented, and the key is used as it is.
     """
@@ -80,7 +82,8 @@ def keeps_modes(folder: Path) -> bool:
         finally:
             probe.unlink()
     except OSError:
-        # Where nothing can be written, this cannot be determined: a key that others may read is then refused.
+        # Where nothing can be written, this cannot be determined: a key that others may read is
+        # then refused.
         return True
 
 

@@ -1,4 +1,5 @@
-"""A model as it is uploaded, device to edge and edge to cloud: exact, in 16 bits, or as SPZ. Once per model.
+"""A model as it is uploaded, device to edge and edge to cloud: exact, in 16 bits, or as SPZ. Once
+per model.
 
 | format  | means                                        | the rest             | bytes at degree 0, 1, 2, 3 |
 |---------|----------------------------------------------|----------------------|----------------------------|
@@ -6,8 +7,9 @@
 | float16 | 3 × 21 bits of the bounding box, one uint64  | float16              | 30, 48, 78, 120            |
 | spz     | 3 × 24 bits around the middle                | 8 bits and fewer     | compressed                 |
 
-Half precision for centres was measured and costs 35 dB (docs/experiments/uploads.md): 11 bits of a 100 m scene are 5 cm.
-Read by what the file says of itself; every format is refused when its bytes are not what its schema says.
+Half precision for centres was measured and costs 35 dB (docs/experiments/uploads.md): 11 bits of a
+100 m scene are 5 cm. Read by what the file says of itself; every format is refused when its bytes
+are not what its schema says.
 """
 
 from __future__ import annotations
@@ -136,7 +138,8 @@ def _load_spz(path: Path) -> Splats:
         middle, exponent = checked_array("middle", about["middle"], (3,)), int(about["exponent"])
         if not (0 <= degree < len(SH_BASES) and count >= 0 and abs(exponent) <= _MAX_EXPONENT):
             raise BadInput(f"it says {count} Gaussians of degree {degree} and exponent {exponent}: write it anew with this version.")
-        # Open3D takes mutated SPZ for another model, so it only gets bytes that are known to be whole.
+        # Open3D takes mutated SPZ for another model, so it only gets bytes that are known to be
+        # whole.
         if hashlib.sha256(data).hexdigest() != about["sha256"]:
             raise StoreDamaged(f"{path} has other bytes than were sent: send the model again.")
         if not count:

@@ -1,9 +1,10 @@
 """Waypoints from CSV: a header that names the columns, then one waypoint a line. About 2 µs a cell.
 
-Columns: lat or latitude, lon, lng or longitude, and if there are any alt or altitude (metres), else altitude_absolute or AltitudeAMSL
-(metres from the sea), and name or id; a unit may stand behind in brackets. Where the camera looks: heading or yaw (degrees from north),
-gimbalpitchangle, gimbal_pitch or pitch (−90 is down); an empty cell, and a pitch beside the gimbalmode 0, in which Litchi leaves the gimbal
-alone, says nothing. Other columns are ignored.
+Columns: lat or latitude, lon, lng or longitude, and if there are any alt or altitude (metres), else
+altitude_absolute or AltitudeAMSL (metres from the sea), and name or id; a unit may stand behind in
+brackets. Where the camera looks: heading or yaw (degrees from north), gimbalpitchangle,
+gimbal_pitch or pitch (−90 is down); an empty cell, and a pitch beside the gimbalmode 0, in which
+Litchi leaves the gimbal alone, says nothing. Other columns are ignored.
 Separated by commas, semicolons or tabs, whichever the header has most; decimals with a point.
 """
 

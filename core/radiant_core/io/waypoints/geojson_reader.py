@@ -1,7 +1,8 @@
-"""Waypoints from GeoJSON (RFC 7946): Points, MultiPoints and the vertices of LineStrings; longitude first. Once per file.
+"""Waypoints from GeoJSON (RFC 7946): Points, MultiPoints and the vertices of LineStrings; longitude
+first. Once per file.
 
-A feature's name is its property name or id, else its member id; vertices get a number behind it. Polygons and features without a
-geometry are no waypoints: they are counted as ignored.
+A feature's name is its property name or id, else its member id; vertices get a number behind it.
+Polygons and features without a geometry are no waypoints: they are counted as ignored.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Waypoints from KML (OGC 12-007r2): Placemarks with Points, or the vertices of their LineStrings; "lon,lat[,alt]". Once per file.
+"""Waypoints from KML (OGC 12-007r2): Placemarks with Points, or the vertices of their LineStrings;
+"lon,lat[,alt]". Once per file.
 
-Document types and entities are refused before parsing, so that nothing is fetched or expanded. Elements are dropped once they are read.
+Document types and entities are refused before parsing, so that nothing is fetched or expanded.
+Elements are dropped once they are read.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""Waypoints from a file of a flight planner (CSV, GeoJSON, KML), or from the GPS positions of photographs already taken.
+"""Waypoints from a file of a flight planner (CSV, GeoJSON, KML), or from the GPS positions of
+photographs already taken.
 
-A file is read once, whole; 256 MiB, which a million waypoints in any of the three formats stay under, is its limit.
-Of photographs only the first 256 KiB are read, where EXIF stands; no pixel is decoded.
+A file is read once, whole; 256 MiB, which a million waypoints in any of the three formats stay
+under, is its limit. Of photographs only the first 256 KiB are read, where EXIF stands; no pixel is
+decoded.
 """
 
 from __future__ import annotations
@@ -49,8 +51,9 @@ class FoundWaypoints:
 def read_waypoints(path: Path) -> FoundWaypoints:
     """The waypoints of a .csv, .geojson, .json or .kml file, in its order.
 
-    Raises BadInput naming the file for any other suffix, a missing, empty or larger file, text that is neither UTF-8 nor UTF-16 with
-    its mark, broken syntax, no waypoint, or positions that `Waypoints` refuses.
+    Raises BadInput naming the file for any other suffix, a missing, empty or larger file, text that
+    is neither UTF-8 nor UTF-16 with its mark, broken syntax, no waypoint, or positions that
+    `Waypoints` refuses.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -74,10 +77,11 @@ def read_waypoints(path: Path) -> FoundWaypoints:
 
 
 def exif_waypoints(folder: Path, on_photo: Callable[[int, int], None] | None = None) -> FoundWaypoints:
-    """The GPS positions of the photographs (JPEG, PNG) directly in `folder`, by name; `on_photo(done, total)` after each.
+    """The GPS positions of the photographs (JPEG, PNG) directly in `folder`, by name;
+    `on_photo(done, total)` after each.
 
-    Photographs at one position all stay, copies of a file do not. Raises BadInput when it is no folder, when it holds no photograph, or
-    when none has a position.
+    Photographs at one position all stay, copies of a file do not. Raises BadInput when it is no
+    folder, when it holds no photograph, or when none has a position.
     """
     found = photograph_positions(folder, on_photo)
     copies = file_copies({name: folder / name for name in found})

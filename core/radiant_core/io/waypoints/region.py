@@ -18,9 +18,11 @@ MAX_REGION_BYTES = 16_000_000
 
 
 def load_region(path: Path, origin_lat_lon_alt: FloatArray) -> FloatArray:
-    """Corners (V,2) m east and north of the origin, of the one simple polygon that those of the file make together.
+    """Corners (V,2) m east and north of the origin, of the one simple polygon that those of the
+    file make together.
 
-    Raises BadInput for a file that is too large or no GeoJSON, without polygons, or whose polygons do not touch.
+    Raises BadInput for a file that is too large or no GeoJSON, without polygons, or whose polygons
+    do not touch.
     """
     if not path.is_file():
         raise BadInput(f"there is no file {path}: give a GeoJSON file with a polygon, as 'radiant plan' writes.")

@@ -8,7 +8,8 @@ namespace radiant::RADIANT_ISA {
 // Turns 16 rows of 16 into 16 columns.
 RADIANT_INLINE void transpose(F rows[kLanes]) {
 #if defined(__AVX512F__)
-  // Unrolled by hand of the pragma: left as loops, gcc keeps the arrays in memory, at five times the cost.
+  // Unrolled by hand of the pragma: left as loops, gcc keeps the arrays in memory, at five times
+  // the cost.
   __m512 a[16], b[16];
 #pragma GCC unroll 16
   for (int i = 0; i < 16; i += 2) {

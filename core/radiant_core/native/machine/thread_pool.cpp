@@ -45,7 +45,8 @@ void pause_briefly() {
 #endif
 }
 
-// Looks for `ready` for a while before the caller sleeps: waking a sleeping thread takes as long as a short step.
+// Looks for `ready` for a while before the caller sleeps: waking a sleeping thread takes as long as
+// a short step.
 template <class Ready>
 void look_out(const Ready& ready) {
   constexpr auto kPatience = std::chrono::microseconds(200);
@@ -135,8 +136,8 @@ class Pool {
   Mailbox<bool> finished_;
 };
 
-// Never destroyed, since its threads end with the process; a forked child has none of them and gets a pool of its own. Without a lock, which
-// a child could inherit locked.
+// Never destroyed, since its threads end with the process; a forked child has none of them and gets
+// a pool of its own. Without a lock, which a child could inherit locked.
 Pool& pool() {
   static std::atomic<Pool*> current{nullptr};
   Pool* found = current;

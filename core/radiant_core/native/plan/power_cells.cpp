@@ -1,4 +1,5 @@
-// cell(x) = argmin_e |x - P_e|^2 - w_e, O(C E) without any memory of its own; runs once per evaluation of a candidate plan.
+// cell(x) = argmin_e |x - P_e|^2 - w_e, O(C E) without any memory of its own; runs once per
+// evaluation of a candidate plan.
 #include "plan/power_cells.h"
 
 #include <cmath>

@@ -65,15 +65,17 @@ struct SoftCount {
       }
   }
 
-  // The upper triangle, once all places are in; row by row, so that a row is read before anything is appended to it.
+  // The upper triangle, once all places are in; row by row, so that a row is read before anything
+  // is appended to it.
   void mirror() {
     for (std::size_t high = 0; high < rows.size(); ++high)
       for (const auto& [low, value] : rows[high]) rows[static_cast<std::size_t>(low)].append(static_cast<int>(high), value);
   }
 };
 
-// (Laplacian + n / longest) step = gradient by conjugate gradients with the diagonal as preconditioner. Groups of cells that share
-// no camera have a singular Laplacian: they move as one by `longest` times the share of cameras they lack.
+// (Laplacian + n / longest) step = gradient by conjugate gradients with the diagonal as
+// preconditioner. Groups of cells that share no camera have a singular Laplacian: they move as one
+// by `longest` times the share of cameras they lack.
 std::vector<double> newton_step(const std::vector<Row>& rows, const std::vector<double>& gradient, const std::vector<std::int64_t>& wanted,
                                 double longest) {
   const std::size_t n = rows.size();
@@ -132,7 +134,8 @@ double full_range(const CameraBox& root, const PowerSites& sites) {
   return range;
 }
 
-// Typical difference across a cell: of each site to its nearest, over half the way, weighted by nothing: the median.
+// Typical difference across a cell: of each site to its nearest, over half the way, weighted by
+// nothing: the median.
 double cell_range(const PowerSites& sites, double range) {
   std::vector<double> nearest;
   for (std::size_t e = 0; e < sites.size(); ++e) {
@@ -167,7 +170,8 @@ SoftResult fit_soft_counts(const CameraTree& tree, PowerSites& sites, const std:
   const double cell = cell_range(sites, range), farthest = 64 * cell * static_cast<double>(n);
   double temperature = cell / (warm ? 256 : tree.num_units() < 64 * n ? 1 : 16), longest = farthest;
   SoftCount now = count_at(weights, temperature);
-  // Newton needs every cell to have something to lose: those that have next to nothing grow alone first, in ever warmer rounds.
+  // Newton needs every cell to have something to lose: those that have next to nothing grow alone
+  // first, in ever warmer rounds.
   for (int grown = 1; grown <= 60 && least_share(now.s, wanted) < kShare; ++grown) {
     for (std::size_t e = 0; e < n; ++e)
       if (now.s[e] < 2 * kShare * static_cast<double>(wanted[e]))

@@ -1,4 +1,5 @@
-// The Python border of the rasterizer. Shapes and finite values are checked in contract.py; sizes are checked again here.
+// The Python border of the rasterizer. Shapes and finite values are checked in contract.py; sizes
+// are checked again here.
 #include "raster/bind.h"
 
 #include <nanobind/ndarray.h>
@@ -23,7 +24,8 @@ using Floats = nb::ndarray<const float, nb::c_contig, nb::device::cpu>;
 using Output = nb::ndarray<float, nb::c_contig, nb::device::cpu>;
 using Doubles = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
-// Size of an array that must hold `expected` numbers; a mistake here would write over foreign memory.
+// Size of an array that must hold `expected` numbers; a mistake here would write over foreign
+// memory.
 template <class Array>
 auto* checked(const Array& array, std::int64_t expected, const char* name) {
   if (static_cast<std::int64_t>(array.size()) != expected)

@@ -1,4 +1,5 @@
-// One tile on the way back: moments of every instance, from which project_backward makes all gradients. Once per tile and camera.
+// One tile on the way back: moments of every instance, from which project_backward makes all
+// gradients. Once per tile and camera.
 //
 // With g the gradient of the pixel, T_i the transmittance before Gaussian i and B_i what the pixel sees behind it:
 //     ∂loss/∂ln α_i = w_i (c_i·g − B_i),   B_{i−1} = B_i + α_i (c_i·g − B_i),   T_i = T_{i+1} / (1 − α_i)
@@ -31,7 +32,8 @@ RADIANT_INLINE F read_block(const View& view, int left, int top, const float* pi
   return load(values);
 }
 
-// B behind everything is background·g − ∂loss/∂alpha, since alpha = 1 − T; depth = Σ w z / Σ w adds (z − depth) / Σ w to c·g.
+// B behind everything is background·g − ∂loss/∂alpha, since alpha = 1 − T; depth = Σ w z / Σ w adds
+// (z − depth) / Σ w to c·g.
 RADIANT_INLINE void start_block(const View& view, int tile, int block, int64_t count, const BlendState& state, const ImageGradients& gradients,
                                 BlockState& b) {
   const int left = tile % view.tiles_x * kTilePx + block % 4 * kBlockPx, top = tile / view.tiles_x * kTilePx + block / 4 * kBlockPx;
@@ -76,8 +78,9 @@ static __attribute__((noinline)) void start_pixels(BlockState& b, int32_t entry)
   b.next = next;
 }
 
-// Moments of one Gaussian over its blocks. kCapped: its opacity is over the cap, so that α may be cut off.
-// A block's registers are taken one at a time, so that the sums fit beside them on CPUs with 16 registers too.
+// Moments of one Gaussian over its blocks. kCapped: its opacity is over the cap, so that α may be
+// cut off. A block's registers are taken one at a time, so that the sums fit beside them on CPUs
+// with 16 registers too.
 template <bool kDepth, bool kCapped, bool kAbsolute>
 RADIANT_INLINE void instance_moments(const Row& row, uint32_t reached, int32_t entry, BlockState* blocks, Moments* out,
                                      AbsoluteMoments* absolute) {

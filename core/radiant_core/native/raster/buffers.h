@@ -1,4 +1,5 @@
-// Memory that outlives a call: growing arrays in huge pages, and blocks that return to a pool when Python lets go of them.
+// Memory that outlives a call: growing arrays in huge pages, and blocks that return to a pool when
+// Python lets go of them.
 #pragma once
 
 #include <cstddef>
@@ -7,12 +8,13 @@
 
 namespace radiant {
 
-// Bytes from the system, in 2 MiB pages where they are large; throws std::bad_alloc. Contents are undefined.
+// Bytes from the system, in 2 MiB pages where they are large; throws std::bad_alloc. Contents are
+// undefined.
 void* allocate_pages(std::size_t bytes);
 void free_pages(void* memory) noexcept;
 
-// A block of the pool of at least `bytes`: the smallest free one that is not twice as large, else a new one. Blocks that nobody took for
-// a while go back to the system.
+// A block of the pool of at least `bytes`: the smallest free one that is not twice as large, else a
+// new one. Blocks that nobody took for a while go back to the system.
 void* pool_take(std::size_t bytes);
 void pool_return(void* memory) noexcept;
 

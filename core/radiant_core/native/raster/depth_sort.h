@@ -8,7 +8,8 @@
 
 namespace radiant {
 
-// Sorts by depth key, equal keys in the order they come; `spare` holds as many entries. O(count) for long lists.
+// Sorts by depth key, equal keys in the order they come; `spare` holds as many entries. O(count)
+// for long lists.
 void sort_by_depth(Entry* entries, Entry* spare, std::size_t count);
 
 }  // namespace radiant

@@ -1,4 +1,5 @@
-// The rasterizer's kernels for one instruction set. Compiled several times, each with its own RADIANT_ISA and flags.
+// The rasterizer's kernels for one instruction set. Compiled several times, each with its own
+// RADIANT_ISA and flags.
 #include "raster/kernels.h"
 #include "raster/blend_backward.h"
 #include "raster/project_backward.h"
@@ -6,7 +7,8 @@
 namespace radiant::RADIANT_ISA {
 
 static int64_t fma_rounds(int64_t rounds, float* sink) {
-  // Fused multiply-adds take 4 cycles at up to 2 a cycle: 12 chains keep every unit busy, and fit in 16 registers of any width.
+  // Fused multiply-adds take 4 cycles at up to 2 a cycle: 12 chains keep every unit busy, and fit
+  // in 16 registers of any width.
   constexpr int kChains = 12;
   typedef float V __attribute__((vector_size(4 * kNative)));
   V chains[kChains], factor = V{} + 0.999f, step = V{} + 1e-3f;

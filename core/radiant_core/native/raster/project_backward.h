@@ -1,4 +1,5 @@
-// Gradients of the footprints to gradients of the Gaussians. 16 Gaussians at a time; the geometry is computed again, not stored.
+// Gradients of the footprints to gradients of the Gaussians. 16 Gaussians at a time; the geometry
+// is computed again, not stored.
 //
 //     ∂ln α/∂m = L̂ᵀ (û, v̂)      ∂ln α/∂Σ' = ½ L̂ᵀ (û, v̂)(û, v̂)ᵀ L̂      with (û, v̂) = L̂ (p − m) and L̂ᵀL̂ = Σ'⁻¹
 // so of the pixels only the sums of h, hû, hv̂, hû², hûv̂, hv̂² are needed, which `blend_backward` gives.
@@ -40,14 +41,15 @@ RADIANT_INLINE F ratio_difference(const Geometry& g, int i, int j) {
   return select(d2 < broadcast(0.25f), near, far);
 }
 
-// ∂loss by the Gaussian's lengths, by a turn about each of its axes over `ratio_difference` of the other two, and by where the Jacobian
-// is taken.
+// ∂loss by the Gaussian's lengths, by a turn about each of its axes over `ratio_difference` of the
+// other two, and by where the Jacobian is taken.
 struct ShapeGradients {
   F log_scales[3], turns[3], clamped_x, clamped_y;
 };
 
-// ∂loss/∂ln opacity through ln √(det Σ / det Σ'), constant under the floor of `compensation`. With det Σ' = det Σ + s tr Σ + s²,
-// tr Σ = Σ_k |half_k|² and det Σ = Σ_k minor_k² a needle's gradient is a sum of small things, where a gradient of xx, xy and yy would cancel.
+// ∂loss/∂ln opacity through ln √(det Σ / det Σ'), constant under the floor of `compensation`. With
+// det Σ' = det Σ + s tr Σ + s², tr Σ = Σ_k |half_k|² and det Σ = Σ_k minor_k² a needle's gradient
+// is a sum of small things, where a gradient of xx, xy and yy would cancel.
 RADIANT_INLINE void compensation_backward(const Geometry& g, const F& scale_x, const F& scale_y, const F& log_opacity, ShapeGradients& out) {
   constexpr float s = kDilationPx2;
   const Mask above = broadcast(1e-12f) < g.determinant / g.dilated_determinant;
@@ -116,8 +118,9 @@ RADIANT_INLINE void rotation_backward(const Geometry& g, const F turns[3], F qua
   quats[3] = x * t[1] - y * t[0] + w * t[2];
 }
 
-// A gradient that leaves float32 (a quaternion of length 1e-36, say) is held at the largest number, where the reference holds inf. No number
-// stays none: it is the second of two that min and max hand on.
+// A gradient that leaves float32 (a quaternion of length 1e-36, say) is held at the largest number,
+// where the reference holds inf. No number stays none: it is the second of two that min and max
+// hand on.
 RADIANT_INLINE F finite(Mask visible, const F& a) { return keep(visible, max(broadcast(-1e37f), min(broadcast(1e37f), a))); }
 
 RADIANT_INLINE void clear(const SplatArrays& splats, int64_t first, int lanes, const SplatGradients& out) {

@@ -1,4 +1,5 @@
-// What flows between the steps of the rasterizer, and the table of kernels that each instruction set fills in.
+// What flows between the steps of the rasterizer, and the table of kernels that each instruction
+// set fills in.
 //
 // Plain data only: these types cross from one instruction set's namespace into another's.
 //
@@ -42,14 +43,16 @@ struct SplatArrays {
   const float *means, *quats, *log_scales, *logit_opacities, *sh0, *shN;
 };
 
-// Gradients of the same shapes; a null pointer is not wanted. `add`: to what is there, else it is overwritten.
-// `stream`: past the caches, since they could not hold it; all arrays then start at whole lines of 64 bytes.
+// Gradients of the same shapes; a null pointer is not wanted. `add`: to what is there, else it is
+// overwritten. `stream`: past the caches, since they could not hold it; all arrays then start at
+// whole lines of 64 bytes.
 struct SplatGradients {
   float *means, *quats, *log_scales, *logit_opacities, *sh0, *shN;
   bool add, stream;
 };
 
-// One cache line per Gaussian. The centre is whole pixels plus a rest: one float32 would be off by 3e-5 px at 500 px.
+// One cache line per Gaussian. The centre is whole pixels plus a rest: one float32 would be off by
+// 3e-5 px at 500 px.
 struct alignas(64) Footprint {
   float whole_x, whole_y, rest_x, rest_y;   // px
   float l11, l12, l22;                      // px⁻¹
@@ -91,12 +94,14 @@ struct Entry {
   uint32_t instance;
 };
 
-// Sums over the pixels of one instance, or of all of a Gaussian's, of h = ∂loss/∂ln α, (u, v) as above, and ∂loss by colour and depth.
+// Sums over the pixels of one instance, or of all of a Gaussian's, of h = ∂loss/∂ln α, (u, v) as
+// above, and ∂loss by colour and depth.
 struct Moments {
   float h, hu, hv, huu, huv, hvv, red, green, blue, depth;
 };
 
-// Sums over the same pixels of |∂loss/∂m| by x and y, times k/l₁₁ and k, k = ½ log₂e: nothing cancels in them (AbsGS, Ye 2024).
+// Sums over the same pixels of |∂loss/∂m| by x and y, times k/l₁₁ and k, k = ½ log₂e: nothing
+// cancels in them (AbsGS, Ye 2024).
 struct AbsoluteMoments {
   float x, y;
 };
@@ -124,12 +129,14 @@ struct Kernels {
                            const float* means2d_gradient, const SplatGradients&);
   // Bytes of scratch that blending a tile with `count` entries needs.
   int64_t (*blend_scratch)(int64_t count);
-  // Blends one tile of `count` sorted entries, which are entries `offset` and following of all tiles.
+  // Blends one tile of `count` sorted entries, which are entries `offset` and following of all
+  // tiles.
   void (*blend)(const View&, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState&, char* scratch);
   // `absolute` may be null: then nothing is summed for it.
   void (*blend_backward)(const View&, int tile, const Entry* entries, int64_t offset, int64_t count, const BlendState&, const ImageGradients&,
                          Moments* moments, AbsoluteMoments* absolute);
-  // Fused multiply-adds of 16 lanes done by `rounds` rounds of independent chains: the peak to compare with.
+  // Fused multiply-adds of 16 lanes done by `rounds` rounds of independent chains: the peak to
+  // compare with.
   int64_t (*fma_rounds)(int64_t rounds, float* sink);
 };
 

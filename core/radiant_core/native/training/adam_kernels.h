@@ -4,9 +4,9 @@
 //
 //   m += (1 - beta1) (g - m)     v = beta2 v + (1 - beta2) g^2     x -= rate / (1 - beta1^t) m / (sqrt(v) / sqrt(1 - beta2^t) + epsilon)
 //
-// Bound by memory: seven floats move per float of x, and rows that are not visible are neither read nor written. Each row counts its own
-// steps t, so that a Gaussian seen for the first time late in a run starts as one seen at once.
-// Included only by training/kernels.cpp.
+// Bound by memory: seven floats move per float of x, and rows that are not visible are neither read
+// nor written. Each row counts its own steps t, so that a Gaussian seen for the first time late in
+// a run starts as one seen at once. Included only by training/kernels.cpp.
 #pragma once
 
 namespace radiant::training::RADIANT_ISA {
@@ -39,7 +39,8 @@ RADIANT_INLINE void adam_values(const AdamJob& job, int64_t begin, int64_t end, 
   }
 }
 
-// Scattered rows come too irregularly for the hardware's prefetcher: asking for the rows kAhead runs later took a third off the time.
+// Scattered rows come too irregularly for the hardware's prefetcher: asking for the rows kAhead
+// runs later took a third off the time.
 constexpr int64_t kAhead = 8;
 
 RADIANT_INLINE void prefetch_rows(const float* values, Run run, int64_t columns) {
@@ -63,7 +64,8 @@ inline void adam_rows(const AdamJob& job, int64_t begin, int64_t end) {
   }
 }
 
-// The bits of |value|, which are in the order of the values, NaN last: so that no floating-point option can argue it away.
+// The bits of |value|, which are in the order of the values, NaN last: so that no floating-point
+// option can argue it away.
 RADIANT_INLINE int32_t size_bits(float value) {
   int32_t bits;
   memcpy(&bits, &value, sizeof bits);

@@ -1,5 +1,6 @@
-// What the kernels of training work on, and their table for each instruction set. Plain data: training/kernels.cpp is compiled
-// once per instruction set and includes no standard header's templates.
+// What the kernels of training work on, and their table for each instruction set. Plain data:
+// training/kernels.cpp is compiled once per instruction set and includes no standard header's
+// templates.
 #pragma once
 
 #include <stddef.h>

@@ -1,4 +1,5 @@
-// Loss and gradient of an image x against a target y, rows at a time (Wang et al. 2004; paper Eqn. 4):
+// Loss and gradient of an image x against a target y, rows at a time (Wang et al. 2004; paper Eqn.
+// 4):
 //
 //   E = w ((1 - lambda) |d| + lambda (a + b - a b))      d = x - y, a = 1 - luminance, b = 1 - structure
 //   a = p^2 / (mean_x^2 + mean_y^2 + C1)     p = blur(d), mean_x = mean_y + p
@@ -6,12 +7,14 @@
 //                                            var_x = var_y + 2 cov + v
 //   dE/dx = w (1 - lambda) sign(d) + lambda (blur(w P) + 2 d blur(w Q) + y blur(w R)),  P, Q, R = d(a + b - a b)/d(p, q, r)
 //
-// SSIM is written in differences: 1 - SSIM from its five usual moments subtracts numbers near one, and its relative error grows
-// without bound as image and target meet. Zero padding is symmetric, so the blur is its own adjoint.
+// SSIM is written in differences: 1 - SSIM from its five usual moments subtracts numbers near one,
+// and its relative error grows without bound as image and target meet. Zero padding is symmetric,
+// so the blur is its own adjoint.
 //
-// Each blur goes down the columns first, four output rows from 14 input rows, then along the rows, whose pixels stay interleaved
-// (a tap is three floats on). P, Q, R live in a ring of 14 rows, so that nothing of the image's size is written but the gradient.
-// A row's arithmetic depends neither on its group nor on its thread. Included only by training/kernels.cpp.
+// Each blur goes down the columns first, four output rows from 14 input rows, then along the rows,
+// whose pixels stay interleaved (a tap is three floats on). P, Q, R live in a ring of 14 rows, so
+// that nothing of the image's size is written but the gradient. A row's arithmetic depends neither
+// on its group nor on its thread. Included only by training/kernels.cpp.
 #pragma once
 
 namespace radiant::training::RADIANT_ISA {
@@ -26,7 +29,8 @@ constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
 inline int64_t row_stride(int64_t width) { return (3 * width + kLanes - 1) / kLanes * kLanes + 2 * kPad; }
 
 inline size_t loss_scratch(int64_t width) {
-  // Blurred columns of three planes, the ring of three planes, zeros, shares; doubles of the statistics fit in as well.
+  // Blurred columns of three planes, the ring of three planes, zeros, shares; doubles of the
+  // statistics fit in as well.
   return static_cast<size_t>(row_stride(width)) * (3 * kGroup + 3 * kSpan + 2);
 }
 
@@ -101,7 +105,8 @@ struct RowSums {
   V weighted = {}, distance = {};
 };
 
-// Errors of one vector of row values and, in the ring, the derivatives by p, q and r times the pixels' shares.
+// Errors of one vector of row values and, in the ring, the derivatives by p, q and r times the
+// pixels' shares.
 template <class Load>
 RADIANT_INLINE void errors_along(const LossJob& job, const Scratch& scratch, int row, int64_t y, int64_t at, RowSums& sums, Load load) {
   const int64_t flat = y * 3 * job.width + at;
@@ -112,7 +117,8 @@ RADIANT_INLINE void errors_along(const LossJob& job, const Scratch& scratch, int
   const V mean_x = mean_y + p;
   const V inverse1 = 1.0f / (mean_x * mean_x + mean_y * mean_y + kC1);
   const V a = p * p * inverse1;
-  // Variances are not negative and b is at most 2: rounding must not say otherwise, however large the values are.
+  // Variances are not negative and b is at most 2: rounding must not say otherwise, however large
+  // the values are.
   const V v = larger(q - p * p, V{}), cov = r - mean_y * p;
   const V inverse2 = 1.0f / (larger(2.0f * (var_y + cov) + v, V{}) + kC2);
   const V b = smaller(v * inverse2, V{} + 2.0f);
@@ -142,7 +148,8 @@ inline void write_row_sums(const LossJob& job, int64_t y, const RowSums& sums) {
   job.row_sums[2 * y + 1] = added(sums.distance);
 }
 
-// The derivatives of rows y to y + count (at most kGroup) into the ring; row sums only of rows begin to end, which are this thread's.
+// The derivatives of rows y to y + count (at most kGroup) into the ring; row sums only of rows
+// begin to end, which are this thread's.
 inline void derivative_rows(const LossJob& job, const Scratch& scratch, int64_t y, int64_t count, int64_t begin, int64_t end) {
   const int64_t values = 3 * job.width, whole = values / kLanes * kLanes;
   const float *images[kSpan], *targets[kSpan];
@@ -230,7 +237,8 @@ inline void loss_rows(const LossJob& job, int64_t begin, int64_t end, float* mem
   }
 }
 
-// Means and variances of the target in double: once per target, and var = blur(y^2) - blur(y)^2 cancels.
+// Means and variances of the target in double: once per target, and var = blur(y^2) - blur(y)^2
+// cancels.
 inline void statistics_rows(const StatisticsJob& job, int64_t begin, int64_t end, float* memory) {
   const int64_t values = 3 * job.width, stride = row_stride(job.width);
   memset(memory, 0, sizeof(float) * loss_scratch(job.width));

@@ -49,9 +49,11 @@ def shared_borders(plan: CloudPlan) -> tuple[Border, ...]:
 
 
 def neighbours_across(plan: CloudPlan, edge: int, points: FloatArray) -> NDArray[np.int64]:
-    """For points (K,2) on the outline of region `edge` the region behind it, or -1 where the scene ends.
+    """For points (K,2) on the outline of region `edge` the region behind it, or -1 where the scene
+    ends.
 
-    A point belongs to a border when the two nearest regions, by power distance ‖x − P‖² − w, are equally near.
+    A point belongs to a border when the two nearest regions, by power distance ‖x − P‖² − w, are
+    equally near.
     """
     distances = ((points[:, None] - plan.sites) ** 2).sum(axis=2) - plan.weights
     own = distances[:, edge].copy()
@@ -60,7 +62,8 @@ def neighbours_across(plan: CloudPlan, edge: int, points: FloatArray) -> NDArray
         return np.full(len(points), -1)
     nearest = distances.argmin(axis=1)
     corners = np.concatenate(plan.borders)
-    # Squared metres: rounding of the polygons' corners to 1e-6 of the scene moves the difference by about 1e-6 · diameter².
+    # Squared metres: rounding of the polygons' corners to 1e-6 of the scene moves the difference by
+    # about 1e-6 · diameter².
     tolerance = 1e-6 * float((np.ptp(corners, axis=0) ** 2).sum())
     shared = np.abs(distances[np.arange(len(points)), nearest] - own) <= tolerance
     return np.where(shared, nearest, -1)

@@ -1,4 +1,5 @@
-"""Buffer captures: positions of a neighbouring region that a device takes as well, because they see into its own region.
+"""Buffer captures: positions of a neighbouring region that a device takes as well, because they see
+into its own region.
 
 Without them an image near a border trains only the side its camera stands on. A position comes into question for every region but its
 own into which it sees at least `min_share` of its footprint, or whose border is at most `within_m` away; it goes to the device whose strip
@@ -48,10 +49,11 @@ class BufferRule:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EdgeBuffer:
-    """What one edge takes besides its own: camera_indices (K,) of other regions, device_of_camera (K,), those who see most first.
+    """What one edge takes besides its own: camera_indices (K,) of other regions, device_of_camera
+    (K,), those who see most first.
 
-    device_time_s (D,) and edge_time_s are predicted with them, planned_edge_time_s without; num_refused came into question and did
-    not fit.
+    device_time_s (D,) and edge_time_s are predicted with them, planned_edge_time_s without;
+    num_refused came into question and did not fit.
     """
 
     edge_id: str
@@ -71,7 +73,8 @@ class EdgeBuffer:
 def plan_buffers(
     positions: ArrayLike, shares: RegionShares | None, cloud: CloudPlan, edges: Sequence[EdgePlan], system: System, rule: BufferRule
 ) -> tuple[EdgeBuffer, ...]:
-    """One `EdgeBuffer` per edge for cameras at positions (P,2) m; shares (P,E) as `region_shares`, needed for `min_share` alone.
+    """One `EdgeBuffer` per edge for cameras at positions (P,2) m; shares (P,E) as `region_shares`,
+    needed for `min_share` alone.
 
     Raises BadInput when positions, shares, plan and system are not of one kind.
     """

@@ -1,10 +1,12 @@
-"""Footprints: the ground an image sees, and how much of it lies in which region. P images, E regions.
+"""Footprints: the ground an image sees, and how much of it lies in which region. P images, E
+regions.
 
     corner ray d of an image at height h above flat ground meets it at   x + d_xy · h / (−d_z)
 
-Rays that look too flat are cut where the ground is `horizon` heights away along or across the view: u · d_xy + horizon · d_z ≤ 0 for
-the four directions u, linear in d, so that a view at the sky has a footprint as well, with 8 corners at most. Once per plan,
-vectorised over images: those whose corners all lie in one region are not clipped.
+Rays that look too flat are cut where the ground is `horizon` heights away along or across the view:
+u · d_xy + horizon · d_z ≤ 0 for the four directions u, linear in d, so that a view at the sky has a
+footprint as well, with 8 corners at most. Once per plan, vectorised over images: those whose
+corners all lie in one region are not clipped.
 """
 
 from __future__ import annotations
@@ -44,8 +46,8 @@ class Optics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Views:
-    """positions (P,2) m; heights_m (P,) above the ground, below 0 where a camera is under it; corner_rays (P,4,3), z up, any length,
-    around the image."""
+    """positions (P,2) m; heights_m (P,) above the ground, below 0 where a camera is under it;
+    corner_rays (P,4,3), z up, any length, around the image."""
 
     positions: FloatArray
     heights_m: FloatArray
@@ -67,8 +69,8 @@ class Views:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Footprints:
-    """polygons (P,8,2) m, convex, counter-clockwise, with one corner repeated; areas_m2 (P,), 0 and all corners below the camera where
-    no ground is seen."""
+    """polygons (P,8,2) m, convex, counter-clockwise, with one corner repeated; areas_m2 (P,), 0 and
+    all corners below the camera where no ground is seen."""
 
     polygons: FloatArray
     areas_m2: FloatArray
@@ -110,8 +112,9 @@ class RegionShares:
 def views_before_capture(positions: ArrayLike, heights_m: ArrayLike, optics: Optics, heading_pitch_deg: ArrayLike | None = None) -> Views:
     """Views from positions (P,2) m at heights (P,) m above the ground.
 
-    heading_pitch_deg (P,2): degrees clockwise from north, and −90 straight down to 0 level; NaN for what is not known. An unknown pitch
-    is straight down, an unknown heading along the way to the next position, as a drone flies.
+    heading_pitch_deg (P,2): degrees clockwise from north, and −90 straight down to 0 level; NaN for
+    what is not known. An unknown pitch is straight down, an unknown heading along the way to the
+    next position, as a drone flies.
     """
     positions = checked_array("positions", positions, (None, 2))
     count = len(positions)
@@ -158,7 +161,8 @@ def ground_footprints(views: Views, horizon: float = HORIZON_HEIGHTS) -> Footpri
 
 
 def region_shares(footprints: Footprints, polygons: Sequence[FloatArray]) -> RegionShares:
-    """Share (P,E) of each footprint's area that lies in each of E convex counter-clockwise polygons (V,2) m.
+    """Share (P,E) of each footprint's area that lies in each of E convex counter-clockwise polygons
+    (V,2) m.
 
     Rows sum to less than 1 where land belongs to no region, to 0 where no ground is seen.
     """

@@ -1,13 +1,15 @@
-"""What the images see of each border before anybody flies, and how much worse the joined model is likely to be there.
+"""What the images see of each border before anybody flies, and how much worse the joined model is
+likely to be there.
 
     support of a side = own images that see a spot of its half of the band, on average over spots that any image sees
     coverage          = support / the same average over the rest of that region
 
-"Own" are the images that the devices of that side's edge take: only they train what the scene keeps of that half. Overlaps are shares of
-an image's footprint that the best neighbour sees as well, along the flight (forward) and beside it (side), the median over images that
-see the band. The support of the weaker side decides the risk. Over 23 borders of four runs of the sample town it goes with the measured
-loss by a rank correlation of −0.25, coverage by +0.45, the wrong way, so coverage is reported and not used (docs/experiments/borders.md).
-Once per plan; spots and images are sampled.
+"Own" are the images that the devices of that side's edge take: only they train what the scene keeps
+of that half. Overlaps are shares of an image's footprint that the best neighbour sees as well,
+along the flight (forward) and beside it (side), the median over images that see the band. The
+support of the weaker side decides the risk. Over 23 borders of four runs of the sample town it goes
+with the measured loss by a rank correlation of −0.25, coverage by +0.45, the wrong way, so coverage
+is reported and not used (docs/experiments/borders.md). Once per plan; spots and images are sampled.
 """
 
 from __future__ import annotations
@@ -39,8 +41,9 @@ _BLOCK = 16_384
 
 @dataclass(frozen=True, kw_only=True)
 class RiskModel:
-    """Thresholds of the weaker side's support, in images per spot; measured loss beyond a model of all images: 2.4 dB on average below
-    the first, 1.2 dB between them, 1.4 dB above (7, 11 and 5 borders): only `high` tells borders apart."""
+    """Thresholds of the weaker side's support, in images per spot; measured loss beyond a model of
+    all images: 2.4 dB on average below the first, 1.2 dB between them, 1.4 dB above (7, 11 and 5
+    borders): only `high` tells borders apart."""
 
     high_below: float = 3.25
     medium_below: float = 5.0
@@ -87,10 +90,11 @@ def forecast_borders(
     model: RiskModel | None = None,
     buffers: Sequence[EdgeBuffer] = (),
 ) -> tuple[BorderForecast, ...]:
-    """A forecast for every border of a plan whose cameras have these views and footprints, P of each.
+    """A forecast for every border of a plan whose cameras have these views and footprints, P of
+    each.
 
-    half_band_m: half the width of the band, by default a twentieth of the smallest distance between two edges, as seams are measured.
-    An edge's `buffers` count as its own images.
+    half_band_m: half the width of the band, by default a twentieth of the smallest distance between
+    two edges, as seams are measured. An edge's `buffers` count as its own images.
     Raises BadInput when their numbers differ or the band has no width.
     """
     if not len(plan.edge_of_camera) == len(views) == len(footprints):

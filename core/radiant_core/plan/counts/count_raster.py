@@ -1,11 +1,13 @@
-"""What the cloud plans from where positions stay private: how many cameras lie in each cell of a raster, and edges' curves.
+"""What the cloud plans from where positions stay private: how many cameras lie in each cell of a
+raster, and edges' curves.
 
     cloud: counts in cells, T^m of each edge fitted by one curve → sites and weights of the regions
     edge:  its devices' positions, sites and weights → whose each camera is, at exact cost curves
 
-A camera goes to the edge whose region it lies in, wherever its cell was reckoned to be; so counts miss the planned ones by what the cells
-at the borders hold, which is the raster's price (docs/experiments/privacy.md). An edge whose devices are full by then hands its nearest to
-a neighbour. Once per plan.
+A camera goes to the edge whose region it lies in, wherever its cell was reckoned to be; so counts
+miss the planned ones by what the cells at the borders hold, which is the raster's price
+(docs/experiments/privacy.md). An edge whose devices are full by then hands its nearest to a
+neighbour. Once per plan.
 """
 
 from __future__ import annotations
@@ -85,7 +87,8 @@ def system_without_devices(system: System, num_cameras: int) -> System:
 
 
 def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = "exact") -> CloudPlan | PlanInfeasible:
-    """What the cloud plans: regions for the raster's cameras by edges that are known by their curves; raises as `plan_regions`.
+    """What the cloud plans: regions for the raster's cameras by edges that are known by their
+    curves; raises as `plan_regions`.
 
     The plan's cameras are those of `raster.places`.
     """
@@ -103,10 +106,12 @@ def regions_of_raster(raster: CountRaster, system: System, method: PlanMethod = 
 
 
 def assign_to_regions(regions: CloudPlan, positions: ArrayLike, system: System) -> CloudPlan:
-    """What the edges make of the cloud's regions: cameras (C,2) m by the region they lie in, times and bound by the devices' own curves.
+    """What the edges make of the cloud's regions: cameras (C,2) m by the region they lie in, times
+    and bound by the devices' own curves.
 
-    Edges without a camera in the cloud's plan get none. Cameras that an edge's devices cannot hold go to an edge with room, those for which
-    the way grows least; then the plan is not certified. BadInput when all edges together cannot hold them.
+    Edges without a camera in the cloud's plan get none. Cameras that an edge's devices cannot hold
+    go to an edge with room, those for which the way grows least; then the plan is not certified.
+    BadInput when all edges together cannot hold them.
     """
     positions = checked_array("positions", positions, (None, 2))
     if regions.edge_ids != tuple(edge.id for edge in system.edges):

@@ -1,13 +1,15 @@
-"""How fast an edge is with c cameras, and how many cameras each edge should get (paper Eqn. 5-8 and RTP, Eqn. 9-17).
+"""How fast an edge is with c cameras, and how many cameras each edge should get (paper Eqn. 5-8 and
+RTP, Eqn. 9-17).
 
     T^n(k) = G(k) + F_n(k) + H(k) / B^n                      one device with k cameras, non-decreasing in k
     T^m(c) = max_n T^n(q_n(c)) + F_m(c) + Σ_n H_n(q_n(c)) / B^m      one edge with c cameras
 
-Write down T^n(1), T^n(2), … of every device up to its memory limit and sort them all: a deadline T lets through exactly the
-entries ≤ T, so the c-th smallest entry is the smallest deadline by which c cameras can be done, and the devices of the first c
-entries are their quotas q_n(c). Quotas only grow with c, hence T^m is non-decreasing too and the same sort over edges gives
-the counts with the smallest makespan. No geography enters: no partition into these edges can be faster. RTP fixes the quotas
-(as the paper does); quotas that slow training down to send fewer bytes are not looked for.
+Write down T^n(1), T^n(2), … of every device up to its memory limit and sort them all: a deadline T
+lets through exactly the entries ≤ T, so the c-th smallest entry is the smallest deadline by which c
+cameras can be done, and the devices of the first c entries are their quotas q_n(c). Quotas only
+grow with c, hence T^m is non-decreasing too and the same sort over edges gives the counts with the
+smallest makespan. No geography enters: no partition into these edges can be faster. RTP fixes the
+quotas (as the paper does); quotas that slow training down to send fewer bytes are not looked for.
 Runs once per plan, O(N log N) in N = cameras × devices.
 """
 
@@ -31,7 +33,8 @@ MAX_TABLE_ENTRIES = 50_000_000
 class EdgeTable:
     """What one edge needs for 0..K cameras, K = `capacity`.
 
-    device_of_slot (K,): the device that takes the c-th camera; edge_time_s (K+1,): T^m(c), non-decreasing, T^m(0) = 0.
+    device_of_slot (K,): the device that takes the c-th camera; edge_time_s (K+1,): T^m(c),
+    non-decreasing, T^m(0) = 0.
     """
 
     num_devices: int
@@ -101,10 +104,11 @@ def fastest_counts(tables: Sequence[EdgeTable], num_cameras: int) -> tuple[NDArr
 
 
 def earliest_slots(times_s: Sequence[FloatArray], num_slots: int) -> tuple[NDArray[np.int64], FloatArray]:
-    """Owners and times of the `num_slots` earliest entries of several non-decreasing lists (fewer where the lists end).
+    """Owners and times of the `num_slots` earliest entries of several non-decreasing lists (fewer
+    where the lists end).
 
-    Equal times go to the owner with fewer entries so far, then to the smaller index, so that owners whose time does not
-    depend on the number of cameras share them evenly.
+    Equal times go to the owner with fewer entries so far, then to the smaller index, so that owners
+    whose time does not depend on the number of cameras share them evenly.
     """
     lengths = [len(times) for times in times_s]
     owners = np.repeat(np.arange(len(lengths)), lengths)

@@ -1,7 +1,9 @@
-"""A longer makespan for shorter ways: how many cameras every edge can do within slack · the bound, and what each slack buys.
+"""A longer makespan for shorter ways: how many cameras every edge can do within slack · the bound,
+and what each slack buys.
 
-With capacities u_e = max { c : T^m(c) ≤ slack · T* } the cameras go where Σ ‖camera − edge‖² is least (`capped_transport`). At slack 1 the
-makespan is still the bound, with counts that suit the land better than the ones the deadline alone gives. Runs once per slack.
+With capacities u_e = max { c : T^m(c) ≤ slack · T* } the cameras go where Σ ‖camera − edge‖² is
+least (`capped_transport`). At slack 1 the makespan is still the bound, with counts that suit the
+land better than the ones the deadline alone gives. Runs once per slack.
 """
 
 from __future__ import annotations

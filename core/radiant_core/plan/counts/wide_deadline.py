@@ -1,9 +1,11 @@
-"""The counts of `deadline.fastest_counts` for systems whose tables would be too large: only the entries near the deadline are made.
+"""The counts of `deadline.fastest_counts` for systems whose tables would be too large: only the
+entries near the deadline are made.
 
-Guess: T^n(k) on a geometric grid of k, hence k_n(t) and T^m against the device deadline t by interpolation, and the T at which
-all edges together take C cameras. Then the exact entries within `window` of the guessed quotas are sorted as in `deadline`.
-Proof: what lies below the window is earlier than the deadline found, what lies above later; where not, the window is widened.
-Runs once per plan, O(D log C) for the guess and C · window entries, some 1 % of C.
+Guess: T^n(k) on a geometric grid of k, hence k_n(t) and T^m against the device deadline t by
+interpolation, and the T at which all edges together take C cameras. Then the exact entries within
+`window` of the guessed quotas are sorted as in `deadline`. Proof: what lies below the window is
+earlier than the deadline found, what lies above later; where not, the window is widened. Runs once
+per plan, O(D log C) for the guess and C · window entries, some 1 % of C.
 """
 
 from __future__ import annotations
@@ -233,7 +235,8 @@ class _Fleet:
         chosen = np.lexsort((owner, position + taken[owner], times))[:missing]
         extra = np.bincount(owner[chosen], minlength=len(entries))
         counts = taken + extra
-        # Any other counts take an entry that is not chosen, which is later than all that are; it has to be as late as what is taken unseen.
+        # Any other counts take an entry that is not chosen, which is later than all that are; it
+        # has to be as late as what is taken unseen.
         later = [float(times[more]) for times, more in zip(entries, extra, strict=True) if more < len(times)]
         if float(base_s.max()) > min(later, default=np.inf) or not ((extra < lengths) | (counts == full)).all():
             return None

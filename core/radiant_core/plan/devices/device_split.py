@@ -1,8 +1,10 @@
-"""Strips for the devices of an edge (paper Sec. III-C, RTP): which device trains which of the edge's cameras.
+"""Strips for the devices of an edge (paper Sec. III-C, RTP): which device trains which of the
+edge's cameras.
 
-The quotas come from `deadline`; the cameras are sorted along the longer side of the smallest rectangle around them and dealt
-in the order of devices that keeps the seams short (`strip_order`); strips are cut midway between the last camera of one device
-and the first of the next. Runs once per edge and plan, O(K log K) in the edge's cameras K.
+The quotas come from `deadline`; the cameras are sorted along the longer side of the smallest
+rectangle around them and dealt in the order of devices that keeps the seams short (`strip_order`);
+strips are cut midway between the last camera of one device and the first of the next. Runs once per
+edge and plan, O(K log K) in the edge's cameras K.
 """
 
 from __future__ import annotations
@@ -33,10 +35,12 @@ def split_edges(positions: ArrayLike, plan: CloudPlan, system: System) -> tuple[
 
 
 def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int64], border: FloatArray, *, even: bool = False) -> EdgePlan:
-    """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m, to its devices; strips partition `border` (V,2) m.
+    """Deal an edge's cameras, rows `camera_indices` (K,) of (C,2) m, to its devices; strips
+    partition `border` (V,2) m.
 
-    `even`: as many to each device, instead of so many that the slowest is done first. An edge that is known by its curve alone has nobody
-    to deal to yet. BadInput when the devices cannot hold the cameras.
+    `even`: as many to each device, instead of so many that the slowest is done first. An edge that
+    is known by its curve alone has nobody to deal to yet. BadInput when the devices cannot hold the
+    cameras.
     """
     if not edge.devices:
         return EdgePlan(
@@ -72,10 +76,11 @@ def split_edge(edge: Edge, positions: FloatArray, camera_indices: NDArray[np.int
 
 
 def long_axis(points: FloatArray) -> FloatArray:
-    """Unit vector (2,) along the longer side of the smallest rectangle around points (K,2), pointing to angles in [0°, 180°).
+    """Unit vector (2,) along the longer side of the smallest rectangle around points (K,2),
+    pointing to angles in [0°, 180°).
 
-    One side of that rectangle lies on an edge of the convex hull (Freeman, Shapira 1975). Among equal rectangles the longest,
-    then the smallest angle; east for one spot.
+    One side of that rectangle lies on an edge of the convex hull (Freeman, Shapira 1975). Among
+    equal rectangles the longest, then the smallest angle; east for one spot.
     """
     spread = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if spread == 0:
@@ -88,7 +93,8 @@ def long_axis(points: FloatArray) -> FloatArray:
     axes = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     lengths: FloatArray = np.ptp(hull @ axes.T, axis=0)
     widths: FloatArray = np.ptp(hull @ np.stack([-axes[:, 1], axes[:, 0]]), axis=0)
-    # Rounded, so that rectangles which are equal by symmetry do not change places with the last digit.
+    # Rounded, so that rectangles which are equal by symmetry do not change places with the last
+    # digit.
     best = np.lexsort((angles, -np.round(lengths, 9), np.round(lengths * widths, 9)))[0]
     return axes[best]
 

@@ -1,10 +1,12 @@
-"""Equal shares: as many cameras for every device as for any other, whatever it can do (the paper's "Even", Sec. V).
+"""Equal shares: as many cameras for every device as for any other, whatever it can do (the paper's
+"Even", Sec. V).
 
     q_n = min(k_n, L) and one more for some with room; k_n: what device n holds, L: the level at which all are dealt
 
-What is left over goes to the first device of every edge, then to the second ones, so that edges of equal numbers are equal too. An
-edge's count is the sum of its devices' shares, so that it grows with their number; an edge that is known by its curve alone counts as
-one device. Runs once per plan, O(D log D) in the devices.
+What is left over goes to the first device of every edge, then to the second ones, so that edges of
+equal numbers are equal too. An edge's count is the sum of its devices' shares, so that it grows
+with their number; an edge that is known by its curve alone counts as one device. Runs once per
+plan, O(D log D) in the devices.
 """
 
 from __future__ import annotations

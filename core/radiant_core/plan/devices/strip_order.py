@@ -2,9 +2,10 @@
 
     minimise Σ_i chord(q_1 + … + q_i)     over orders q of the quotas, chord(k) = length of the cut after the k-th camera
 
-A cut's place depends only on which devices stand before it, so the least sum over all orders is found over subsets instead (Held, Karp,
-J. SIAM 1962); devices with equal quotas are interchangeable and count once. Exact up to `MAX_STATES` subsets (12 different quotas),
-beyond that the best of three orders, improved by exchanging two devices while that helps. Runs once per edge and plan.
+A cut's place depends only on which devices stand before it, so the least sum over all orders is
+found over subsets instead (Held, Karp, J. SIAM 1962); devices with equal quotas are interchangeable
+and count once. Exact up to `MAX_STATES` subsets (12 different quotas), beyond that the best of
+three orders, improved by exchanging two devices while that helps. Runs once per edge and plan.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ Indices = NDArray[np.int64]
 
 
 def shortest_order(quotas: Indices, names: Sequence[str], chords_m: FloatArray) -> Indices:
-    """Indices (D',) of the devices with cameras in the order of least seams; `chords_m` (K+1,) the seam after k of K cameras.
+    """Indices (D',) of the devices with cameras in the order of least seams; `chords_m` (K+1,) the
+    seam after k of K cameras.
 
     Ties go to the order of the names.
     """
@@ -92,7 +94,8 @@ def _improved(working: Indices, quotas: Indices, chords: Indices) -> Indices:
         ends = np.cumsum(quotas[order])
         least, exchange = 0, None
         for first in range(len(order) - 1):
-            # Exchanging `first` with a later device moves the cuts from `first` up to the one before that device by one amount.
+            # Exchanging `first` with a later device moves the cuts from `first` up to the one
+            # before that device by one amount.
             later = np.arange(first + 1, len(order))
             moved = ends[first:-1] + (quotas[order[later]] - quotas[order[first]])[:, None]
             between = np.arange(first, len(order) - 1) < later[:, None]

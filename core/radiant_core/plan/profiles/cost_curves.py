@@ -1,9 +1,10 @@
-"""Cost curves: a time or a size as a function of the number of cameras (paper Sec. III-B, the profiled G, F, H).
+"""Cost curves: a time or a size as a function of the number of cameras (paper Sec. III-B, the
+profiled G, F, H).
 
     value(c) = constant + linear · c + power_coefficient · c ** exponent,   value(0) = 0
 
-No camera costs nothing: a device or edge without work neither starts nor sends. All coefficients are non-negative,
-so curves never fall. Evaluated once per plan on the counts 0..C.
+No camera costs nothing: a device or edge without work neither starts nor sends. All coefficients
+are non-negative, so curves never fall. Evaluated once per plan on the counts 0..C.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""Cost curves from measurements: a + b·c + d·c^p with a, b, d ≥ 0, the range they were measured in, and corrections while a run goes on.
+"""Cost curves from measurements: a + b·c + d·c^p with a, b, d ≥ 0, the range they were measured in,
+and corrections while a run goes on.
 
-For each exponent of a grid the non-negative least squares of the relative error (Lawson, Hanson, 1974); the best exponent wins,
-the simpler curve where the power term gains less than 1 %. Runs once per profile, a few samples.
+For each exponent of a grid the non-negative least squares of the relative error (Lawson, Hanson,
+1974); the best exponent wins, the simpler curve where the power term gains less than 1 %. Runs once
+per profile, a few samples.
 """
 
 from __future__ import annotations
@@ -63,8 +65,9 @@ class FittedCurve:
 def fit_curve(counts: ArrayLike, values: ArrayLike, *, may_fall: bool = False) -> FittedCurve:
     """The curve nearest to values (S,) at camera counts (S,), in relative error.
 
-    Raises BadInput without samples, for counts below 1, for values that are not positive, and where values fall with the count, unless they
-    `may_fall`: what a busy machine measured gives a flat curve and a large error.
+    Raises BadInput without samples, for counts below 1, for values that are not positive, and where
+    values fall with the count, unless they `may_fall`: what a busy machine measured gives a flat
+    curve and a large error.
     """
     counts = checked_array("counts", counts, (None,))
     values = checked_array("values", values, (len(counts),))

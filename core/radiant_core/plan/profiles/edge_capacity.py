@@ -1,4 +1,5 @@
-"""What an edge sends to the cloud about its devices: one curve of time over cameras and how many cameras they hold, nothing else.
+"""What an edge sends to the cloud about its devices: one curve of time over cameras and how many
+cameras they hold, nothing else.
 
 Runs once per edge and profile.
 """
@@ -17,9 +18,11 @@ _SAMPLES = 32
 
 
 def capacity_curve(edge: Edge, num_cameras: int) -> FittedCurve:
-    """T^m of an edge fitted by one curve over 1..`num_cameras` cameras; `worst_error` is the largest relative error at its samples.
+    """T^m of an edge fitted by one curve over 1..`num_cameras` cameras; `worst_error` is the
+    largest relative error at its samples.
 
-    T^m has a bend wherever a device comes in or is full, which one curve smooths. BadInput where the edge can hold no camera.
+    T^m has a bend wherever a device comes in or is full, which one curve smooths. BadInput where
+    the edge can hold no camera.
     """
     table = edge_table(edge, num_cameras)
     if table.capacity < 1:

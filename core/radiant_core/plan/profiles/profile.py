@@ -1,7 +1,9 @@
-"""`Profile`: what one kind of machine was measured or estimated to cost, and for which training that holds.
+"""`Profile`: what one kind of machine was measured or estimated to cost, and for which training
+that holds.
 
-A planner that uses curves of another training, or far beyond the counts they were measured at, is wrong without a sign of it; so every
-device keeps the profile its curves come from, and `profile_warnings` reports where a plan leaves what it holds for.
+A planner that uses curves of another training, or far beyond the counts they were measured at, is
+wrong without a sign of it; so every device keeps the profile its curves come from, and
+`profile_warnings` reports where a plan leaves what it holds for.
 """
 
 from __future__ import annotations

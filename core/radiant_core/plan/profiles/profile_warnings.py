@@ -16,9 +16,11 @@ _MAX_NAMES = 4
 
 
 def profile_warnings(system: System, quotas: ArrayLike, training: ProfileKey) -> tuple[str, ...]:
-    """One sentence per profile and reason, for cameras per device `quotas` (D,) in the system's order and what will be trained.
+    """One sentence per profile and reason, for cameras per device `quotas` (D,) in the system's
+    order and what will be trained.
 
-    Silent for devices and edges without cameras and for curves that a system file spells out: nothing is known of these.
+    Silent for devices and edges without cameras and for curves that a system file spells out:
+    nothing is known of these.
     """
     quotas = checked_array("quotas", quotas, (len(system.devices),), np.int64)
     users: dict[str, tuple[Profile, list[tuple[str, int]]]] = {}

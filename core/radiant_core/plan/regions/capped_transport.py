@@ -1,12 +1,15 @@
-"""Cameras dealt to edges at the least Σ ‖camera − edge‖² with at most u_e cameras at edge e, and the weights that prove it.
+"""Cameras dealt to edges at the least Σ ‖camera − edge‖² with at most u_e cameras at edge e, and
+the weights that prove it.
 
     minimise Σ_c ‖x_c − P_e(c)‖²   with at most u_e cameras at edge e
 
-Optimal exactly where weights w ≤ 0 exist, w_e < 0 only at full edges, under which every camera is in its power cell (the KKT
-conditions of the transport problem). Counts are guessed on boxes of cameras from the smoothed dual and then from Newton's steps on the
-true counts; the cameras are dealt with the guess (`transport`); then, while moving cameras along some chain of edges shortens the sum,
-the shortest chain is taken (successive shortest paths on the graph of edges; Ahuja, Magnanti, Orlin, Network Flows, 1993, ch. 9), which
-ends in the optimum whatever the guess. Runs once per plan with slack; a chain costs O(E² + cameras of its edges · E).
+Optimal exactly where weights w ≤ 0 exist, w_e < 0 only at full edges, under which every camera is
+in its power cell (the KKT conditions of the transport problem). Counts are guessed on boxes of
+cameras from the smoothed dual and then from Newton's steps on the true counts; the cameras are
+dealt with the guess (`transport`); then, while moving cameras along some chain of edges shortens
+the sum, the shortest chain is taken (successive shortest paths on the graph of edges; Ahuja,
+Magnanti, Orlin, Network Flows, 1993, ch. 9), which ends in the optimum whatever the guess. Runs
+once per plan with slack; a chain costs O(E² + cameras of its edges · E).
 """
 
 from __future__ import annotations
@@ -32,10 +35,12 @@ _ROUNDING = 1e-14
 
 
 def deal_within(positions: FloatArray, sites: FloatArray, capacities: Indices) -> Dealt:
-    """Deal cameras at positions (C,2) m, about a local origin, to distinct sites (E,2) m, at most capacities (E,) to each.
+    """Deal cameras at positions (C,2) m, about a local origin, to distinct sites (E,2) m, at most
+    capacities (E,) to each.
 
-    In the result `violation_m2` is by how much the worst camera misses its cell among all edges of positive capacity, `num_paths` the
-    chains taken. Raises BadInput where the capacities hold too few.
+    In the result `violation_m2` is by how much the worst camera misses its cell among all edges of
+    positive capacity, `num_paths` the chains taken. Raises BadInput where the capacities hold too
+    few.
     """
     capacities = np.minimum(checked_array("capacities", capacities, (len(sites),), np.int64), len(positions))
     if capacities.min(initial=0) < 0 or capacities.sum() < len(positions):
@@ -71,7 +76,8 @@ class _Boxes:
         means, cameras, radii_m = _boxes(positions)
         self.cameras = cameras
         self.squared_m2 = np.sum((means[:, None] - sites) ** 2, axis=-1)
-        # A box beside a border counts for both sides: where the border has moved by its radius, powers differ by radius · gap of the sites.
+        # A box beside a border counts for both sides: where the border has moved by its radius,
+        # powers differ by radius · gap of the sites.
         gaps_m = np.sort(np.hypot(*np.moveaxis(sites[:, None] - sites, -1, 0)), axis=1)[:, 1:2]
         gap_m = float(np.sqrt(np.mean(gaps_m**2))) if gaps_m.size else 1.0
         self.widths_m2 = gap_m * np.maximum(radii_m, 1e-4 * max(float(np.ptp(positions, axis=0).max()), gap_m))

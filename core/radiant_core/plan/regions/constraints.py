@@ -1,12 +1,14 @@
-"""Decisions made before the planner runs: fixed weights, locked regions, pinned cameras; the rest is planned around it.
+"""Decisions made before the planner runs: fixed weights, locked regions, pinned cameras; the rest
+is planned around it.
 
     locked region    the cameras that the edge has in the plan to start from, and no others
     fixed weight     the edge's cell in the diagram to start from, with its weight replaced; the cell's cameras and no others
     pinned camera    belongs to the edge it is pinned to, which may have others too
 
-The cameras left over are dealt among the edges that are neither locked nor fixed, with the counts of the least makespan and the least
-Σ ‖camera − edge‖² for them. The weights drawn are those of that dealing, shifted to fit between the fixed and locked ones as well as
-they can: a camera may end outside its cell, which the plan counts. Runs once per plan, and per frame of a drag.
+The cameras left over are dealt among the edges that are neither locked nor fixed, with the counts
+of the least makespan and the least Σ ‖camera − edge‖² for them. The weights drawn are those of that
+dealing, shifted to fit between the fixed and locked ones as well as they can: a camera may end
+outside its cell, which the plan counts. Runs once per plan, and per frame of a drag.
 """
 
 from __future__ import annotations
@@ -83,8 +85,8 @@ def deal_around(
 ) -> ConstrainedDealing | str:
     """Deal cameras (C,2) m to sites (E,2) m under constraints; a sentence where memory forbids it.
 
-    Raises BadInput for unknown edges and cameras, for a locked region without a plan to start from, and where a camera of a locked region
-    is pinned elsewhere.
+    Raises BadInput for unknown edges and cameras, for a locked region without a plan to start from,
+    and where a camera of a locked region is pinned elsewhere.
     """
     ids = [edge.id for edge in system.edges]
     fixed, locked = _flags(ids, tuple(constraints.fixed_weights_m2)), _flags(ids, constraints.locked)
@@ -106,7 +108,8 @@ def deal_around(
     has_free = np.zeros(len(ids), bool)
     has_free[edges] = (counts - given)[edges] > 0
     weights = _fitted(cameras, sites, weights, owner, free, (has_free, is_open, fixed, locked))
-    # Dealing among fewer edges ties the weights less: where nothing changed, those of the reference fit better.
+    # Dealing among fewer edges ties the weights less: where nothing changed, those of the reference
+    # fit better.
     weights = min((weights, before), key=lambda tried: _worst_violation(cameras, sites, tried, owner))
     words = _sentences(constraints, np.bincount(owner, minlength=len(ids)), ids)
     return ConstrainedDealing(
@@ -119,9 +122,11 @@ def deal_around(
 
 
 def counts_at_least(system: System, num_cameras: int, least: Indices) -> FastestCounts:
-    """Counts (E,) of the smallest makespan that are nowhere below `least` (E,), which must fit into the devices and the cameras.
+    """Counts (E,) of the smallest makespan that are nowhere below `least` (E,), which must fit into
+    the devices and the cameras.
 
-    An edge that would get fewer keeps its least at any earlier deadline, so it can be taken out and the others planned anew.
+    An edge that would get fewer keeps its least at any earlier deadline, so it can be taken out and
+    the others planned anew.
     """
     counts, times_s = least.copy(), np.zeros(len(least))
     active = np.ones(len(least), bool)

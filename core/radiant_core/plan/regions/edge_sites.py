@@ -1,8 +1,9 @@
-"""Where the edges stand: given in metres, as latitude and longitude, or placed among the cameras from a seed.
+"""Where the edges stand: given in metres, as latitude and longitude, or placed among the cameras
+from a seed.
 
-Placing starts with k-means++ (Arthur, Vassilvitskii 2007: the next site is a camera drawn with probability ∝ its squared
-distance to the sites so far) and goes on with a few rounds of Lloyd's; edges with a given position take part but stay.
-Runs once per plan.
+Placing starts with k-means++ (Arthur, Vassilvitskii 2007: the next site is a camera drawn with
+probability ∝ its squared distance to the sites so far) and goes on with a few rounds of Lloyd's;
+edges with a given position take part but stay. Runs once per plan.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 def place_edges(system: System, positions: ArrayLike, origin_lat_lon_alt: ArrayLike | None, seed: int) -> System:
-    """The same system with a position in metres on every edge, for cameras (C,2) m about an origin (3,) [deg, deg, m].
+    """The same system with a position in metres on every edge, for cameras (C,2) m about an origin
+    (3,) [deg, deg, m].
 
-    Seeded edges lie inside the cameras' bounding box. BadInput for an edge with latitude and longitude when the scene has
-    no origin on the globe (None), without cameras, and for positions beyond 1e8 m.
+    Seeded edges lie inside the cameras' bounding box. BadInput for an edge with latitude and
+    longitude when the scene has no origin on the globe (None), without cameras, and for positions
+    beyond 1e8 m.
     """
     positions = checked_array("positions", positions, (None, 2))
     if not len(positions):
@@ -50,9 +53,11 @@ def require_within_reach(*positions: FloatArray) -> None:
 
 
 def separate_sites(sites: FloatArray, extent_m: float) -> FloatArray:
-    """Sites (E,2) m of which no two share a spot: those within 1e-6 extents of an earlier one step aside by about 1e-3 extents.
+    """Sites (E,2) m of which no two share a spot: those within 1e-6 extents of an earlier one step
+    aside by about 1e-3 extents.
 
-    Two edges at one spot have no border between them; a step aside gives them one without changing which cameras are nearest to it.
+    Two edges at one spot have no border between them; a step aside gives them one without changing
+    which cameras are nearest to it.
     """
     sites = sites.copy()
     for index in range(1, len(sites)):

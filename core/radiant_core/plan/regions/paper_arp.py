@@ -1,11 +1,13 @@
-"""The paper's Adaptive Region Planning (Alg. 1) on a power diagram, kept for comparison with the exact planner.
+"""The paper's Adaptive Region Planning (Alg. 1) on a power diagram, kept for comparison with the
+exact planner.
 
     R ← Voronoi(P);  while max_m |T^m − T̄| > T_thres:  m* ← argmax_m |T^m − T̄|;  move the boundary of m* by d
 
-Moving the boundary of m* is read as a weight change Δw = ∓ 2 d ‖P_m* − P_nearest‖: its border to the nearest edge moves by
-d along the normal, those to farther edges by less, and the cells stay a partition (Eqn. 9, 10), which moving half-planes
-does not keep. With a fixed d the loop often cycles; since weights are whole numbers of steps a state seen before proves it,
-and the loop stops there with the best partition it saw. O(C·E) per iteration.
+Moving the boundary of m* is read as a weight change Δw = ∓ 2 d ‖P_m* − P_nearest‖: its border to
+the nearest edge moves by d along the normal, those to farther edges by less, and the cells stay a
+partition (Eqn. 9, 10), which moving half-planes does not keep. With a fixed d the loop often
+cycles; since weights are whole numbers of steps a state seen before proves it, and the loop stops
+there with the best partition it saw. O(C·E) per iteration.
 """
 
 from __future__ import annotations

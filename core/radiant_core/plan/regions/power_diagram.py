@@ -2,9 +2,9 @@
 
     cell e = { x : ‖x − P_e‖² − w_e ≤ ‖x − P_j‖² − w_j for all j }     (weights 0: the Voronoi diagram)
 
-The border between i and j is a line across P_i P_j; a weight change Δw moves it by Δw / (2 ‖P_i − P_j‖). Cells are convex,
-disjoint and cover the plane (Aurenhammer, Power diagrams, SIAM J. Comput. 1987). `assign` runs once per candidate plan, the
-polygons once per plan.
+The border between i and j is a line across P_i P_j; a weight change Δw moves it by Δw / (2 ‖P_i −
+P_j‖). Cells are convex, disjoint and cover the plane (Aurenhammer, Power diagrams, SIAM J. Comput.
+1987). `assign` runs once per candidate plan, the polygons once per plan.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ def assign(positions: FloatArray, sites: FloatArray, weights: FloatArray) -> NDA
 
 
 def cell_polygons(sites: ArrayLike, weights: ArrayLike, outline: ArrayLike) -> tuple[FloatArray, ...]:
-    """Cells clipped to a convex counter-clockwise outline (V,2) m: per site a polygon (V,2), or (0,2) for an empty cell.
+    """Cells clipped to a convex counter-clockwise outline (V,2) m: per site a polygon (V,2), or
+    (0,2) for an empty cell.
 
     Of sites at one spot the heaviest has the whole cell, the first among equals.
     """

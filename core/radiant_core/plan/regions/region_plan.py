@@ -1,9 +1,12 @@
-"""Regions of the edges (paper Sec. III-B, ARP): who owns which cameras so that the slowest edge is as fast as possible.
+"""Regions of the edges (paper Sec. III-B, ARP): who owns which cameras so that the slowest edge is
+as fast as possible.
 
-In the paper's cost model an edge's time depends on its region only through the number of cameras in it. So the best counts
-are found first, without geography (`deadline`); then the cameras are dealt to the edges with exactly these counts and the
-least Σ ‖camera − edge‖² (`transport`). The least-squares assignment for any counts is a power diagram of the edge positions
-(Aurenhammer, Hoffmann, Aronov, Algorithmica 1998): convex, disjoint, covering regions at the geography-free lower bound.
+In the paper's cost model an edge's time depends on its region only through the number of cameras in
+it. So the best counts are found first, without geography (`deadline`); then the cameras are dealt
+to the edges with exactly these counts and the least Σ ‖camera − edge‖² (`transport`). The
+least-squares assignment for any counts is a power diagram of the edge positions (Aurenhammer,
+Hoffmann, Aronov, Algorithmica 1998): convex, disjoint, covering regions at the geography-free lower
+bound.
 
     exact     counts with the smallest makespan: optimal in this model, with a certificate
     even      as many cameras for every device as the memory limits allow (`even_shares`)
@@ -65,7 +68,8 @@ class PlanInfeasible:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Plane:
-    """Cameras (C,2), sites (E,2), their bounding box (4,2) and the same with a margin, `outline`, all in metres about `centre` (2,).
+    """Cameras (C,2), sites (E,2), their bounding box (4,2) and the same with a margin, `outline`,
+    all in metres about `centre` (2,).
 
     side_m: longer side of the cameras' bounding box, 1 where they share one spot.
     """
@@ -104,13 +108,16 @@ def plan_regions(  # noqa: PLR0913
     slack: float | None = None,
     constraints: PlanConstraints | None = None,
 ) -> CloudPlan | PlanInfeasible:
-    """Regions for cameras (C,2) m by one of the methods above; every edge needs a position (`place_edges`).
+    """Regions for cameras (C,2) m by one of the methods above; every edge needs a position
+    (`place_edges`).
 
-    status: optimal = the lower bound with a certificate; converged = within the paper's threshold (of the bound, for methods
-    that do not iterate); stopped otherwise. `start`: a plan of nearly the same input for `exact` to start from. `tolerance`: `exact`
-    leaves every camera at its nearest edge where that is slower than the bound by this share at most. `slack` ≥ 1: `exact` may take
-    this many times the bound if that shortens Σ distance² (`slack.py`); `constraints`: `exact` plans around them. Raises BadInput
-    for a tolerance or slack out of range, both or constraints with them, and for positions that are not finite, none, or beyond 1e8 m.
+    status: optimal = the lower bound with a certificate; converged = within the paper's threshold
+    (of the bound, for methods that do not iterate); stopped otherwise. `start`: a plan of nearly
+    the same input for `exact` to start from. `tolerance`: `exact` leaves every camera at its
+    nearest edge where that is slower than the bound by this share at most. `slack` ≥ 1: `exact` may
+    take this many times the bound if that shortens Σ distance² (`slack.py`); `constraints`: `exact`
+    plans around them. Raises BadInput for a tolerance or slack out of range, both or constraints
+    with them, and for positions that are not finite, none, or beyond 1e8 m.
     """
     _require_options(method, tolerance, slack, constraints)
     plane = _plane(positions, system)
@@ -145,9 +152,11 @@ def plan_regions(  # noqa: PLR0913
 
 
 def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
-    """Regions for cameras (C,2) m that already belong to edges (C,): every place to the edge whose cameras' mean is nearest.
+    """Regions for cameras (C,2) m that already belong to edges (C,): every place to the edge whose
+    cameras' mean is nearest.
 
-    Edges without cameras own no land. The lower bound is that of the same counts of cameras dealt freely, 0 where memory forbids it.
+    Edges without cameras own no land. The lower bound is that of the same counts of cameras dealt
+    freely, 0 where memory forbids it.
     """
     positions = checked_array("positions", positions, (len(edge_of_camera), 2))
     plane = _plane(positions, _at_means(positions, edge_of_camera, system))
@@ -157,9 +166,11 @@ def regions_around(positions: ArrayLike, edge_of_camera: NDArray[np.int64], syst
 
 
 def regions_with_counts(positions: ArrayLike, edge_of_camera: NDArray[np.int64], system: System) -> CloudPlan:
-    """Regions for cameras (C,2) m that belong to edges (C,): the power diagram of the edges' mean cameras with as many in each cell.
+    """Regions for cameras (C,2) m that belong to edges (C,): the power diagram of the edges' mean
+    cameras with as many in each cell.
 
-    Which cameras lie in a cell may differ from `edge_of_camera`. Times and the lower bound are left at 0.
+    Which cameras lie in a cell may differ from `edge_of_camera`. Times and the lower bound are left
+    at 0.
     """
     positions = checked_array("positions", positions, (len(edge_of_camera), 2))
     counts = np.bincount(edge_of_camera, minlength=len(system.edges))
@@ -346,8 +357,8 @@ def _cloud_plan(
 def _closed_where_unused(weights: FloatArray, counts: NDArray[np.int64], plane: _Plane) -> FloatArray:
     """Weights (E,) under which edges without cameras own no land: no model of it would be trained.
 
-    ‖x − P_e‖² − ‖x − P_j‖² is linear in x, so an edge that loses to one used edge j at all corners loses everywhere;
-    it loses by a squared side length more, which no rounding undoes.
+    ‖x − P_e‖² − ‖x − P_j‖² is linear in x, so an edge that loses to one used edge j at all corners
+    loses everywhere; it loses by a squared side length more, which no rounding undoes.
     """
     weights = weights.copy()
     other = int(counts.argmax())

@@ -1,12 +1,14 @@
-"""Cameras dealt to edges with given counts at the least Σ ‖camera − edge‖², and the power diagram that draws the same borders.
+"""Cameras dealt to edges with given counts at the least Σ ‖camera − edge‖², and the power diagram
+that draws the same borders.
 
     minimise Σ_c ‖x_c − P_e(c)‖²   with exactly counts[e] cameras at edge e
 
-The dual of this transport problem is the power diagram's weights (Aurenhammer, Hoffmann, Aronov, Algorithmica 1998). The native
-module solves it on ever finer boxes of cameras: damped Newton on the smoothed dual (Kitagawa, Mérigot, Thibert, JEMS 2019) over
-a tree of cameras, a ridge where cells share no camera, the last cameras by cheapest chains (Ahuja, Magnanti, Orlin, Network
-Flows, 1993, ch. 9), which end in the exact optimum whatever Newton left. The certificate is taken over all cameras afterwards.
-Runs once per plan.
+The dual of this transport problem is the power diagram's weights (Aurenhammer, Hoffmann, Aronov,
+Algorithmica 1998). The native module solves it on ever finer boxes of cameras: damped Newton on the
+smoothed dual (Kitagawa, Mérigot, Thibert, JEMS 2019) over a tree of cameras, a ridge where cells
+share no camera, the last cameras by cheapest chains (Ahuja, Magnanti, Orlin, Network Flows, 1993,
+ch. 9), which end in the exact optimum whatever Newton left. The certificate is taken over all
+cameras afterwards. Runs once per plan.
 """
 
 from __future__ import annotations
@@ -27,8 +29,9 @@ Indices = NDArray[np.int64]
 class Dealt:
     """Where the cameras went.
 
-    edge_of_position (C,): −1 for a position whose cameras went to several edges; parts (S,3): those as (position, edge, cameras);
-    weights (E,) m²: every camera lies in its power cell up to `violation_m2`; edges without cameras have weight 0.
+    edge_of_position (C,): −1 for a position whose cameras went to several edges; parts (S,3): those
+    as (position, edge, cameras); weights (E,) m²: every camera lies in its power cell up to
+    `violation_m2`; edges without cameras have weight 0.
     """
 
     edge_of_position: Indices
@@ -46,8 +49,9 @@ def deal_with_counts(
 ) -> Dealt:
     """Deal cameras at positions (C,2) m to distinct sites (E,2) m with exactly counts (E,).
 
-    multiplicities (C,): cameras at each position, a count raster; weights (E,) m²: of a similar plan, to start from. Coordinates
-    should be about a local origin. Raises BadInput unless the counts are not negative and sum to the cameras.
+    multiplicities (C,): cameras at each position, a count raster; weights (E,) m²: of a similar
+    plan, to start from. Coordinates should be about a local origin. Raises BadInput unless the
+    counts are not negative and sum to the cameras.
     """
     counts = checked_array("counts", counts, (len(sites),), np.int64)
     given = None if multiplicities is None else checked_array("multiplicities", multiplicities, (len(positions),), np.int64)

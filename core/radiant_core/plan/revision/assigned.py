@@ -1,6 +1,7 @@
 """The plan of photographs that already belong to devices. Runs once per run.
 
-Regions are the power diagram of the edges' mean positions without weights, strips the hulls of each device's positions.
+Regions are the power diagram of the edges' mean positions without weights, strips the hulls of each
+device's positions.
 """
 
 from __future__ import annotations

@@ -1,13 +1,17 @@
-"""Revises a plan after the fleet has changed: a device died, became slow or is busy, a device or edge joined.
+"""Revises a plan after the fleet has changed: a device died, became slow or is busy, a device or
+edge joined.
 
-First the least makespan, then the fewest positions that change their device, then geography: those that move go where
+First the least makespan, then the fewest positions that change their device, then geography: those
+that move go where
     minimise Σ_moved ‖x − centre of the new device‖² − ‖x − centre of the old one‖²
-with the quotas of `replan_counts`: a transport problem, solved by the native module where one device loses or all that lose give up
-everything, as a linear program (HiGHS; the constraints are a network, so its corners are whole numbers) for up to 40,000 arcs, and else
-device by device, those that give up everything together. Positions that are captured or lie with a device that is done never move; on a
-dead device captured ones are lost.
-Regions stay as they were where no position changed its edge, else they are the power diagram of the edges' mean positions with the new
-counts: moved positions lie apart, and the edges' own places would draw regions that others train in. Runs once per re-plan.
+with the quotas of `replan_counts`: a transport problem, solved by the native module where one
+device loses or all that lose give up everything, as a linear program (HiGHS; the constraints are a
+network, so its corners are whole numbers) for up to 40,000 arcs, and else device by device, those
+that give up everything together. Positions that are captured or lie with a device that is done
+never move; on a dead device captured ones are lost.
+Regions stay as they were where no position changed its edge, else they are the power diagram of the
+edges' mean positions with the new counts: moved positions lie apart, and the edges' own places
+would draw regions that others train in. Runs once per re-plan.
 """
 
 from __future__ import annotations
@@ -122,10 +126,12 @@ def replan(  # noqa: PLR0913
     joining: System | None = None,
     tolerance: float = 0.0,
 ) -> Replan | ReplanInfeasible:
-    """The new plan of positions (P,2) m; captured (P,) bool, none without it; every edge of `system` and `joining` needs a position.
+    """The new plan of positions (P,2) m; captured (P,) bool, none without it; every edge of
+    `system` and `joining` needs a position.
 
-    tolerance: share by which the makespan may exceed the least one, to move fewer. Raises BadInput when plan, positions and system do not
-    belong together, for unknown ids and for a negative tolerance.
+    tolerance: share by which the makespan may exceed the least one, to move fewer. Raises BadInput
+    when plan, positions and system do not belong together, for unknown ids and for a negative
+    tolerance.
     """
     positions = checked_array("positions", positions, (len(cloud_plan.edge_of_camera), 2))
     fixed = np.zeros(len(positions), bool) if captured is None else checked_array("captured", captured, (len(positions),), np.int64) > 0

@@ -1,16 +1,21 @@
-"""Quotas of positions per device after a fleet change: the least makespan, then the fewest positions that move.
+"""Quotas of positions per device after a fleet change: the least makespan, then the fewest
+positions that move.
 
-A device n holds f_n positions that stay (captured), may take up to u_n, and is busy until r_n with what it already does:
+A device n holds f_n positions that stay (captured), may take up to u_n, and is busy until r_n with
+what it already does:
     τ_n(q) = r_n + G(q) + F_n(q) + H(q) / B^n  for q > 0, else 0        a closed device keeps what it has and is ready at r_n
     T^m(c) = max_n τ_n(q_n) + F_m(c) + Σ_n H_n(q_n) / B^m               f_n ≤ q_n ≤ u_n, Σ_n q_n = c
-The deadline T* comes as in `deadline`: the times of the (f_n + 1)-th, (f_n + 2)-th … position of every open device, sorted; the edges'
-tables sorted again. Under T* an edge with c positions allows each device at most κ_n(c), which falls with c. With w_n positions now,
+The deadline T* comes as in `deadline`: the times of the (f_n + 1)-th, (f_n + 2)-th … position of
+every open device, sorted; the edges' tables sorted again. Under T* an edge with c positions allows
+each device at most κ_n(c), which falls with c. With w_n positions now,
     forced(c) = Σ_n max(0, w_n − κ_n(c)),      leaving(c) = max(forced(c), Σ_n w_n − c)
-is the fewest that must leave its devices. Up to some c° one position more saves one move, beyond it none is saved and some may be forced:
-every edge gets c° at least, and what is then left over is dealt by dynamic programming over edges. Exact where all open devices of an
-edge send equally many bytes per position and nothing beside, and where F_m does not depend on how many devices have the positions
-(`aggregate_alone_s`); else quotas are kept under T* and `proved` is False.
-Runs once per re-plan: O(P log P) and, only where moves are forced, E · X² for X positions left over.
+is the fewest that must leave its devices. Up to some c° one position more saves one move, beyond it
+none is saved and some may be forced: every edge gets c° at least, and what is then left over is
+dealt by dynamic programming over edges. Exact where all open devices of an edge send equally many
+bytes per position and nothing beside, and where F_m does not depend on how many devices have the
+positions (`aggregate_alone_s`); else quotas are kept under T* and `proved` is False.
+Runs once per re-plan: O(P log P) and, only where moves are forced, E · X² for X positions left
+over.
 """
 
 from __future__ import annotations
@@ -124,7 +129,8 @@ class _Table:
             require_finite(f"the time of device {machine.device.id!r} against positions", self.slot_s[-1])
         self.uniform = _send_alike([m.device.model_bytes for m, room in zip(load.machines, self.rooms, strict=True) if room])
         if load.edge.aggregate_alone_s is not None and len(load.machines) > 1:
-            # Where nothing is retrained for one device alone, time also depends on which device has the positions.
+            # Where nothing is retrained for one device alone, time also depends on which device has
+            # the positions.
             self.uniform &= sum(m.fixed > 0 for m in load.machines) > 1
         self.owners, times_s = earliest_slots(self.slot_s, spare) if load.machines else (np.zeros(0, np.int64), np.zeros(0))
         base_s = max((m.time_s(m.fixed) for m in load.machines), default=0.0)

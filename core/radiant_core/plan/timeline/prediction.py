@@ -1,12 +1,14 @@
-"""What a plan says will happen when, how far off it was, and what the first finished machines teach about the rest.
+"""What a plan says will happen when, how far off it was, and what the first finished machines teach
+about the rest.
 
     device n: initialise G from 0 on, train F_n, send H / B^n
     edge m:   aggregate F_m once its last device has sent, then send Σ_n H_n / B^m            (paper Eqn. 5-8, 12-15)
     error = predicted / measured − 1, in %: negative where a stage took longer than predicted
 
-Correction: a finished device's measured / predicted time scales the curves of all devices with the same curves (one machine class);
-devices of another class whose curves are proportional (the same profile on a faster or slower machine) take the median of all such
-classes; edges alike by their own curve. Runs once per plan, once per finished node and once per report; a few numbers per machine.
+Correction: a finished device's measured / predicted time scales the curves of all devices with the
+same curves (one machine class); devices of another class whose curves are proportional (the same
+profile on a faster or slower machine) take the median of all such classes; edges alike by their own
+curve. Runs once per plan, once per finished node and once per report; a few numbers per machine.
 """
 
 from __future__ import annotations
@@ -109,7 +111,8 @@ def stage_errors(planned: Iterable[PlannedStage], measured: Seconds) -> tuple[St
 
 
 def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan]) -> StageError | None:
-    """The slowest edge when every machine works for itself, from the stages that were measured alone; None where a node is missing.
+    """The slowest edge when every machine works for itself, from the stages that were measured
+    alone; None where a node is missing.
 
     Both times are composed alike: an edge's stages after those of its slowest device.
     """
@@ -137,7 +140,8 @@ def makespan_error(errors: Sequence[StageError], edge_plans: Sequence[EdgePlan])
 
 
 def correct_system(system: System, planned: Iterable[PlannedStage], measured: Seconds) -> System:
-    """The system with G, F_n and F_m scaled by what was measured so far; stages that were not measured teach nothing.
+    """The system with G, F_n and F_m scaled by what was measured so far; stages that were not
+    measured teach nothing.
 
     BadInput as `stage_errors`. A machine predicted or measured at 0 s teaches nothing either.
     """
@@ -173,10 +177,12 @@ def correct_system(system: System, planned: Iterable[PlannedStage], measured: Se
 def time_left_s(
     expected_s: Mapping[str, float], parents: Mapping[str, str], running_s: Mapping[str, float], done: Iterable[str], num_workers: int
 ) -> float:
-    """Seconds until all nodes are done on `num_workers` processes of one machine, those that may start taken in order.
+    """Seconds until all nodes are done on `num_workers` processes of one machine, those that may
+    start taken in order.
 
-    expected_s: node → seconds of its own; parents: device → its edge, which waits for all of them; running_s: node → seconds so far.
-    A node that has run longer than expected is taken to end now. BadInput below one worker.
+    expected_s: node → seconds of its own; parents: device → its edge, which waits for all of them;
+    running_s: node → seconds so far. A node that has run longer than expected is taken to end now.
+    BadInput below one worker.
     """
     if num_workers < 1:
         raise BadInput(f"{num_workers} workers cannot do anything: give at least one.")

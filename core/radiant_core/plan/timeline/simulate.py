@@ -1,4 +1,5 @@
-"""The timeline of a whole fleet: devices train and send, edges join what arrived and send, the cloud waits for the last.
+"""The timeline of a whole fleet: devices train and send, edges join what arrived and send, the
+cloud waits for the last.
 
     device n: starts, works (again from the start after a failure and its repair), sends H bytes
     edge m:   waits for its devices that do not drop out, aggregates, sends what it joined
@@ -23,9 +24,10 @@ from radiant_core.plan.system import System
 class Fleet:
     """D devices of E edges, devices in order of their edges, every edge with at least one.
 
-    edge_of_device (D,); start_s, work_s, model_bytes, uplink_bytes_per_s (D,); aggregate_s, edge_uplink_bytes_per_s (E,);
-    fails_s (D,): when a device fails, inf for never; what it did is lost and it starts anew after repair_s (D,);
-    dropped (D,): never heard of again, its edge does not wait.
+    edge_of_device (D,); start_s, work_s, model_bytes, uplink_bytes_per_s (D,); aggregate_s,
+    edge_uplink_bytes_per_s (E,); fails_s (D,): when a device fails, inf for never; what it did is
+    lost and it starts anew after repair_s (D,); dropped (D,): never heard of again, its edge does
+    not wait.
     """
 
     edge_of_device: NDArray[np.int64]

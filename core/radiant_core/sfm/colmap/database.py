@@ -1,6 +1,8 @@
-"""Features and matches in a COLMAP database, chunk by chunk for progress. Once per scene; the slowest part of it all.
+"""Features and matches in a COLMAP database, chunk by chunk for progress. Once per scene; the
+slowest part of it all.
 
-What a database has already, of an attempt that was interrupted, is not done again (`kept_database.py`).
+What a database has already, of an attempt that was interrupted, is not done again
+(`kept_database.py`).
 """
 
 from __future__ import annotations

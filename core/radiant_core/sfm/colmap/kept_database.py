@@ -1,11 +1,13 @@
-"""What an interrupted attempt left in its database, for the next one to go on with. Once per attempt.
+"""What an interrupted attempt left in its database, for the next one to go on with. Once per
+attempt.
 
     database.json   key: hash of photographs, masks and settings; boot: the machine's, since when it runs
     names.json      the images' names by number, while matching has them renamed (`database.py`)
 
-COLMAP writes features and matches in transactions: a process that is killed leaves whole ones. It does not wait for the disk, so that
-nothing is kept once the machine itself went down. What cannot be read is not kept either, and what COLMAP fails on is not kept for the
-next attempt, unless it failed on a full disk. Mapping is done anew.
+COLMAP writes features and matches in transactions: a process that is killed leaves whole ones. It
+does not wait for the disk, so that nothing is kept once the machine itself went down. What cannot
+be read is not kept either, and what COLMAP fails on is not kept for the next attempt, unless it
+failed on a full disk. Mapping is done anew.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""From matches to one sparse model: incremental mapping, more pairs and the global mapper for what is left, strays removed.
+"""From matches to one sparse model: incremental mapping, more pairs and the global mapper for what
+is left, strays removed.
 
-Once per scene. Several models may come back, fragments among them: the one with most images, then most points, is kept.
-An image is a stray when it sees almost no point, when few points and its GPS is far from where the model puts it, or when no chain of
-images with common points leads to most others, so that nothing fixes where it is: the global mapper claims every image and leaves such.
+Once per scene. Several models may come back, fragments among them: the one with most images, then
+most points, is kept. An image is a stray when it sees almost no point, when few points and its GPS
+is far from where the model puts it, or when no chain of images with common points leads to most
+others, so that nothing fixes where it is: the global mapper claims every image and leaves such.
 """
 
 from __future__ import annotations

@@ -21,7 +21,8 @@ Pairs = list[tuple[str, str]]
 def gps_positions(photographs: tuple[Photograph, ...]) -> tuple[FloatArray, FloatArray]:
     """Metres east, north, up (N,3) about the median position, and that origin (3,) [deg, deg, m].
 
-    NaN without GPS, and where GPS has no altitude the height alone; the origin's is 0 where no photograph has one.
+    NaN without GPS, and where GPS has no altitude the height alone; the origin's is 0 where no
+    photograph has one.
     """
     geodetic = _geodetic(photographs)
     known = np.isfinite(geodetic[:, 0])
@@ -75,9 +76,11 @@ def choose_pairs(photographs: tuple[Photograph, ...], config: SfmConfig) -> tupl
 
 
 def neighbor_pairs(names: list[str], positions_m: FloatArray, num_neighbors: int) -> Pairs:
-    """Each name with its nearest others by horizontal distance, and those without a position (NaN) with every other.
+    """Each name with its nearest others by horizontal distance, and those without a position (NaN)
+    with every other.
 
-    Height is left out: it is the worst of GPS, and the same ground is seen from any height. Sorted, each pair once.
+    Height is left out: it is the worst of GPS, and the same ground is seen from any height. Sorted,
+    each pair once.
     """
     known = np.flatnonzero(np.isfinite(positions_m[:, 0]))
     pairs: set[tuple[int, int]] = set()

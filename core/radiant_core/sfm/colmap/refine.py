@@ -1,12 +1,16 @@
-"""The last word on poses, lenses and points: one bundle adjustment with a robust loss. Once per scene.
+"""The last word on poses, lenses and points: one bundle adjustment with a robust loss. Once per
+scene.
 
-The mappers minimise squared errors of reprojection and drop points off by more than 4 px, so that what is off by 1 to 4 px, often a wrong
-match, bends poses and lenses. A Cauchy loss of half a pixel weighs it down. Against true poses (town, a device of 11 photographs) the
-error left after the best similarity fell from 39.5 to 28.9 mm, and its focal length came from 0.13 to 0.10 % (docs/experiments/frames.md).
+The mappers minimise squared errors of reprojection and drop points off by more than 4 px, so that
+what is off by 1 to 4 px, often a wrong match, bends poses and lenses. A Cauchy loss of half a pixel
+weighs it down. Against true poses (town, a device of 11 photographs) the error left after the best
+similarity fell from 39.5 to 28.9 mm, and its focal length came from 0.13 to 0.10 %
+(docs/experiments/frames.md).
 
-Few photographs straight down on flat ground fix no focal length: it can be traded for height, and only an early end of the mapper keeps
-it anywhere near (one device of brighton: 763 px, then 530 to 680 px after more iterations of one loss or another, where all photographs
-give 798). A lens that this adjustment would move is not fixed by its photographs, and is kept.
+Few photographs straight down on flat ground fix no focal length: it can be traded for height, and
+only an early end of the mapper keeps it anywhere near (one device of brighton: 763 px, then 530 to
+680 px after more iterations of one loss or another, where all photographs give 798). A lens that
+this adjustment would move is not fixed by its photographs, and is kept.
 """
 
 from __future__ import annotations

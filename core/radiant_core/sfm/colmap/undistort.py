@@ -48,7 +48,8 @@ def undistort(model_folder: Path, image_folder: Path, work_folder: Path, num_thr
 
 
 def fit_model(model_folder: Path, world_from_model: Sim3, cameras: Cameras) -> None:
-    """Make the COLMAP model in `model_folder` fit the scene made of it: moved into its world, without images that are none of its cameras.
+    """Make the COLMAP model in `model_folder` fit the scene made of it: moved into its world,
+    without images that are none of its cameras.
 
     Points that only those images saw go, too.
     """

@@ -1,10 +1,12 @@
-"""Similarities between point sets: least squares, robust against outliers, and as a yardstick against a reference model.
+"""Similarities between point sets: least squares, robust against outliers, and as a yardstick
+against a reference model.
 
 Least squares (once per fit), weights w that sum to 1: with centred X, Y and the SVD  Yᵀ diag(w) X = U D Vᵀ,
     R = U S Vᵀ,  s = tr(D S) / Σ wᵢ ‖xᵢ‖²,  t = ȳ − s R x̄,   S = diag(1, 1, det(U Vᵀ)).
-Robust (once per scene): of 500 fits to three random pairs the one with the smallest median residual, then the least sum of
-distances Σ ‖s R xᵢ + t − yᵢ‖ over the pairs within 2.5 robust standard deviations, by reweighting with 1 / distance.
-Sources: Umeyama, PAMI 13 (1991); Rousseeuw, least median of squares (1984); Weiszfeld (1937) for the reweighting.
+Robust (once per scene): of 500 fits to three random pairs the one with the smallest median
+residual, then the least sum of distances Σ ‖s R xᵢ + t − yᵢ‖ over the pairs within 2.5 robust
+standard deviations, by reweighting with 1 / distance. Sources: Umeyama, PAMI 13 (1991); Rousseeuw,
+least median of squares (1984); Weiszfeld (1937) for the reweighting.
 """
 
 from __future__ import annotations
@@ -28,8 +30,8 @@ MAX_SCALE_ERROR = 0.2
 MAX_TILT_ERROR_RAD = np.radians(5.0)
 
 AlignStatus = Literal["ok", "too few", "inconsistent", "collinear"]
-"""ok; too few: under three pairs; inconsistent: the scale is not known to 20 %; collinear: the rotation about the line
-through the positions is not known to 5°."""
+"""ok; too few: under three pairs; inconsistent: the scale is not known to 20 %; collinear: the
+rotation about the line through the positions is not known to 5°."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +68,8 @@ class CenterErrors:
 
 
 def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None) -> Sim3:
-    """Least-squares similarity of the pairs source (N,3) → target (N,3), N ≥ 2, with weights (N,) of any positive sum.
+    """Least-squares similarity of the pairs source (N,3) → target (N,3), N ≥ 2, with weights (N,)
+    of any positive sum.
 
     Raises BadInput when all of one side coincide.
     """
@@ -90,8 +93,9 @@ def fit_sim3(source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = N
 def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignment:
     """Similarity of the pairs source (N,3) → target (N,3) that up to half of them may contradict.
 
-    The predicted errors come from the residual's standard deviation σ and the spread of the inliers along their axes:
-    scale_error = σ / (s · |first axis|), tilt_error = σ / (s · |second axis|), so a straight flight line shows.
+    The predicted errors come from the residual's standard deviation σ and the spread of the inliers
+    along their axes: scale_error = σ / (s · |first axis|), tilt_error = σ / (s · |second axis|), so
+    a straight flight line shows.
     """
     source, target = _checked_pairs(source, target)
     start = _least_median_fit(source, target, seed)
@@ -125,9 +129,11 @@ def robust_sim3(source: ArrayLike, target: ArrayLike, seed: int = 0) -> Alignmen
 
 
 def compare_centers(scene_centers: ArrayLike, reference_centers: ArrayLike) -> CenterErrors:
-    """How far camera centres (N,3) are from reference centres (N,3) after the plain least-squares similarity.
+    """How far camera centres (N,3) are from reference centres (N,3) after the plain least-squares
+    similarity.
 
-    No outlier is left out, so a single lost camera shows in the maximum. BadInput for fewer than three cameras.
+    No outlier is left out, so a single lost camera shows in the maximum. BadInput for fewer than
+    three cameras.
     """
     source, target = _checked_pairs(scene_centers, reference_centers)
     if len(source) < 3:
@@ -159,7 +165,8 @@ def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3
         except BadInput:
             continue
         median = float(np.median(np.linalg.norm(fit.apply(source) - target, axis=1)))
-        # A shrunken scene always lies near the middle of the target; compare in the source's unit so that it cannot win.
+        # A shrunken scene always lies near the middle of the target; compare in the source's unit
+        # so that it cannot win.
         if median / fit.scale < best_median:
             best, best_median = fit, median / fit.scale
     return best
@@ -167,7 +174,8 @@ def _least_median_fit(source: FloatArray, target: FloatArray, seed: int) -> Sim3
 
 def _refit(source: FloatArray, target: FloatArray, fit: Sim3) -> tuple[Sim3, FloatArray, NDArray[np.bool_]]:
     """Least sum of distances over the inliers, which are chosen anew in each round."""
-    # The floor keeps pairs that agree to rounding error from being called outliers or from taking all the weight.
+    # The floor keeps pairs that agree to rounding error from being called outliers or from taking
+    # all the weight.
     floor = 1e-9 * float(np.ptp(target, axis=0).max())
     residuals = np.linalg.norm(fit.apply(source) - target, axis=1)
     inliers = np.ones(len(source), bool)

@@ -1,8 +1,11 @@
-"""Heights for GPS positions that come without altitude, as geotagging from a track and many phones write them. Once per scene.
+"""Heights for GPS positions that come without altitude, as geotagging from a track and many phones
+write them. Once per scene.
 
-Where at least three photographs and half of those with a position have an altitude, the others get the height that the fit to those puts
-them at. Otherwise altitudes are left aside: up comes from the scene, heading, scale and place from the horizontal positions, and heights
-count from the middle of the scene's points. What follows then fits three coordinates as always, and finds its up in the heights given here.
+Where at least three photographs and half of those with a position have an altitude, the others get
+the height that the fit to those puts them at. Otherwise altitudes are left aside: up comes from the
+scene, heading, scale and place from the horizontal positions, and heights count from the middle of
+the scene's points. What follows then fits three coordinates as always, and finds its up in the
+heights given here.
 """
 
 from __future__ import annotations
@@ -37,8 +40,9 @@ class Heights:
 def fill_heights(centers: FloatArray, points: FloatArray, gps: tuple[FloatArray, FloatArray], up: Callable[[], FloatArray]) -> Heights:
     """Positions without a height that is NaN.
 
-    `gps` are positions (C,3) of camera centres (C,3), all NaN without GPS, and their origin; `up` () → (3,) gives up in the frame of the
-    centres and of points (P,3), and is called only where too few altitudes are known.
+    `gps` are positions (C,3) of camera centres (C,3), all NaN without GPS, and their origin; `up`
+    () → (3,) gives up in the frame of the centres and of points (P,3), and is called only where too
+    few altitudes are known.
     """
     positions_m, origin = gps
     placed, high = np.isfinite(positions_m[:, 0]), np.isfinite(positions_m[:, 2])

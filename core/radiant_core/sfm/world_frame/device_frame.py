@@ -1,11 +1,14 @@
-"""The frame of a device's own structure from motion: fixed by its photographs' GPS, with its uncertainty, or refused. Once per device.
+"""The frame of a device's own structure from motion: fixed by its photographs' GPS, with its
+uncertainty, or refused. Once per device.
 
-The robust similarity of camera centres to east-north-up metres (`align.robust_sim3`) leaves residuals of σ per axis, by their median and
-corrected for seven fitted numbers; over n positions x_i about their mean, spread Q = Σ x_i x_iᵀ, it is then known to
+The robust similarity of camera centres to east-north-up metres (`align.robust_sim3`) leaves
+residuals of σ per axis, by their median and corrected for seven fitted numbers; over n positions
+x_i about their mean, spread Q = Σ x_i x_iᵀ, it is then known to
     position σ/√n,   scale σ/√tr Q,   rotation  σ √λ_max((tr(Q) I − Q)⁻¹),
-each times 1.09, the price of least distances instead of squares (the spatial median in three dimensions keeps 8/(3π) of the information).
-Positions on a line leave the roll about it open. Then, and where GPS altitudes would roll the photographs, up comes from the scene as
-in `world.py`, and the rotation's uncertainty is how far level photographs were seen to be off: that is stated.
+each times 1.09, the price of least distances instead of squares (the spatial median in three
+dimensions keeps 8/(3π) of the information). Positions on a line leave the roll about it open. Then,
+and where GPS altitudes would roll the photographs, up comes from the scene as in `world.py`, and
+the rotation's uncertainty is how far level photographs were seen to be off: that is stated.
 """
 
 from __future__ import annotations
@@ -63,7 +66,8 @@ class RefusedFrame:
 def device_frame(
     scene: SfmScene, lat_lon_alt: Mapping[str, tuple[float, float, float]], origin_lat_lon_alt: ArrayLike, seed: int = 0
 ) -> DeviceFrame | RefusedFrame:
-    """Fix a scene of any frame by the GPS `lat_lon_alt` [deg, deg, m] of its photographs; those without GPS are not in it.
+    """Fix a scene of any frame by the GPS `lat_lon_alt` [deg, deg, m] of its photographs; those
+    without GPS are not in it.
 
     Raises BadInput when a position is not finite or off the globe.
     """

@@ -16,9 +16,11 @@ NUM_REFITS = 30
 
 
 def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDArray[np.int64], up: FloatArray) -> Sim3:
-    """Similarity to z up, the median point at the origin and a median camera–point distance of 10 units.
+    """Similarity to z up, the median point at the origin and a median camera–point distance of 10
+    units.
 
-    Points (P,3), observations (T,2): point and camera index. BadInput when nothing is observed at a distance.
+    Points (P,3), observations (T,2): point and camera index. BadInput when nothing is observed at a
+    distance.
     """
     distances = np.linalg.norm(points[observations[:, 0]] - cameras.centers[observations[:, 1]], axis=1)
     typical = float(np.median(distances)) if len(distances) else 0.0
@@ -30,10 +32,11 @@ def unscaled_from_world(cameras: Cameras, points: FloatArray, observations: NDAr
 
 
 def level_fit(source: FloatArray, target: FloatArray, up: FloatArray) -> Sim3 | None:
-    """Similarity source (N,3) → target (N,3) [m] that turns `up` to z: heading, scale and shift from the pairs only.
+    """Similarity source (N,3) → target (N,3) [m] that turns `up` to z: heading, scale and shift
+    from the pairs only.
 
-    Least sum of horizontal distances; the height by the middle of the densest half of the heights, which altitudes that
-    drift cannot pull away. None when the positions do not differ horizontally.
+    Least sum of horizontal distances; the height by the middle of the densest half of the heights,
+    which altitudes that drift cannot pull away. None when the positions do not differ horizontally.
     """
     rotation = level_rotation(up)
     level = source @ rotation.T

@@ -1,4 +1,5 @@
-"""What a user says of the world frame: which way is up, and one length that is known. Once per scene.
+"""What a user says of the world frame: which way is up, and one length that is known. Once per
+scene.
 
 up:   auto | ground | level | down | the name of a photograph whose top edge is up | x,y,z in the frame of a COLMAP model
 size: the distance of two photographs, or the height of the cameras over the ground that they see (median), in metres
@@ -30,8 +31,9 @@ class Placement:
     """What is known of the world beside the photographs; raises BadInput for a value that makes no sense by itself."""
 
     up: str = AUTO
-    """auto: GPS, or else whatever the scene shows; ground: the plane through most points is level; level: photographs were held level;
-    down: they look straight down; a photograph's name: its top edge is up; x,y,z: that direction in the frame of a COLMAP project."""
+    """auto: GPS, or else whatever the scene shows; ground: the plane through most points is level;
+    level: photographs were held level; down: they look straight down; a photograph's name: its top
+    edge is up; x,y,z: that direction in the frame of a COLMAP project."""
     distance: str | None = None
     """PHOTO,PHOTO,METRES: how far apart two photographs were taken."""
     height_m: float | None = None

@@ -1,4 +1,5 @@
-"""Which way is up in a scene, from what its cameras and points say of it: cues, weighed against each other. Once per scene.
+"""Which way is up in a scene, from what its cameras and points say of it: cues, weighed against
+each other. Once per scene.
 
 A cue k costs a unit vector u the squared sine of its lean over the cue's standard deviation, uᵀ A_k u; where positions with the
 scatter Σᵢ λᵢ eᵢ eᵢᵀ (λ₁ ≥ λ₂ ≥ λ₃) lie level,  A = Σᵢ₌₁,₂ (1 − λ₃/λᵢ) eᵢ eᵢᵀ / σᵢ²,  σᵢ² = σ² + (λ₃/4 + (0.02)² λ₁) / λᵢ,  so that a line
@@ -12,9 +13,10 @@ says nothing of its roll: no site and no flight is level to better than 2 % of i
 | views straight down | the mean viewing direction is down                              | (2°)² + spread² / 4       | spread over 20°     |
 | upright photographs | the mean of the −y axes is up                                   | (10°)² + spread² / 4      | spread over 35°     |
 
-Up is the direction that the fewest cues contradict (each cue costs at most 3² = 9), then the least squares of those that agree.
-The sign is that of the cameras: photographs are upright, or look down. Photographs of one flight err together (mount, wind), so that more
-than four make their attitudes no surer.
+Up is the direction that the fewest cues contradict (each cue costs at most 3² = 9), then the least
+squares of those that agree. The sign is that of the cameras: photographs are upright, or look down.
+Photographs of one flight err together (mount, wind), so that more than four make their attitudes no
+surer.
 """
 
 from __future__ import annotations
@@ -91,7 +93,8 @@ def roll_deg(cameras: Cameras, up: FloatArray) -> float:
 
 
 def estimate_up(cameras: Cameras, points: FloatArray, seed: int = 0, only: Sequence[str] | None = None) -> UpEstimate:
-    """Up in the frame of C cameras and P points (P,3), from all cues or from those whose names are in `only`.
+    """Up in the frame of C cameras and P points (P,3), from all cues or from those whose names are
+    in `only`.
 
     Raises BadInput where the scene has none of these.
     """

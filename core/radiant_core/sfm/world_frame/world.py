@@ -1,9 +1,11 @@
-"""A pinhole model in the project's world: metric and z up by GPS where GPS can carry it, unscaled with z up otherwise.
+"""A pinhole model in the project's world: metric and z up by GPS where GPS can carry it, unscaled
+with z up otherwise.
 
-Once per scene. A robust similarity to GPS fixes the frame, unless GPS cannot say where up is: the positions lie on a line,
-or the photographs would all be rolled if it were right (altitudes drift by a hundred metres in some cameras), or the scene fixes it
-better and says otherwise. Then up comes from the scene (`up.py`) and GPS gives only heading, scale and shift. What a user says of up
-and of a length (`placement.py`) goes before both.
+Once per scene. A robust similarity to GPS fixes the frame, unless GPS cannot say where up is: the
+positions lie on a line, or the photographs would all be rolled if it were right (altitudes drift by
+a hundred metres in some cameras), or the scene fixes it better and says otherwise. Then up comes
+from the scene (`up.py`) and GPS gives only heading, scale and shift. What a user says of up and of
+a length (`placement.py`) goes before both.
 """
 
 from __future__ import annotations
@@ -138,8 +140,8 @@ def move_scene(model: ColmapModel, cameras: Cameras, world_from_model: Sim3, fra
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _JudgedGps:
-    """What GPS is good for; roll_deg is the RMS roll of the photographs if its up were right, lean_deg how far that is from the scene's,
-    up_deg how well GPS fixes it."""
+    """What GPS is good for; roll_deg is the RMS roll of the photographs if its up were right,
+    lean_deg how far that is from the scene's, up_deg how well GPS fixes it."""
 
     fit: Alignment
     verdict: AlignStatus | Literal["tilted", "overruled"]

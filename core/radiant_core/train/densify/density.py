@@ -1,4 +1,5 @@
-"""Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians with large image gradients are cloned or split, transparent ones pruned.
+"""Adaptive density control of 3DGS (Kerbl 2023, Sec. 5): Gaussians with large image gradients are
+cloned or split, transparent ones pruned.
 
     g_i = mean over the steps that saw i of ‖(W/2, H/2) ⊙ ∂loss/∂m_i‖        m_i: projected centre in px; gsplat's normalisation
           or of ‖(W/2, H/2) ⊙ Σ_p |∂loss_p/∂m_i|‖ over pixels p, by absolute value (AbsGS, Ye 2024)
@@ -6,8 +7,8 @@
     pruned:   opacity < 0.005;  after the first reset also axes > 10 % of the extent, and what is wider than a limit on screen
     reset:    opacity ← min(opacity, 0.01), its moments ← 0
 
-Statistics once per step, an edit every `Adc.every` steps, O(N log N). `AdaptiveDensity` decides when; the edits are plain functions
-of arrays.
+Statistics once per step, an edit every `Adc.every` steps, O(N log N). `AdaptiveDensity` decides
+when; the edits are plain functions of arrays.
 """
 
 from __future__ import annotations
@@ -73,9 +74,11 @@ def density_edit(
     rules: DensityRules,
     rng: np.random.Generator,
 ) -> DensityEdit:
-    """Clone, split and prune the model (means, quats, log_scales, logit_opacities of N rows) by mean gradients and radii (N,).
+    """Clone, split and prune the model (means, quats, log_scales, logit_opacities of N rows) by
+    mean gradients and radii (N,).
 
-    The result is in Morton order and holds at least one Gaussian, the most opaque, if the model held any.
+    The result is in Morton order and holds at least one Gaussian, the most opaque, if the model
+    held any.
     """
     clone, split, num_refused = select_growing(gradients, model["log_scales"].max(axis=1, initial=-np.inf), rules)
     parents = np.flatnonzero(split)
@@ -110,9 +113,11 @@ def density_edit(
 def select_growing(
     gradients: NDArray[np.floating], largest_log: NDArray[np.floating], rules: DensityRules
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
-    """Masks (N,) of what is cloned and what is split, by mean gradient and logarithm of the longest axis (N,), and how many are refused.
+    """Masks (N,) of what is cloned and what is split, by mean gradient and logarithm of the longest
+    axis (N,), and how many are refused.
 
-    Each adds one Gaussian; where the limit of Gaussians leaves room for fewer, the strongest gradients get it. NaN never grows.
+    Each adds one Gaussian; where the limit of Gaussians leaves room for fewer, the strongest
+    gradients get it. NaN never grows.
     """
     wanted = np.flatnonzero(gradients >= rules.min_gradient)
     room = max(0, rules.max_num_splats - len(gradients))
@@ -188,8 +193,8 @@ class AdaptiveDensity(Part):
         policy, schedule_step = self._policy, moment.schedule_step
         if schedule_step >= policy.until_step:
             return splats
-        # `every` is not scaled: a mean over few steps is noise. With an edit at every 7th of 2,000 steps, 27,000 Gaussians of the town
-        # were 150,000 after 98 steps.
+        # `every` is not scaled: a mean over few steps is noise. With an edit at every 7th of 2,000
+        # steps, 27,000 Gaussians of the town were 150,000 after 98 steps.
         if schedule_step > policy.from_step and moment.step % policy.every == 0 and len(splats):
             splats = self._edit(moment, splats, optimizer)
         if schedule_step // policy.reset_opacity_every > self._last_reset:
@@ -222,12 +227,14 @@ class AdaptiveDensity(Part):
             own[:] = arrays[name] if isinstance(own, np.ndarray) else torch.from_numpy(arrays[name]).to(own.device)
 
     def _add(self, visible: Any, size_wh: tuple[int, int], absgrad: Tensor | None, gradient: Tensor) -> None:
-        # numpy on the CPU, torch on a GPU: the operators are the same, and torch's threads would spin on after each of them (libgomp).
+        # numpy on the CPU, torch on a GPU: the operators are the same, and torch's threads would
+        # spin on after each of them (libgomp).
         taken = _as_plain(gradient if absgrad is None else absgrad)
         across, down = (taken[0, :, axis] * (side / 2) for axis, side in enumerate(size_wh))
         with np.errstate(over="ignore", invalid="ignore"):
             length = (across * across + down * down) ** 0.5
-            # A step whose gradient is not finite is not taken, and must not enter the statistics either.
+            # A step whose gradient is not finite is not taken, and must not enter the statistics
+            # either.
             length[~(length < math.inf)] = 0
             self._sums += length
         self._seen += visible

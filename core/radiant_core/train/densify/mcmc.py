@@ -1,11 +1,14 @@
-"""Densification as sampling (Kheradmand et al., 3D Gaussian Splatting as Markov Chain Monte Carlo, NeurIPS 2024).
+"""Densification as sampling (Kheradmand et al., 3D Gaussian Splatting as Markov Chain Monte Carlo,
+NeurIPS 2024).
 
-Dead Gaussians (opacity ≤ 0.005) are moved onto live ones drawn by opacity, and the model grows by 5 % per 100 steps of the schedule up to a
-hard limit: a run of a twentieth of the schedule's steps, which has a twentieth of its rounds, grows by 1.05²⁰ in each. Where n
-Gaussians share one place, each gets (their Eqn. 9)
+Dead Gaussians (opacity ≤ 0.005) are moved onto live ones drawn by opacity, and the model grows by 5
+% per 100 steps of the schedule up to a hard limit: a run of a twentieth of the schedule's steps,
+which has a twentieth of its rounds, grows by 1.05²⁰ in each. Where n Gaussians share one place,
+each gets (their Eqn. 9)
     o' = 1 − (1 − o)^(1/n),    σ' = σ · o / Σ_{i=1..n} Σ_{k=0..i−1} C(i−1, k) (−1)^k o'^{k+1} / √(k+1)
-so that the picture stays nearly the same. Opacity and size cost a little, and centres of Gaussians that are nearly transparent wander by
-their own covariance. Edits once every `Mcmc.every` steps, the wandering every `WANDER_EVERY`, its variance as if it were every step.
+so that the picture stays nearly the same. Opacity and size cost a little, and centres of Gaussians
+that are nearly transparent wander by their own covariance. Edits once every `Mcmc.every` steps, the
+wandering every `WANDER_EVERY`, its variance as if it were every step.
 """
 
 from __future__ import annotations
@@ -128,7 +131,8 @@ class RelocatedDensity(Part):
             splats,
             **{name: torch.from_numpy(changed[name]).to(device) if name in changed else tensor[index] for name, tensor in tensors.items()},
         )
-        # Those that now share a place are fresh as well: their moments belong to another opacity and size.
+        # Those that now share a place are fresh as well: their moments belong to another opacity
+        # and size.
         optimizer.select_rows(edited.tensors(), index, torch.from_numpy(fresh | (copies[rows] > 1)).to(device))
         return edited
 

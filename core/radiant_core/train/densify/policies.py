@@ -1,6 +1,8 @@
-"""The policies of densification, each with its own knobs, and the counts of what a policy did. `TrainConfig.density` is one of them.
+"""The policies of densification, each with its own knobs, and the counts of what a policy did.
+`TrainConfig.density` is one of them.
 
-Steps are those of a run of `TrainConfig.schedule_steps`; a run of another length scales them, except for `every`.
+Steps are those of a run of `TrainConfig.schedule_steps`; a run of another length scales them,
+except for `every`.
 """
 
 from __future__ import annotations
@@ -39,15 +41,17 @@ class Adc:
     min_gradient: float = 2e-4
     """A Gaussian is cloned or split when its projected centre's mean gradient, in half image sides, is at least this."""
     gradient: Literal["mean", "absolute"] = "mean"
-    """mean: gradients of a centre are summed over pixels with their signs, as 3DGS does; absolute: without, so that pixels
-    which pull a large Gaussian to opposite sides do not cancel (AbsGS, Ye 2024), and `min_absolute` is the threshold."""
+    """mean: gradients of a centre are summed over pixels with their signs, as 3DGS does; absolute:
+    without, so that pixels which pull a large Gaussian to opposite sides do not cancel (AbsGS, Ye
+    2024), and `min_absolute` is the threshold."""
     min_absolute: float = 8e-4
     """The threshold in place of `min_gradient` where `gradient` is absolute; gsplat's for it."""
     reset_opacity_every: int = 3_000
     """Steps between two resets of all opacities to at most 0.01."""
     prune_radius_px: float | None = None
-    """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code of 3DGS passes 20 but
-    clears the radii before it looks at them, so that nothing is pruned by this rule; None is what it does."""
+    """A Gaussian wider than this on screen is pruned after the first reset of opacities. The code
+    of 3DGS passes 20 but clears the radii before it looks at them, so that nothing is pruned by
+    this rule; None is what it does."""
     pixels_per_splat: int | None = 80
     """Training pixels for each Gaussian that planned growth may reach (docs/experiments/training.md); None: any number."""
 
